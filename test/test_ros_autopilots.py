@@ -100,7 +100,7 @@ class Autopilot:
         return np.linalg.norm(self.position - GOAL) < 0.5
 
 
-@pytest.mark.parametrize('name', TOPICS)
+@pytest.mark.parametrize('name', FRAMES)
 def test_a_vehicle_under_an_autopilot_arrives(name, launch, observer):
     autopilot = Autopilot(name, launch, observer)
     autopilot.fly_until(lambda: autopilot.arrived, 'arrival')

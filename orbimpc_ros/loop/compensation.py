@@ -44,7 +44,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.state import Odometry, airspeed, along_the_air, odd_speed, state_of
+from orbimpc_ros.loop.state import (
+    Odometry,
+    WindReport,
+    airspeed,
+    along_the_air,
+    odd_speed,
+    state_of,
+)
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
@@ -424,6 +431,9 @@ SHIFT = 3.0  # standard deviations: measurements that lean to one side by more s
 RECENT = 0.5  # [s] over which they are looked at
 GAP = 2.0  # [s] without odometry, over which nothing is learnt
 LARGEST = 0.8  # of full speed or thrust: what is left steers
+REPORTED = 1.5  # the same of a wind that is reported: it blows wings backwards
+UNSTATED = 1.0  # [m^2/s^2] variance of a reported wind that comes without one
+ALIKE = 10.0  # [s] over which the errors of reported winds are alike
 
 
 @dataclass(frozen=True)
@@ -491,13 +501,14 @@ class Estimator:
         self._last: Odometry | None = None
         self._begun = 0.0  # share of full speed with which the first command found the vehicle
         self._leaning = np.zeros(self._problem.dimension)  # innovations of late, as if only noise
+        self._reported = -math.inf  # stamp of the last wind that was reported [s]
         self.innovation, self.refused = 0.0, 0
 
     def continue_from(self, other: Estimator) -> None:
         """Take over what another estimator of the same vehicle knows."""
         self._estimate, self._covariance = other._estimate, other._covariance
         self._last, self._begun = other._last, other._begun
-        self._leaning = other._leaning
+        self._leaning, self._reported = other._leaning, other._reported
         self.innovation, self.refused = other.innovation, other.refused
 
     @property
@@ -533,6 +544,26 @@ class Estimator:
             self._predict(moved, time)
             self._correct(odometry, time)
 
+    def hear(self, wind: WindReport, given: Array) -> None:
+        """Take in a reported wind, once; reports that follow soon add as little as they are new.
+
+        Args:
+            wind: as it was reported.
+            given: the disturbance that is known, shape (n,).
+        """
+        since = wind.time - self._reported
+        if since <= 0.0:
+            return
+        self._reported = wind.time
+        variance = wind.variance if wind.variance > 0.0 else UNSTATED
+        variance *= max(1.0, ALIKE / since) / self._problem.forward**2
+        gain = self._covariance[:, 2] / (self._covariance[2, 2] + variance)
+        missed = wind.velocity - given - self._estimate[2]
+        self._estimate = self._estimate + np.outer(gain, missed)
+        left = np.eye(3) - np.outer(gain, [0.0, 0.0, 1.0])
+        spread = left @ self._covariance @ left.T
+        self._covariance = spread + variance * np.outer(gain, gain)
+
     def limit(self, given: Array) -> str:
         """Keep the whole disturbance within what the vehicle can work against; tell it if needed.
 
@@ -540,7 +571,8 @@ class Estimator:
             given: the disturbance that is known, shape (n,).
         """
         problem, whole = self._problem, given + self._estimate[-1]
-        size, most = float(np.linalg.norm(whole)), LARGEST * problem.forward
+        known = REPORTED if self._reported > -math.inf else LARGEST
+        size, most = float(np.linalg.norm(whole)), known * problem.forward
         most = max(most, float(np.linalg.norm(given)))
         if size <= most:
             return ''
@@ -736,7 +768,13 @@ class Compensator:
         """Return the command of the step that begins; None before the first."""
         return self.due or self.history.last
 
-    def start(self, measured: Odometry, latency: float = 0.0, now: float | None = None) -> Start:
+    def start(
+        self,
+        measured: Odometry,
+        latency: float = 0.0,
+        now: float | None = None,
+        wind: WindReport | None = None,
+    ) -> Start:
         """Return where a plan starts.
 
         Args:
@@ -744,9 +782,10 @@ class Compensator:
             latency: from it to when the answer is in force [s].
             now: when that is, on the clock of the commands sent [s]; None where delays are not
                 compensated.
+            wind: the last one that was reported; None without one.
         """
         odometry = along_the_air(measured) if self._sideslip else measured
-        limited = self._estimate(odometry)
+        limited = self._estimate(odometry, wind)
         coming = [] if now is None else self.history.intervals(now - latency, now)
         if coming and self.response.lags:
             # For a time that is short against its lags, a vehicle goes on as it was measured.
@@ -759,12 +798,14 @@ class Compensator:
         innovation = None if self._estimator is None else self._estimator.innovation
         return Start(odometry, moved, led, self.disturbance, innovation, limited)
 
-    def _estimate(self, odometry: Odometry) -> str:
+    def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""
         if self._estimator is None:
             return ''
         given = np.zeros(self._problem.dimension) if self._given is None else self._given
         self._estimator.observe(odometry, self.history, given)
+        if wind is not None:
+            self._estimator.hear(wind, given)
         limited = self._estimator.limit(given)
         self.disturbance = given + self._estimator.disturbance
         return limited

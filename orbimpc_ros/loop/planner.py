@@ -25,13 +25,14 @@ from orbimpc_ros.loop.fallback import (
     safe_command,
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion
+from orbimpc_ros.loop.goal.route import Paced, Route
 from orbimpc_ros.loop.intercept import (
     FARTHEST,
     Intercept,
     Interception,
     InterceptQuery,
 )
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task, joined
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
@@ -69,6 +70,7 @@ class Snapshot:
         wanted: attitude of the goal, shape (n, n); None for any.
         hazards: what moves, its time beginning with the plan.
         traffic: what was seen and heard of what moves.
+        wind: the last one that was reported; None without one.
         odometry_age: [s].
         goal_age: [s].
         latency: from the measurement to when the answer is in force; 0 where unknown [s].
@@ -80,6 +82,7 @@ class Snapshot:
     wanted: Array | None = None
     hazards: tuple[MovingObstacle, ...] = ()
     traffic: Traffic | None = None
+    wind: WindReport | None = None
     odometry_age: float = 0.0
     goal_age: float = 0.0
     latency: float = 0.0
@@ -167,6 +170,8 @@ class _Memory:
         last: stamp of the last decision [s].
         arriving: whether a plan has been found since the start.
         catch: when the goal is to be caught [s].
+        route: the path that is followed; None without one.
+        along: how far along it the vehicle was [m].
     """
 
     aim: Array
@@ -182,6 +187,8 @@ class _Memory:
     last: float | None = None
     arriving: bool = False
     catch: float = 0.0
+    route: Route | None = None
+    along: float = 0.0
 
 
 class Planner:
@@ -404,7 +411,8 @@ class Planner:
         if unsafe is not None or snapshot.odometry is None:
             self._change_speed(1.0)
             return self._safe(snapshot.odometry, Status.FAILED, unsafe or WAITING)
-        start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
+        measured = snapshot.odometry, snapshot.latency, now, snapshot.wind
+        start = self._compensator.start(*measured)
         hazards, left_out = self._hazards(snapshot, start.odometry)
         lost = self._lost_goal(snapshot)
         if lost:
@@ -463,6 +471,8 @@ class Planner:
         memory, given = self._memory, snapshot.goal
         assert given is not None
         motion = None if isinstance(given, np.ndarray) else given
+        if isinstance(motion, Route):
+            motion = self._paced(motion, odometry)
         goals = given if motion is None else motion.at(self.ends(odometry.time))
         passed = self._passed(odometry.time)
         self._change_speed(passed)
@@ -476,7 +486,9 @@ class Planner:
         task = self._task(state, goals, knots, late)
         memory.goals = goals
         held, catch = held_goal(task.problem, state, goals), None
-        if self._interception is None or shortened:
+        if isinstance(motion, Paced):
+            held = motion.trouble(self.ends(odometry.time), self._max_rate)
+        if self._interception is None or shortened or isinstance(motion, Paced):
             task, (plan, status, words) = self._tracked(task)
         else:
             known = self._interception, motion, passed or math.inf
@@ -490,6 +502,16 @@ class Planner:
         memory.arriving, memory.aim = True, goals[-1]
         decision = self._following(task, plan, status, reason)
         return replace(decision, catch=catch) if catch and decision.plan else decision
+
+    def _paced(self, route: Route, odometry: Odometry) -> Paced:
+        """Return the goal that moves along a path, from where the vehicle is along it."""
+        memory, forward = self._memory, self.problem.forward
+        near = memory.along if memory.route is route else None
+        within = self.problem.horizon * self.problem.step * forward
+        memory.route, memory.along = route, route.nearest(odometry.position, near, within)
+        wind = self._compensator.disturbance
+        wind = np.zeros(self.problem.dimension) if wind is None else wind
+        return route.paced(memory.along, odometry.time, forward, wind)
 
     def _tracked(self, task: Task) -> tuple[Task, Answer]:
         """Return a task with as much of the reserve as there is a plan for, and its answer.

@@ -148,6 +148,24 @@ FITS_BETTER = 0.3  # times the error as given: that of the other frame, to be be
 TELLING = 0.3  # of the speed: an error as given that is no noise
 
 
+@dataclass(frozen=True, eq=False)
+class WindReport(ByContent):
+    """A wind that somebody else has estimated.
+
+    Attributes:
+        time: stamp [s].
+        velocity: shape (n,) [m/s].
+        variance: along each axis [m^2/s^2]; NaN where it is not known.
+    """
+
+    time: float
+    velocity: Array
+    variance: float = math.nan
+
+    def __post_init__(self) -> None:
+        sealed(self.velocity)
+
+
 class VelocityFrameCheck:
     """Compares velocities with the change of positions, over the last measurements.
 

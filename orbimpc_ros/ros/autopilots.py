@@ -17,4 +17,6 @@ TOPICS: Mapping[str, Mapping[str, str]] = {
         'cmd_vel': '/mavros/setpoint_velocity/cmd_vel',
     },
     'rover': {},
+    'px4': {},  # and arduplane: wings on the autopilot's own topics, by the parameter autopilot
+    'arduplane': {},
 }

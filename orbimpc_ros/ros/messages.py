@@ -5,8 +5,8 @@ What comes in is untrusted. A message is taken whole or refused whole, with the 
 stamps are read as integers, never through rclpy's Time, which raises on negative seconds.
 What the planner calls the body frame has the pushing axis along x; a vehicle that pushes along
 another axis of its own is turned on the way in and back on the way out, here and nowhere else.
-Covariances are not read: many drivers say NaN there for "unknown", which does no harm. In the
-plane (n = 2) poses lie at z = 0 and turn about z.
+Covariances are read of winds alone: many drivers say NaN there for "unknown", which does no harm.
+In the plane (n = 2) poses lie at z = 0 and turn about z.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from geometry_msgs.msg import (
     Transform,
     Twist,
     TwistStamped,
+    TwistWithCovarianceStamped,
     Vector3,
     Vector3Stamped,
     Wrench,
@@ -37,7 +38,8 @@ from nav_msgs.msg import Path
 from std_msgs.msg import Header, UInt8MultiArray
 
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.goal.route import Route
+from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.traffic import AgentTrajectory
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.command import Command
@@ -171,8 +173,12 @@ def _goal_attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
     return frames.turned(from_quaternion(unit, dimension))
 
 
-def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, GoalTrajectory]:
+def read_itinerary(
+    message: Path, dimension: int, frames: Frames
+) -> tuple[Stamp, GoalTrajectory | Route]:
     """Return the stamp and the stamped places in a goal's Path, with the last one's attitude.
+
+    Several places none of which has a stamp are a path to follow.
 
     Raises:
         BadInput: no pose or too many, stamps that do not increase, or a pose not acceptable.
@@ -183,7 +189,24 @@ def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp
     seen = [_seen(pose, dimension, Frames()) for pose in message.poses]
     times = np.array([stamp.nanoseconds / SECOND for stamp, _, _ in seen])
     places = np.array([place for _, place, _ in seen])
+    if len(seen) > 1 and not times.any():
+        return at, Route(places)
     return at, GoalTrajectory(times, places, _goal_attitude(seen[-1][2], dimension, frames))
+
+
+def read_wind(
+    message: TwistWithCovarianceStamped, dimension: int, _frames: Frames
+) -> tuple[Stamp, WindReport]:
+    """Return the stamp and the wind in a message; one without a positive variance has none known.
+
+    Raises:
+        BadInput: a stamp or a number is not acceptable.
+    """
+    at = _stamp(message.header, '')
+    velocity = _triple(message.twist.twist.linear, 'twist.linear')[:dimension]
+    variance = 0.5 * float(message.twist.covariance[0] + message.twist.covariance[7])
+    known = variance if 0.0 < variance <= LARGEST else math.nan
+    return at, WindReport(at.nanoseconds / SECOND, velocity, known)
 
 
 def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, AgentTrajectory]:
@@ -193,6 +216,8 @@ def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Ag
         BadInput: as :func:`read_itinerary`.
     """
     at, itinerary = read_itinerary(message, dimension, frames)
+    if isinstance(itinerary, Route):
+        raise BadInput('poses', 'without stamps', 'stamps that increase')
     return at, AgentTrajectory(at.nanoseconds / SECOND, itinerary.times, itinerary.positions)
 
 

@@ -33,6 +33,7 @@ INPUTS = (
     Topic('odom', 'nav_msgs/msg/Odometry'),
     Topic('pose', 'geometry_msgs/msg/PoseStamped'),
     Topic('twist', 'geometry_msgs/msg/TwistStamped'),
+    Topic('wind', 'geometry_msgs/msg/TwistWithCovarianceStamped'),
 )  # of the planner
 OUTPUTS = (
     Topic('cmd_thrust', 'geometry_msgs/msg/WrenchStamped'),

@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Pro
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.problem import STEEPEST_GLIDE
 from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
+from orbimpc_ros.ros.firmware import AUTOPILOTS
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
@@ -153,6 +154,9 @@ class PlannerSettings(VehicleParameters):
         'parent, as in tf', words=True, live=True)
     transform_timeout: float = parameter('transform_timeout', 0.2,
         'For so long the last transform of /tf holds', 's', 0.0, MAX_DURATION, live=True)
+    autopilot: str = parameter('autopilot', '', "A wing's autopilot on its own topics: PX4 in "
+        'offboard mode (px4_msgs), or ArduPlane in GUIDED through MAVROS (mavros_msgs); setpoints '
+        'leave in that mode alone', choices=('', *AUTOPILOTS))
     gated: bool = parameter('gated', False, 'Whether commands wait for engaged (std_msgs/Bool): '
         'none are sent before it is true, nor while it is false')
     trigger: str = parameter('trigger', 'timer', 'Whether to plan at each odometry or every period',
@@ -369,6 +373,10 @@ def _combinations(s: PlannerSettings) -> list[tuple[str, object, bool, str]]:
             f'below the full thrust of forward, {s.forward:g} m/s^2'),
         ('velocity_source', 'air', s.velocity_source == 'air' and thrust,
             'ground at translation_order 2, where wind is an acceleration'),
+        ('autopilot', s.autopilot, bool(s.autopilot) and (s.dimension != 2 or thrust),
+            "'' but with dimension 2 and translation_order 1"),
+        ('autopilot', s.autopilot, bool(s.autopilot) and s.velocity_source != 'air',
+            "'' with velocity_source ground: it gives velocities through the air"),
         ('sideslip', True, s.sideslip and (s.dimension, s.velocity_source) != (2, 'air'),
             'false but with dimension 2 and velocity_source air'),
         ('hover_thrust', s.hover_thrust, s.hover_thrust > 0.0 and not s.gravity,

@@ -74,7 +74,7 @@ class ParameterSpec:
     def allowed(self) -> str:
         """Return what is allowed, in words."""
         if self.choices:
-            return ' | '.join(self.choices)
+            return ' | '.join(each or "''" for each in self.choices)
         if isinstance(self.default, bool):
             return 'true | false'
         if isinstance(self.default, str):

@@ -13,13 +13,21 @@ import numpy as np
 from orbimpc_ros.loop.goal.bank import Bank
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, GoalTrajectory
+from orbimpc_ros.loop.goal.route import Route
 from orbimpc_ros.loop.planner import Snapshot
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp, read_itinerary, read_odometry, read_sighting
+from orbimpc_ros.ros.messages import (
+    SECOND,
+    Stamp,
+    read_itinerary,
+    read_odometry,
+    read_sighting,
+    read_wind,
+)
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
 from orbimpc_ros.ros.planner.obstacles import (
     COMPARABLE,
@@ -39,6 +47,7 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
     'odom': read_odometry,
     'goal': read_sighting,
     'goal_path': read_itinerary,
+    'wind': read_wind,
 }
 GOALS = ('goal', 'goal_path')
 TRANSFORMS = (TF, TF_STATIC)
@@ -269,7 +278,7 @@ class Inputs:
     def _keep(self, topic: str, received: Received[Any]) -> None:
         if topic in GOALS:
             self.goal_counts[topic] += 1
-        else:
+        elif topic == 'odom':
             self._end_pairs()
         last, goal = self.latest.get(topic), self.latest.get('goal')
         back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
@@ -317,7 +326,7 @@ class Inputs:
         now: float,
     ) -> None:
         limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
-        if limit == 0.0 or last is None:
+        if limit == 0.0 or last is None or isinstance(value, Route):
             return
         time = stamp.nanoseconds / SECOND
         jump = float(np.linalg.norm(_place(value, time) - _place(last.value, time)))
@@ -435,6 +444,7 @@ class Inputs:
         wanted = None if goal is None else goal.value.attitude
         if path is not None and path.attitude is not None:
             wanted = path.attitude
+        wind = self.latest.get('wind')
         ages = (self._goal_age(*each, now, ros) for each in self._goal_sources().items())
         snapshot = Snapshot(None, motion, wanted, goal_age=min(ages, default=0.0), stop=stop)
         if known is None:
@@ -443,6 +453,7 @@ class Inputs:
         return replace(
             snapshot,
             odometry=known.value,
+            wind=None if wind is None else wind.value,
             traffic=self.obstacles.traffic(known.value.time) if self.obstacles.stamps else None,
             odometry_age=known.age(now, ros),
             latency=known.delay(ros) + taking if compensated else 0.0,
@@ -458,13 +469,17 @@ class Inputs:
         lost = self.missing or snapshot.goal_age > self.settings.goal_timeout
         if lost or measured is None or motion is None or isinstance(motion, np.ndarray):
             return None
+        if isinstance(motion, Route):
+            return motion.place(np.array([motion.nearest(measured.position)]))[0], None
         return motion.at(np.array([measured.time]))[0], snapshot.wanted
 
     def _goal_age(self, topic: str, received: Received[Any], now: float, ros: RosTime) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
         ageing = self.settings.goal_ageing
-        by_hand = topic == 'goal' and received.run < STREAM
-        if ageing is Ageing.NONE or (ageing is Ageing.STREAMED and by_hand):
+        route = isinstance(received.value, Route)
+        by_hand = (topic == 'goal' or route) and received.run < STREAM
+        lasting = ageing is Ageing.STREAMED or (route and not self.settings.given_goal_timeout)
+        if ageing is Ageing.NONE or (lasting and by_hand):
             return 0.0
         return received.age(now, ros)
 
@@ -489,7 +504,7 @@ def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, An
 
 def _is_unset(topic: str, stamp: Stamp) -> bool:
     """Return whether it is a goal as typed by hand, without a stamp: it holds from its arrival."""
-    return topic == 'goal' and stamp.nanoseconds == 0
+    return topic in GOALS and stamp.nanoseconds == 0
 
 
 def _is_undated(goal: Received[GoalObservation]) -> bool:

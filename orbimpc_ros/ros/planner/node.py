@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -27,6 +27,7 @@ from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.clock import NodeClock, RosTime
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -50,6 +51,7 @@ from orbimpc_ros.ros.planner.outputs import (
     refutation_messages,
     report_messages,
 )
+from orbimpc_ros.ros.planner.wings import WINGS, Wing
 from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwist, PoseTwistSynchronizer
 from orbimpc_ros.ros.process import LIFE, qos, run
 from orbimpc_ros.ros.reports import (
@@ -101,13 +103,18 @@ class PlannerNode(Managed):
 
     def configure(self) -> None:
         """Compile a planner for the parameters, and connect inputs and outputs."""
-        self._enabled, self._engaged = True, True
+        self._enabled, self._gate, self._altitude = True, True, math.nan
+        self._wing: Wing | None = None
+        self._flown = False  # whether the wing's autopilot takes setpoints
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # when it was last looked around [s]
         self._mode_changes, self._changes = 0, deque[float](maxlen=RESTLESS)
         # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
         self._create_publishers()
+        if autopilot := self._live.settings().autopilot:
+            frames = self._live.settings().frames
+            self._wing = WINGS[autopilot](self, frames, self._on_wing)
         with leaving_at_signals():
             settings, planner = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
@@ -125,7 +132,7 @@ class PlannerNode(Managed):
             names=names,
             others=avoided,
         )
-        self._engaged = not settings.gated
+        self._gate = not settings.gated
         self._create_subscriptions()
         self._create_timers()
         self._live.keep(self._install)
@@ -190,6 +197,7 @@ class PlannerNode(Managed):
             odometry = self._listen(OdometryMessage, 'odom', self._on_odometry)
         self._listen(PoseStamped, 'goal', self._on_goal)
         self._listen(Path, 'goal_path', self._of('goal_path', self._take))
+        self._listen(TwistWithCovarianceStamped, 'wind', self._of('wind', self._take))
         if settings.gated:
             # Even while inactive: whoever is activated has to know whether the vehicle is flown.
             latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
@@ -260,6 +268,8 @@ class PlannerNode(Managed):
 
     def _on_goal(self, message: PoseStamped) -> None:
         self._take('goal', message)
+        height = message.pose.position.z
+        self._altitude = height if height else math.nan  # 0: that which is held
         self._note_goal()
         self._publish_events()
 
@@ -269,15 +279,30 @@ class PlannerNode(Managed):
 
     def _on_engaged(self, message: Bool) -> None:
         """Begin to command, from a fresh start, or fall silent at once."""
-        if message.data == self._engaged:
+        if message.data != self._gate:
+            self._gate = message.data
+            self._switched('engaged: commands' if message.data else 'not engaged: silent')
+
+    def _on_wing(self, engaged: bool, why: str) -> None:
+        """Log what a wing's autopilot has done, and begin or end to send setpoints with it."""
+        if engaged == self._flown:
+            self._warn(why)
             return
-        if message.data:
+        self._flown = engaged
+        self._switched(f'{why}: {"setpoints" if engaged else "silent"}')
+
+    def _switched(self, words: str) -> None:
+        if self._engaged:
             self._core.planner.start_afresh()
-        self._engaged = message.data
         self._mode_changes += 1
         self._changes.append(self.steady_now())
-        self._say('engaged: commands' if message.data else 'not engaged: silent')
+        self._say(words)
         self._show_changes()
+
+    @property
+    def _engaged(self) -> bool:
+        """Return whether commands may leave."""
+        return self._gate and (self._wing is None or self._wing.engaged)
 
     def _take(self, topic: str, message: Any) -> None:
         """Take in what accompanies odometry; plan if that has waited for it."""
@@ -380,6 +405,8 @@ class PlannerNode(Managed):
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
         if self.active and self._sent_at > -math.inf:
             self._be_safe(reason)
+            if self._wing is not None and self._wing.engaged:
+                self._wing.release()
 
     def _be_safe(self, reason: Reason) -> None:
         # Stamped now: it is no answer to any odometry.
@@ -395,6 +422,9 @@ class PlannerNode(Managed):
         command, settings = report.decision.command, self._core.settings
         self._first = command_messages(settings, stamp, command)
         self._send(self._first)
+        if self._wing is not None and self._gate and not settings.dry_run:
+            of_plan = settings.problem.forward, settings.problem.step, settings.period
+            self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
         if self._engaged and not settings.dry_run:
             self._core.sent(command, self._time.seconds)
         self._stamp, heard = stamp, self._heard

@@ -208,6 +208,7 @@ class Scene:
 
     def _take_plan(self, message: Any) -> None:
         way = read_itinerary(message, 3, Frames())[1]
+        assert isinstance(way, GoalTrajectory)
         places = way.positions
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
         self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)

@@ -1,0 +1,165 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+r"""Wings' autopilots in plain numbers: their axes, their speeds and their setpoints.
+
+ROS has x east, y north, z up, and a body with x forward, y left, z up. PX4 and MAVLink have north,
+east, down, and forward, right, down. Each conversion is its own inverse.
+
+PX4 (FixedWingLateralSetpoint, FixedWingLongitudinalSetpoint) turns the airspeed vector to a
+direction by a law of its own, and adds the lateral acceleration to what that gives. NaN is "not
+controlled": for a course beside a direction, for a height rate beside an altitude; with neither of
+these the altitude is held.
+
+ArduPlane (MAV_CMD_GUIDED_CHANGE_HEADING) banks in proportion to the error of the heading, up to the
+bank of the acceleration that is given; with 0 it does not bank. So the heading that is sent lies as
+far ahead in the turn as that bank takes, and the acceleration is that of the turn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
+
+AUTOPILOTS = ('px4', 'arduplane')
+GRAVITY = 9.80665  # [m/s^2]
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from or to ENU
+FRD = np.diag([1.0, -1.0, -1.0])  # from or to FLU
+LAPSE, DENSITY = 2.25577e-5, 4.2559  # [1/m], [1]: standard atmosphere below 11 km
+STEEPEST = 0.3  # least upward share of the body's z axis that a turn is computed from
+CHANGE_SPEED, CHANGE_ALTITUDE, CHANGE_HEADING = 43000, 43001, 43002  # MAV_CMD_GUIDED_...
+HEADING, NO_HEADING = 1.0, 2.0  # HEADING_TYPE: of the vehicle; none, back to the guided target
+ABOVE_HOME = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
+AHEAD = 1.5  # [rad] for each tan(bank): by default ArduPlane banks 0.87 rad for each radian
+HOLD = 0.5  # [m/s^2] that a heading may be held with
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """What a wing is to fly.
+
+    Attributes:
+        airspeed: true [m/s].
+        heading: of the airspeed vector when the next setpoint comes, from east, to the left [rad].
+        turn: its rate, to the left [rad/s].
+        altitude: above the origin [m]; NaN for that which is held.
+    """
+
+    airspeed: float
+    heading: float
+    turn: float
+    altitude: float = math.nan
+
+
+def setpoint(
+    command: Command, forward: float, step: float, period: float, altitude: float = math.nan
+) -> Setpoint:
+    """Return the setpoint of a planar command.
+
+    Args:
+        command: its rotation is reached after a step.
+        forward: full speed [m/s].
+        step: of the plan [s].
+        period: until the next command [s].
+        altitude: above the origin [m]; NaN for that which is held.
+    """
+    turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
+    heading = math.atan2(axis[1], axis[0]) - (step - period) * turn
+    return Setpoint(forward * command.speed_fraction, wrapped(heading), turn, altitude)
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in [-pi, pi] [rad]."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+def bearing(angle: float) -> float:
+    """Return an angle from north, to the right, of one from east, to the left; or back [rad]."""
+    return wrapped(0.5 * math.pi - angle)
+
+
+def attitude(unit: Array) -> Array:
+    """Return the attitude, FLU to ENU, of a quaternion (w, x, y, z), FRD to NED."""
+    return np.asarray(NED @ from_quaternion(unit, 3) @ FRD)
+
+
+def quaternion(rotation: Array) -> Array:
+    """Return the quaternion (w, x, y, z), FRD to NED, of an attitude, FLU to ENU."""
+    return to_quaternion(NED @ rotation @ FRD)
+
+
+def equivalent(altitude: float) -> float:
+    """Return the equivalent airspeed per true airspeed at an altitude above mean sea level [m]."""
+    return math.sqrt(max(1e-3, 1.0 - LAPSE * altitude) ** DENSITY)
+
+
+def through_air(velocity: Array, rotation: Array, airspeed: float, wind: Array) -> Array | None:
+    """Return the velocity through the air in the body, shape (3,) [m/s]; None if it is unknown.
+
+    Args:
+        velocity: over ground, ENU, shape (3,) [m/s].
+        rotation: attitude, FLU to ENU, shape (3, 3).
+        airspeed: true, as measured [m/s]; NaN if it is not.
+        wind: east and north, shape (2,) [m/s]; NaN if it is unknown.
+    """
+    if not np.isfinite(wind).all():
+        return np.array([airspeed, 0.0, 0.0]) if math.isfinite(airspeed) else None
+    relative = rotation.T @ (velocity - np.append(wind, 0.0))
+    speed = float(np.linalg.norm(relative))
+    return relative * (airspeed / speed if math.isfinite(airspeed) and speed > 0.0 else 1.0)
+
+
+def coordinated(rotation: Array, airspeed: float) -> float:
+    """Return the rate of a coordinated turn at an attitude, to the left [rad/s]."""
+    bank = rotation[2, 1] / max(float(rotation[2, 2]), STEEPEST)  # tan, to the right
+    return -GRAVITY * float(bank) / max(airspeed, 1.0)
+
+
+def lateral(wanted: Setpoint) -> dict[str, float]:
+    """Return the fields of PX4's FixedWingLateralSetpoint."""
+    return {
+        'course': math.nan,
+        'airspeed_direction': bearing(wanted.heading),
+        'lateral_acceleration': -wanted.airspeed * wanted.turn,  # to the right
+    }
+
+
+def longitudinal(wanted: Setpoint, share: float, origin: float) -> dict[str, float]:
+    """Return the fields of PX4's FixedWingLongitudinalSetpoint.
+
+    Args:
+        wanted: to be flown.
+        share: equivalent airspeed per true airspeed.
+        origin: altitude of the origin above mean sea level [m].
+    """
+    return {
+        'altitude': origin + wanted.altitude,
+        'height_rate': math.nan,
+        'equivalent_airspeed': share * wanted.airspeed,
+        'pitch_direct': math.nan,
+        'throttle_direct': math.nan,
+    }
+
+
+def guided(wanted: Setpoint, share: float) -> list[dict[str, float]]:
+    """Return the fields of ArduPlane's commands in GUIDED, each a COMMAND_INT.
+
+    Args:
+        wanted: to be flown.
+        share: equivalent airspeed per true airspeed.
+    """
+    sideways = wanted.airspeed * wanted.turn
+    heading = wanted.heading + AHEAD * sideways / GRAVITY
+    degrees = math.degrees(bearing(heading)) % 360.0
+    limit = max(HOLD, abs(sideways))
+    commands: list[dict[str, float]] = [
+        {'command': CHANGE_HEADING, 'param1': HEADING, 'param2': degrees, 'param3': limit},
+        {'command': CHANGE_SPEED, 'param1': 0.0, 'param2': share * wanted.airspeed, 'param3': 0.0},
+    ]
+    if math.isfinite(wanted.altitude):
+        commands.append({'command': CHANGE_ALTITUDE, 'frame': ABOVE_HOME, 'z': wanted.altitude})
+    return commands

@@ -1,0 +1,305 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A wing's autopilot on its own topics: what it measures as ``odom`` and ``wind``, and setpoints.
+
+Setpoints leave only in the mode that takes them, and while the autopilot's measurements are fresh.
+Otherwise the planner is silent, as the firmwares expect: PX4 acts when OffboardControlMode stops,
+and ArduPlane is told once, if it still listens, to go back to its guided target.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.publisher import Publisher
+from rclpy.qos import ReliabilityPolicy
+
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros import firmware, messages
+from orbimpc_ros.ros.firmware import Setpoint
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.process import Guarded, qos
+
+FRESH = 0.4  # [s]: without a position for longer, no setpoint leaves
+APART = 0.1  # [s] at most, from an attitude to the position that goes with it
+MODE_LOST = 2.5  # [s]: PX4 and MAVROS report the mode once or twice a second
+AIRSPEED_LOST, WIND_LOST = 1.0, 10.0  # [s]: then they are unknown; the latter is PX4's own limit
+ALIVE = 0.1  # [s] between messages that keep offboard mode
+OFFBOARD = 14  # VehicleStatus.NAVIGATION_STATE_OFFBOARD
+REFUSALS = 5.0  # [s] without an answer to a command, which then counts as lost
+
+
+class Wing(ABC):
+    """A wing's autopilot.
+
+    Args:
+        node: makes publishers and subscriptions.
+        frames: of odometry.
+        changed: is called with whether setpoints may leave, and why, whenever that changes.
+
+    Attributes:
+        engaged: whether setpoints may leave.
+    """
+
+    package: ClassVar[str]
+    mode: ClassVar[str]
+
+    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+        try:
+            self._types = import_module(f'{self.package}.msg')
+        except ModuleNotFoundError:
+            hint = f'install ros-<distro>-{self.package.replace("_", "-")}'
+            given = f'{self.name}, and {self.package} is missing'
+            raise BadInput.stating('autopilot', given, hint) from None
+        self.engaged = False
+        self._node, self._frames, self._changed = node, frames, changed
+        self._odom = node.create_publisher(OdometryMessage, 'odom', qos())
+        self._wind_told = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
+        self._at = dict.fromkeys(('position', 'mode', 'airspeed', 'wind', 'setpoint'), -math.inf)
+        self._in_mode, self._airspeed, self._wind = False, math.nan, np.full(2, math.nan)
+        node.create_timer(ALIVE, node.guard(self.look), clock=node.steady)
+
+    @property
+    def name(self) -> str:
+        """Return what the parameter ``autopilot`` calls it."""
+        return next(name for name, kind in WINGS.items() if isinstance(self, kind))
+
+    @abstractmethod
+    def _publish(self, wanted: Setpoint) -> None:
+        """Send a setpoint."""
+
+    def _keep(self) -> None:  # noqa: B027
+        """Keep the mode, or the possibility to enter it."""
+
+    def release(self) -> None:  # noqa: B027
+        """Hand the wing back to its autopilot, where silence does not do that."""
+
+    def send(self, wanted: Setpoint) -> None:
+        """Send a setpoint if it may leave; without one, the autopilot is not kept in the mode."""
+        self.look()
+        self._note('setpoint')
+        if self.engaged:
+            self._publish(wanted)
+
+    def look(self) -> None:
+        """Look whether setpoints may leave, and keep the mode while there are some."""
+        engaged, why = self._state()
+        if engaged != self.engaged:
+            self.engaged = engaged
+            if not engaged and self._in_mode:
+                self.release()
+            self._changed(engaged, f'{self.name}: {why}')
+        if self._age('position') <= FRESH and self._age('setpoint') <= 1.0:
+            self._keep()
+
+    def _state(self) -> tuple[bool, str]:
+        if self._age('position') > FRESH:
+            return False, f'no position for {FRESH:g} s'
+        if self._age('mode') > MODE_LOST:
+            return False, f'no mode for {MODE_LOST:g} s'
+        return self._in_mode, f'in {self.mode}' if self._in_mode else f'has left {self.mode}'
+
+    def _note(self, what: str) -> None:
+        self._at[what] = self._node.steady_now()
+
+    def _age(self, what: str) -> float:
+        return self._node.steady_now() - self._at[what]
+
+    def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
+        self._node.create_subscription(kind, topic, self._node.guard(callback), latest)
+
+    def _mode_is(self, *, right: bool) -> None:
+        self._note('mode')
+        self._in_mode = right
+        self.look()
+
+    def _airspeed_is(self, true: float) -> None:
+        self._note('airspeed')
+        self._airspeed = true if true > 0.0 else math.nan
+
+    def _wind_is(self, message: TwistWithCovarianceStamped) -> None:
+        self._note('wind')
+        linear = message.twist.twist.linear
+        self._wind = np.array([linear.x, linear.y])
+        self._wind_told.publish(message)
+
+    def _moved(self, stamp: int, position: Array, velocity: Array, rotation: Array) -> None:
+        """Publish odometry through the air, of what is measured over ground.
+
+        Args:
+            stamp: [ns].
+            position: ENU, shape (3,) [m].
+            velocity: ENU, shape (3,) [m/s].
+            rotation: FLU to ENU, shape (3, 3).
+        """
+        airspeed = self._airspeed if self._age('airspeed') <= AIRSPEED_LOST else math.nan
+        wind = self._wind if self._age('wind') <= WIND_LOST else np.full(2, math.nan)
+        through = firmware.through_air(velocity, rotation, airspeed, wind)
+        parts = (position, velocity, rotation.ravel())
+        if through is None or not np.isfinite(np.concatenate(parts)).all():
+            return  # as if there were no measurement
+        self._note('position')
+        turn = firmware.coordinated(rotation, float(np.linalg.norm(through)))
+        rates = np.array([0.0, 0.0, turn])
+        measured = Odometry(stamp / SECOND, position, rotation, through, rates)
+        self._odom.publish(messages.odometry_message(Stamp(stamp, self._frames), measured))
+
+
+class Px4(Wing):
+    """PX4 in offboard mode, over uXRCE-DDS."""
+
+    package, mode = 'px4_msgs', 'offboard'
+
+    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+        super().__init__(node, frames, changed)
+        types = self._types
+        self._attitude: Any = None
+        self._share, self._origin = 1.0, math.nan
+        for name, kind, callback in (
+            ('vehicle_local_position', types.VehicleLocalPosition, self._on_position),
+            ('vehicle_attitude', types.VehicleAttitude, self._on_attitude),
+            ('airspeed_validated', types.AirspeedValidated, self._on_airspeed),
+            ('wind', types.Wind, self._on_wind),
+            ('vehicle_status', types.VehicleStatus, self._on_status),
+        ):
+            self._listen(kind, _versioned(f'fmu/out/{name}', kind), callback)
+
+    @cached_property
+    def _publishers(self) -> dict[type, Publisher]:
+        """Return what setpoints leave by, made when there is one: a dry run has none."""
+        types, create = self._types, self._node.create_publisher
+        return {
+            kind: create(kind, _versioned(f'fmu/in/{name}', kind), qos())
+            for name, kind in (
+                ('offboard_control_mode', types.OffboardControlMode),
+                ('fixed_wing_lateral_setpoint', types.FixedWingLateralSetpoint),
+                ('fixed_wing_longitudinal_setpoint', types.FixedWingLongitudinalSetpoint),
+            )
+        }
+
+    def _on_attitude(self, message: Any) -> None:
+        self._attitude = message
+
+    def _on_position(self, message: Any) -> None:
+        other, stamp = self._attitude, message.timestamp_sample
+        if other is None or abs(other.timestamp_sample - stamp) > 1e6 * APART:
+            return
+        if not (message.xy_valid and message.v_xy_valid):
+            return
+        self._origin = message.ref_alt if message.z_global else math.nan
+        place = firmware.NED @ np.array([message.x, message.y, message.z], dtype=float)
+        velocity = firmware.NED @ np.array([message.vx, message.vy, message.vz], dtype=float)
+        unit = np.array(other.q, dtype=float)
+        rotation = firmware.attitude(unit / np.linalg.norm(unit))
+        self._moved(1000 * stamp, place, velocity, rotation)
+
+    def _on_airspeed(self, message: Any) -> None:
+        true, calibrated = message.true_airspeed_m_s, message.calibrated_airspeed_m_s
+        self._airspeed_is(true)
+        if true > 0.0 and calibrated > 0.0:  # also refuses NaN, which is "invalid"
+            self._share = calibrated / true
+
+    def _on_wind(self, message: Any) -> None:
+        told = TwistWithCovarianceStamped()
+        told.header.stamp = messages.time_message(1000 * message.timestamp_sample)
+        told.twist.twist.linear.x = float(message.windspeed_east)
+        told.twist.twist.linear.y = float(message.windspeed_north)
+        told.twist.covariance[0] = float(message.variance_east)  # 0: not estimated
+        told.twist.covariance[7] = float(message.variance_north)
+        self._wind_is(told)
+
+    def _on_status(self, message: Any) -> None:
+        self._mode_is(right=message.nav_state == OFFBOARD)
+
+    def _keep(self) -> None:
+        # Of velocity: position would have PX4's own guidance publish setpoints, too.
+        self._fill(self._types.OffboardControlMode, {'velocity': True})
+
+    def _publish(self, wanted: Setpoint) -> None:
+        self._fill(self._types.FixedWingLateralSetpoint, firmware.lateral(wanted))
+        fields = firmware.longitudinal(wanted, self._share, self._origin)
+        self._fill(self._types.FixedWingLongitudinalSetpoint, fields)
+
+    def _fill(self, kind: type, fields: Mapping[str, float | bool]) -> None:
+        now = self._node.get_clock().now().nanoseconds // 1000
+        self._publishers[kind].publish(kind(timestamp=now, **fields))
+
+
+class ArduPlane(Wing):
+    """ArduPlane in GUIDED, through MAVROS."""
+
+    package, mode = 'mavros_msgs', 'GUIDED'
+
+    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+        super().__init__(node, frames, changed)
+        self._command = import_module(f'{self.package}.srv').CommandInt
+        self._client = node.create_client(self._command, 'mavros/cmd/command_int')
+        self._share, self._asked = 1.0, -math.inf
+        self._due: list[Mapping[str, float]] = []
+        wind = TwistWithCovarianceStamped
+        self._listen(OdometryMessage, 'mavros/local_position/odom', self._on_odometry)
+        self._listen(self._types.VfrHud, 'mavros/vfr_hud', self._on_hud)
+        self._listen(wind, 'mavros/wind_estimation', self._wind_is)
+        self._listen(self._types.State, 'mavros/state', self._on_state)
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        try:
+            stamp, measured = messages.read_odometry(message, 3, Frames())
+        except BadInput as error:
+            self._changed(self.engaged, f'{self.name}: odometry refused: {error}')
+            return
+        velocity = measured.attitude @ measured.body_velocity
+        self._moved(stamp.nanoseconds, measured.position, velocity, measured.attitude)
+
+    def _on_hud(self, message: Any) -> None:
+        self._share = firmware.equivalent(message.altitude)
+        self._airspeed_is(message.airspeed / self._share)
+
+    def _on_state(self, message: Any) -> None:
+        self._mode_is(right=message.connected and message.mode == self.mode)
+
+    def _publish(self, wanted: Setpoint) -> None:
+        """Send a setpoint's commands one after another; a new one waits for the last one's end."""
+        busy = self._due and self._node.steady_now() - self._asked < REFUSALS
+        if not busy:
+            self._due = list(firmware.guided(wanted, self._share))
+            self._ask()
+
+    def release(self) -> None:
+        """Have ArduPlane forget the heading: it circles around its guided target then."""
+        self._due = [{'command': firmware.CHANGE_HEADING, 'param1': firmware.NO_HEADING}]
+        self._ask()
+
+    def _ask(self) -> None:
+        if not self._client.service_is_ready():
+            self._due = []
+            return
+        self._asked = self._node.steady_now()
+        request = self._command.Request(**self._due[0])
+        self._client.call_async(request).add_done_callback(self._node.guard(self._on_answer))
+
+    def _on_answer(self, future: Any) -> None:
+        done = self._due.pop(0) if self._due else {}
+        if not future.result().success:
+            self._changed(self.engaged, f'{self.name}: has refused command {done.get("command")}')
+        if self._due:
+            self._ask()
+
+
+WINGS: Mapping[str, type[Wing]] = {'px4': Px4, 'arduplane': ArduPlane}
+
+
+def _versioned(topic: str, kind: Any) -> str:
+    """Return a topic of PX4, which has the version of its message in its name, from 1 on."""
+    version = getattr(kind, 'MESSAGE_VERSION', 0)
+    return f'{topic}_v{version}' if version else topic

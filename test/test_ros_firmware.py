@@ -1,0 +1,172 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Wings' autopilots in plain numbers: axes there and back, setpoints as the firmwares read them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.loop.compensation import Compensator
+from orbimpc_ros.loop.state import Odometry, WindReport
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.ros import firmware
+from orbimpc_ros.ros.firmware import Setpoint
+
+DRAWS = 10_000
+EAST, NORTH, UP = np.eye(3)
+
+
+@pytest.fixture(scope='module')
+def rng():
+    return np.random.default_rng(33)
+
+
+def drawn(rng):
+    return Setpoint(
+        airspeed=rng.uniform(8.0, 60.0),
+        heading=rng.uniform(-math.pi, math.pi),
+        turn=rng.normal(scale=0.3),
+        altitude=math.nan if rng.random() < 0.3 else rng.uniform(5.0, 500.0),
+    )
+
+
+def same(one, other):
+    return np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6)
+
+
+def test_axes_and_attitudes_there_and_back(rng):
+    for _ in range(DRAWS):
+        vector, unit = rng.normal(scale=100.0, size=3), rng.normal(size=4)
+        unit /= np.linalg.norm(unit)
+        same(firmware.NED @ firmware.NED @ vector, vector)
+        same(firmware.FRD @ firmware.FRD @ vector, vector)
+        rotation = firmware.attitude(unit)
+        back = firmware.quaternion(rotation)
+        same(back * math.copysign(1.0, back @ unit), unit)
+        # A vector of the body is the same one of the world, whichever axes it is written in.
+        of_body = from_quaternion(unit, 3) @ (firmware.FRD @ vector)
+        same(rotation @ vector, firmware.NED @ of_body)
+
+
+def test_setpoints_there_and_back(rng):
+    for _ in range(DRAWS):
+        wanted, share, origin = drawn(rng), rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
+        across, along = firmware.lateral(wanted), firmware.longitudinal(wanted, share, origin)
+        airspeed = along['equivalent_airspeed'] / share
+        turn = -across['lateral_acceleration'] / airspeed
+        heading = firmware.bearing(across['airspeed_direction'])
+        same(math.remainder(heading - wanted.heading, 2.0 * math.pi), 0.0)
+        same([airspeed, turn], [wanted.airspeed, wanted.turn])
+        same(along['altitude'] - origin, wanted.altitude)
+        heading, speed, *height = firmware.guided(wanted, share)
+        same(speed['param2'] / share, wanted.airspeed)
+        same([each['z'] for each in height], [wanted.altitude][: len(height)])
+        ahead = firmware.AHEAD * wanted.airspeed * wanted.turn / firmware.GRAVITY
+        found = firmware.bearing(math.radians(heading['param2'])) - ahead
+        same(math.remainder(found - wanted.heading, 2.0 * math.pi), 0.0)
+
+
+def test_fields_are_within_what_the_firmwares_accept(rng):
+    for _ in range(DRAWS):
+        wanted = drawn(rng)
+        across = firmware.lateral(wanted)
+        assert -math.pi <= across['airspeed_direction'] <= math.pi
+        assert math.isnan(across['course'])  # which a finite direction takes precedence over
+        along = firmware.longitudinal(wanted, 1.0, 0.0)
+        names = ('height_rate', 'pitch_direct', 'throttle_direct')
+        assert all(math.isnan(along[name]) for name in names)
+        assert math.isnan(along['altitude']) == math.isnan(wanted.altitude)  # held
+        heading, _, *height = firmware.guided(wanted, 1.0)
+        assert 0.0 <= heading['param2'] < 360.0
+        assert heading['param3'] >= firmware.HOLD  # with 0 it would not bank
+        assert bool(height) == math.isfinite(wanted.altitude)
+
+
+@pytest.mark.parametrize(
+    ('angle', 'compass'), [(0.0, 90.0), (90.0, 0.0), (180.0, -90.0), (-90.0, 180.0), (45.0, 45.0)]
+)
+def test_a_bearing_is_that_of_a_compass(angle, compass):
+    found = math.degrees(firmware.bearing(math.radians(angle)))
+    assert math.remainder(found - compass, 360.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_left_turn_accelerates_to_the_left_and_leads_to_the_left():
+    wanted = Setpoint(20.0, 0.0, 0.2)
+    assert firmware.lateral(wanted)['lateral_acceleration'] == pytest.approx(-4.0)
+    assert 0.0 < firmware.guided(wanted, 1.0)[0]['param2'] < 90.0  # from east towards north
+
+
+def test_a_wing_that_flies_north_and_level():
+    level = firmware.attitude(np.array([1.0, 0.0, 0.0, 0.0]))
+    same(level @ np.array([1.0, 0.0, 0.0]), NORTH)
+    same(level[:, 2], UP)
+
+
+@pytest.mark.parametrize('bank', [-0.5, 0.3])
+def test_a_bank_to_the_right_turns_to_the_right(bank):
+    half = 0.5 * bank  # FRD: to the right about x
+    banked = firmware.attitude(np.array([math.cos(half), math.sin(half), 0.0, 0.0]))
+    turn = firmware.coordinated(banked, 20.0)
+    assert turn == pytest.approx(-firmware.GRAVITY * math.tan(bank) / 20.0)
+
+
+def test_the_heading_of_a_setpoint_is_that_of_the_next_command():
+    rate = np.array([0.4])
+    command = Command(0.8, rate, exp(0.5 * rate))  # a step of 0.5 s, from heading 0
+    wanted = firmware.setpoint(command, 15.0, 0.5, 0.1)
+    same([wanted.airspeed, wanted.heading, wanted.turn], [12.0, 0.04, 0.4])
+
+
+def test_the_air_is_thinner_higher_up():
+    assert firmware.equivalent(0.0) == 1.0
+    assert firmware.equivalent(1000.0) == pytest.approx(0.9529, abs=1e-3)  # of the atmosphere's
+
+
+def test_the_velocity_through_the_air_is_of_what_is_known():
+    turned, unknown = np.eye(3), np.full(2, math.nan)
+    over_ground, wind = np.array([18.0, 3.0, 0.0]), np.array([3.0, 3.0])
+    found = firmware.through_air(over_ground, turned, math.nan, wind)
+    same(found, [15.0, 0.0, 0.0])
+    same(firmware.through_air(over_ground, turned, 16.0, wind), [16.0, 0.0, 0.0])
+    same(firmware.through_air(over_ground, turned, 16.0, unknown), [16.0, 0.0, 0.0])
+    assert firmware.through_air(over_ground, turned, math.nan, unknown) is None
+
+
+# --- a wind that is reported
+
+
+def flown(report, seconds=2.0, wind=(4.0, -2.0)):
+    """The wind that is estimated of a wing that flies east, with reports or without."""
+    loop = Compensator(Problem(forward=20.0), estimated=True, velocity_source='air')
+    for time in np.arange(0.0, seconds, 0.1):
+        place = time * (np.array([20.0, 0.0]) + wind)
+        measured = Odometry(time, place, np.eye(2), np.array([20.0, 0.0]), np.zeros(1))
+        start = loop.start(measured, 0.0, None, report(time))
+        loop.history.add(Command(1.0, np.zeros(1), np.eye(2)), time)
+    return start.disturbance
+
+
+def test_a_reported_wind_is_believed_at_once():
+    def report(time):
+        return WindReport(time, np.array([4.0, -2.0]), 0.1)
+
+    found = flown(report, seconds=0.05)
+    np.testing.assert_allclose(found, [4.0, -2.0], atol=0.1)
+
+
+def test_a_report_is_believed_as_much_as_its_variance_and_its_news_are_worth():
+    wrong = np.array([-8.0, 8.0])
+
+    def off(variance, *, again=False):
+        found = flown(lambda time: WindReport(time if again else 0.0, wrong, variance), 5.0)
+        return np.linalg.norm(found - [4.0, -2.0])
+
+    assert off(0.01) < 1.5  # one report, long ago
+    assert off(100.0, again=True) < off(1.0, again=True) < off(0.1, again=True)
+    assert off(math.nan, again=True) == pytest.approx(off(1.0, again=True))
+
+
+def test_without_reports_it_is_as_it_was():
+    np.testing.assert_allclose(flown(lambda time: None, 5.0), [4.0, -2.0], atol=0.5)
