@@ -91,7 +91,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
-MOST_MEMORY = 3.0e6  # [kB] of one test, and of all that was loaded before it
+MOST_MEMORY = 6.0e6  # [kB] of one test, and of all that was loaded before it
 MUCH = 0.5e6  # [kB] of which some is free, likely: glibc keeps it
 PROC = Path('/proc/self')
 

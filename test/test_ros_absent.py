@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What is not installed: fast methods do without, the others say in a line what they need."""
 
+import re
 import textwrap
 
 import pytest
@@ -50,20 +51,19 @@ def test_a_rope_is_caught_by_a_fast_method_without_any_of_it(bare):
 def test_a_general_method_says_in_a_line_what_it_needs(bare):
     planner = bare('planner', {}, 'dubins')
     assert planner.wait() == 2, planner.output
-    assert planner.output.strip() == (
-        'clarabel: not installed; this problem takes a general method, which needs it: '
-        'pip install clarabel'
-    )
+    said = planner.output.strip()
+    assert said.startswith('clarabel: not installed; this problem takes a general method, which ')
+    assert said.endswith('pip install clarabel')
 
 
 @pytest.mark.parametrize(
     ('name', 'line'),
     [
-        ('rosbags.typesys', 'rosbags is missing: pip install rosbags'),
-        ('mcap', 'mcap is missing: pip install mcap'),
+        ('rosbags.typesys', 'rosbags is missing: .*pip install rosbags'),
+        ('mcap', 'mcap is missing: .*pip install mcap'),
         (
             'lifecycle_msgs.srv',
-            'lifecycle_msgs is missing: install ROS 2, or pip install',
+            'lifecycle_msgs is missing: install ROS 2, or .*pip install',
         ),
         ('orbimpc_ros.nowhere', ''),
         (None, ''),
@@ -71,5 +71,5 @@ def test_a_general_method_says_in_a_line_what_it_needs(bare):
 )
 def test_what_is_missing_is_said_with_the_way_to_get_it(name, line):
     found = in_a_line(ModuleNotFoundError(f'No module named {name!r}', name=name))
-    assert found.startswith(line)
+    assert re.match(line, found)
     assert bool(found) == bool(line)

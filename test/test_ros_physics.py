@@ -76,8 +76,8 @@ def test_a_demo_without_its_engine_says_how_to_get_it(monkeypatch, capsys, tmp_p
     monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.sim.engines.cessna', raising=False)
     assert cli.main(['demo', 'cessna', '--out', str(tmp_path)]) == 2
     out, err = capsys.readouterr()
-    hint = "jsbsim is missing; pip install 'jsbsim>=1.2'"
-    assert err.startswith(f'orbimpc: vehicle cessna: {hint}')
+    assert err.startswith('orbimpc: vehicle cessna: jsbsim is missing; ')
+    assert "pip install 'jsbsim>=1.2'" in err
     assert err.count('\n') == 1
     assert not out
     assert not list(tmp_path.iterdir())

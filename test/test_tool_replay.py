@@ -622,5 +622,5 @@ def test_without_ros_the_tool_says_what_to_install():
         [sys.executable, '-c', script], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout) == (2, '')
-    assert done.stderr.startswith('orbimpc: rcl_interfaces is missing: install ROS 2, or pip')
+    assert done.stderr.startswith('orbimpc: rcl_interfaces is missing: install ROS 2, or ')
     assert done.stderr.count('\n') == 1
