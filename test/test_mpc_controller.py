@@ -93,9 +93,9 @@ def test_every_model_flies_to_its_goal_in_closed_loop(orders):
         body = attitude.T @ velocity if problem.translation_order == 2 else fraction * np.eye(n)[0]
         measured = Odometry(0.5 * k, position.copy(), attitude.copy(), body, rate.copy())
         tick = controller.tick(measured, np.tile(goal, (8, 1)))
-        # Near the goal plans in space are too inaccurate then for their bounds to be proved.
-        word = not COMPILED and n == 3 and tick.plan.is_closed
-        assert tick.status == 'optimal' or word, tick.reason
+        # At the goal an interior point is too inaccurate for its bound to be worth much.
+        there = not COMPILED and tick.plan.objective < 1e-6
+        assert tick.status == 'optimal' or there, tick.reason
         push = problem.forward * fraction * attitude[:, 0]
         if problem.translation_order == 1:
             position = position + problem.step * push

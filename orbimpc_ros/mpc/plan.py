@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.proof.tree import ProofTree
 
 TINY = 1e-12  # a size that has no direction
 WITHIN = 1.0 - 1e-9  # of the widest turn, which rounding is not to exceed
-ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
+NEGLIGIBLE = 1e-5  # of the cost unit: what gaps are relative to where objectives are smaller
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Proof:
             ``checked``; -inf where nothing was proved.
         nodes: relaxations solved on the way.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
-        cost_unit: the natural size of costs of the problem, which rounding is measured against.
+        cost_unit: the natural size of costs of the problem; 1e-5 of it are negligible.
         reason: why no more was proved, where there is more to say than the gap.
         checked: whether the bound is no more than what was counted again, or proved in exact
             arithmetic, by code that shares nothing with the method; else it is the method's word.
@@ -106,8 +106,8 @@ class Plan(ByContent):
 
     @property
     def gap(self) -> float:
-        """Return (objective - lower bound) / max(1e-9, |objective|)."""
-        return (self.objective - self.lower_bound) / max(1e-9, abs(self.objective))
+        """Return (objective - lower bound) / max(|objective|, 1e-5 cost units)."""
+        return self._gap_to(self.lower_bound)
 
     @property
     def status(self) -> Status:
@@ -121,10 +121,11 @@ class Plan(ByContent):
     @property
     def is_closed(self) -> bool:
         """Return whether the bound is within the gap tolerance, whoever's word it is."""
-        proof = self.proof
-        missing = self.objective - proof.lower_bound
-        rounding = ROUNDING * proof.cost_unit
-        return bool(missing <= max(proof.gap_tolerance * abs(self.objective), rounding) < np.inf)
+        return bool(self._gap_to(self.proof.lower_bound) <= self.proof.gap_tolerance)
+
+    def _gap_to(self, bound: float) -> float:
+        least = max(NEGLIGIBLE * self.proof.cost_unit, abs(self.objective), np.finfo(float).tiny)
+        return (self.objective - bound) / least
 
     @property
     def is_the_methods_word(self) -> bool:

@@ -136,8 +136,8 @@ class Solver:
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(query, found, SolverFailure(found.reason))
-        if plan.gap <= self._tolerance:  # not just as near as rounding allows to tell
-            return plan
+        if plan.objective - plan.lower_bound <= self._tolerance * plan.objective:
+            return plan  # not just as near as costs of this size count
         instead = replace(plan.proof, reason=_joined(plan.proof.reason, STANDS_IN))
         return self._cheapest(query, instead, plan.objective) or plan
 
