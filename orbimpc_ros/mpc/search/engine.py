@@ -40,7 +40,7 @@ LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves 
 ROOM = 600_000  # nodes times steps that there is memory for
 MOST = 20_000  # nodes of a search
 SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
-SETTLED = 90.0  # tolerances at which a search may stop
+SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
 
 
 class Engine:
@@ -55,7 +55,9 @@ class Engine:
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         steps = problem.horizon
-        self._posed, self._tolerance = Posed(problem), SETTLED * tolerance
+        self._posed, self._tolerance = Posed(problem), tolerance
+        if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
+            self._tolerance *= SETTLED
         self._most = min(MOST, ROOM // steps)
         parts = max(MOST_ARCS, problem.floor.faces)
         self._tree, self._room = tree_for(steps, parts * self._most + 2), room_for(steps)
@@ -130,6 +132,9 @@ def proof_of(tree: Tree) -> ProofTree:
         np.zeros(leaves, np.int64),
         none,
         np.zeros(0),
-        *[NOTHING] * 4,
+        NOTHING,
+        NOTHING,
+        NOTHING,
+        NOTHING,
         np.zeros((0, 0)),
     )
