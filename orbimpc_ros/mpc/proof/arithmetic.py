@@ -40,6 +40,15 @@ def generic(function: Callable) -> Callable:
     return made
 
 
+def woven(function: Callable) -> Callable:
+    """Return a generic function that becomes part of what calls it.
+
+    To pass tuples of arrays to a function takes longer than most have to do.
+    """
+    made: Callable = register_jitable(inline='always')(function) if COMPILED else function
+    return made
+
+
 def by_type(function: Callable) -> Callable[[Callable], Callable]:
     """Return what registers how floats do in machine code what a plain function does."""
 

@@ -70,12 +70,21 @@ def nearest_floor(low, high, least, sets):
 
 
 @generic
-def over_polygon(g, low, high, least, fastest, sets):
+def over_polygon(g, along, low, high, least, fastest, sets):
     """Return the least g . z over a sector, from a polygon to the fastest speed.
 
     What is linear is least on the rim, or at an end or a corner of the floor.
+
+    Args:
+        g: slope, shape (2,).
+        along: the least g . u over directions u of the sector.
+        low: the first of these [rad].
+        high: the last.
+        least: distance of the polygon's faces.
+        fastest: speed.
+        sets: what stage sets are made of.
     """
-    best = in_sector(g, low, high, sets) * fastest
+    best = along * fastest
     share = sets.full / sets.polygon
     if high - low >= sets.full / 2:
         return best
@@ -87,7 +96,9 @@ def over_polygon(g, low, high, least, fastest, sets):
         elif i > last:
             angle = high
         x, y = direction(angle)
-        best = min(best, (g[0] * x + g[1] * y) * reach(angle, least, sets))
+        downhill = g[0] * x + g[1] * y
+        if downhill > 0:  # else it is least on the rim
+            best = min(best, downhill * reach(angle, least, sets))
     return best
 
 
@@ -341,6 +352,8 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     part, span, count = known[0][k], known[1], known[2]
     low, high, slowest, fastest = span[k, 0], span[k, 1], span[count + k, 0], span[count + k, 1]
     along, linear = steepest(sets, known, corners, k, g, n), length == 0 and curve == 0
+    if linear and sets.polygon > 0 and part >= 0 and len(sets.cone_step) == 0:
+        return over_polygon(g, along, low, high, sets.least, fastest, sets)
     faced = -(size_of(g, n) + length + abs(curve)) * (1 + fastest * fastest)
     if sets.polygon > 0 and part >= 0:
         slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
@@ -366,7 +379,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     if not linear:
         return best
     if sets.polygon > 0 and part >= 0:
-        best = max(best, over_polygon(g, low, high, sets.least, fastest, sets))
+        best = max(best, over_polygon(g, along, low, high, sets.least, fastest, sets))
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             slow = min(fastest, max(slowest, sets.cones[q, n + 2]))
