@@ -21,7 +21,16 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import nearest
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Refutation
@@ -141,7 +150,7 @@ def flight(rng: Rng) -> Flight | None:
         radius = float(np.linalg.norm(places[-1] - goals[-1]) * (1.0 + _loose(rng)))
     elif _sometimes(rng, 0.3):
         drift = 0.2 * rng.normal(size=n)
-        state['hazards'] = (Hazard.drifting(_body(rng, places, n), drift),)
+        state['hazards'] = (MovingObstacle.drifting(_body(rng, places, n), drift),)
     try:
         problem = Problem(**given)
         plan = flown(problem)

@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 import problems
 
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.problem.case import Case
 
 ARRIVES = {'terminal': 'constraint'}
@@ -163,7 +172,7 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     problem = replace(problem, obstacles=tuple(every[hazards:]))
     drift = 0.1 * unit / step * rng.normal(size=(hazards, n))
     moving = zip(every[:hazards], drift, strict=True)
-    state = replace(state, hazards=tuple(itertools.starmap(Hazard.drifting, moving)))
+    state = replace(state, hazards=tuple(itertools.starmap(MovingObstacle.drifting, moving)))
     return Case(problem, state, np.tile(target, (horizon, 1)))
 
 

@@ -202,3 +202,32 @@ class Observer:
         self.until(future.done, name)
         self.node.destroy_client(client)
         return future.result()
+
+
+def wait_for(happened: Callable[[], Any]) -> None:
+    """Wait until something has happened.
+
+    Raises:
+        AssertionError: it does not.
+    """
+    end = time.monotonic() + PATIENCE
+    while not happened():
+        assert time.monotonic() < end, f'in vain: {happened}'
+        time.sleep(0.05)
+
+
+def children_of(parent: int) -> list[int]:
+    """Return the numbers of the processes that one has started."""
+    words = ['ps', '-o', 'pid=', '--ppid', str(parent)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return [int(pid) for pid in done.stdout.split()]
+
+
+def alive(pid: int) -> bool:
+    """Return whether a process runs; one whose parent was killed may stay on as a zombie."""
+    try:
+        os.kill(pid, 0)
+        state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
+    except (ProcessLookupError, FileNotFoundError):
+        return False
+    return state != 'Z'

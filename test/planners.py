@@ -68,6 +68,15 @@ class Bench:
         self.until(lambda: self.health and what in told(self.health[-1]), what)
         return int(told(self.health[-1])[what])
 
+    def report(self, command):
+        """Wait for the tick of a command, which may arrive after it; return its values."""
+
+        def reports():
+            return [told(m) for m in self.ticks if m.header.stamp == command.header.stamp]
+
+        self.until(reports, 'the tick of a command')
+        return reports()[0]
+
     def tell(self, seconds):
         """Tell the time, where it is this test's to tell."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import problems
 
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 
 Draw = Callable[[np.random.Generator], Case]
@@ -106,7 +106,7 @@ def run_over(rng: np.random.Generator) -> Case:
     body: Ball | Box = Ball(-ahead * (size + 1.5), float(size))
     if rng.random() < 0.5:
         body = Box(body.centre - size, body.centre + size)
-    hazard = Hazard.drifting(body, rng.uniform(1.5, 3.0) * ahead)
+    hazard = MovingObstacle.drifting(body, rng.uniform(1.5, 3.0) * ahead)
     problem = Problem(horizon=int(rng.integers(3, 6)))
     state = State.at(np.zeros(2), problems.rotation(rng, 2), hazards=(hazard,))
     return Case(problem, state, np.tile(rng.normal(size=2), (problem.horizon, 1)))

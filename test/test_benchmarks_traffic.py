@@ -15,7 +15,7 @@ from benchmarks.baselines.baseline import Baseline, Sight, depths
 from benchmarks.baselines.sidestep import sidestepped
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Ball, Box, Hazard, State
+from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
@@ -135,14 +135,14 @@ def seeing(*hazards, goal=(25.0, 0.0), heading=0.0, steps=12):
 
 
 def disc(x, y, velocity=(0.0, 0.0), radius=2.0):
-    return Hazard.drifting(Ball(np.array([x, y]), radius), np.array(velocity))
+    return MovingObstacle.drifting(Ball(np.array([x, y]), radius), np.array(velocity))
 
 
 def test_depths_are_those_of_the_deepest_body_at_each_time():
     rng, times = np.random.default_rng(5), np.array([0.0, 0.7, 2.0])
     corner = rng.uniform(-1.0, 1.0, 2)
     bodies = Ball(rng.normal(size=2), 1.5), Box(corner, corner + 1.0)
-    hazards = [Hazard.drifting(body, rng.normal(size=2)) for body in bodies]
+    hazards = [MovingObstacle.drifting(body, rng.normal(size=2)) for body in bodies]
     paths = rng.normal(scale=2.0, size=(30, 3, 2))
     found = depths(hazards, paths, times)
     for m, k in itertools.product(range(30), range(3)):
@@ -199,7 +199,7 @@ def test_programs_keep_out_of_balls_that_move(name, most):
 
 
 def test_programs_take_no_boxes_that_move():
-    box = Hazard.drifting(Box(np.ones(2), 2.0 * np.ones(2)), np.zeros(2))
+    box = MovingObstacle.drifting(Box(np.ones(2), 2.0 * np.ones(2)), np.zeros(2))
     with pytest.raises(BadInput, match='balls for a baseline'):
         baseline_named('linearised', BOAT, '').steered(seeing(box))
 

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.problem import (
     Ball,
     Box,
     Floor,
-    Hazard,
+    MovingObstacle,
     Problem,
     State,
     Weights,
@@ -286,7 +286,7 @@ def among(problem, hazards, seed):
         start = State.at(*at, velocity=[0.5, 0.0, -5.0], attitude=UP, disturbance=GRAVITY)
         return start, np.zeros((problem.horizon, 3))
     bodies = [Ball(rng.uniform(0.3, 3.0) * rng.normal(size=n), 1.0) for _ in range(hazards)]
-    moving = tuple(Hazard.drifting(each, 0.3 * rng.normal(size=n)) for each in bodies)
+    moving = tuple(MovingObstacle.drifting(each, 0.3 * rng.normal(size=n)) for each in bodies)
     rotation = np.eye(n)
     coasted = rotation if problem.rotation_order == 2 else None
     start = State.at(np.zeros(n), rotation, coasted=coasted, hazards=moving)
@@ -365,7 +365,7 @@ def test_the_ways_out_of_a_body_are_worked_out_once_for_a_state(monkeypatch, haz
     monkeypatch.setattr(traffic, 'inside', lambda *args: asked.append(args) or inside(*args))
     shut = Ball([0.0, 0.0], 30.0)  # there is no way out, so that everything is tried
     bodies = () if hazards else (ball, shut)
-    moving = tuple(Hazard.drifting(each, [0.1, 0.0]) for each in (ball, shut)) * hazards
+    moving = tuple(MovingObstacle.drifting(each, [0.1, 0.0]) for each in (ball, shut)) * hazards
     problem = Problem(horizon=6, step=0.5, forward=2.0, obstacles=bodies, max_rate=1.0)
     start = State.at([0.0, 0.0], np.eye(2), hazards=moving)
     with pytest.raises((Infeasible, SolverFailure)):
@@ -375,7 +375,7 @@ def test_the_ways_out_of_a_body_are_worked_out_once_for_a_state(monkeypatch, haz
 
 def test_a_state_in_other_units_is_met_by_what_there_is_in_those():
     problem, body = Problem(horizon=4, step=0.5, forward=4.0), Ball([3.0, 0.0], 1.0)
-    start = State.at([0.5, 0.0], np.eye(2), hazards=(Hazard.drifting(body, [0.0, 0.0]),))
+    start = State.at([0.5, 0.0], np.eye(2), hazards=(MovingObstacle.drifting(body, [0.0, 0.0]),))
     units, known = solver.Units.of(problem), traffic.traffic_of(problem, start)
     assert traffic.traffic_of(replace(problem), start) is known
     assert traffic.traffic_of(units.problem, units.state(start)).bodies[0].radius == 0.5
@@ -388,7 +388,7 @@ def test_the_clearest_of_few_ways_is_flown_once_time_is_up(monkeypatch):
         clearest_of, 'assemble', lambda *args, **more: made.append(1) or assembled(*args, **more)
     )
     problem = Problem(horizon=6, step=0.5, forward=2.0, max_rate=1.0)
-    near = Hazard.drifting(Ball([1.2, 0.0], 1.0), [0.0, 0.0])
+    near = MovingObstacle.drifting(Ball([1.2, 0.0], 1.0), [0.0, 0.0])
     start, targets = State.at([0.0, 0.0], np.eye(2), hazards=(near,)), np.tile([9.0, 0.0], (6, 1))
     counts, known = [], (problem, start, targets, None, 'thrust_aligned')
     for out_of_time in (lambda: True, None):

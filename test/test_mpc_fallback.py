@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
-from orbimpc_ros.mpc.problem.reach import pulled_in, reach
+from orbimpc_ros.mpc.problem.reach import clamp_goal, reach
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -78,10 +78,10 @@ def test_no_flight_leaves_the_reach(orders):
         assert away.max() <= reach(problem, start) + 1e-9
 
 
-def test_a_goal_beyond_all_reach_is_pulled_in_and_told():
+def test_a_goal_beyond_all_reach_is_clamped_and_reported():
     start = State.at([1.0, 2.0], np.eye(2))
     goals = np.tile([1.0 + 3e6, 2.0 + 4e6], (5, 1))
-    near, told = pulled_in(Problem(), start, goals)
+    near, told = clamp_goal(Problem(), start, goals)
     np.testing.assert_allclose(near, np.tile([301.0, 402.0], (5, 1)))
     assert told == 'the goal is 5e+06 m away: aimed 500 m towards it'
     tick = Stepped(Problem()).tick(odometry((1.0, 2.0)), goals)
@@ -92,9 +92,9 @@ def test_a_goal_beyond_all_reach_is_pulled_in_and_told():
 
 def test_a_goal_within_reach_is_left_alone():
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([300.0, 400.0], (5, 1))
-    assert pulled_in(Problem(), start, goals) == (goals, '')
+    assert clamp_goal(Problem(), start, goals) == (goals, '')
     far = 10.0 * goals
-    assert pulled_in(Problem(terminal='constraint'), start, far) == (far, '')  # proved infeasible
+    assert clamp_goal(Problem(terminal='constraint'), start, far) == (far, '')  # proved infeasible
 
 
 def test_a_soft_arrival_has_no_more_time_than_any_other_plan(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from problems import floor, reference
 
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.problem import Box, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 
 START = State.at([0.0, 0.0], np.eye(2))
@@ -44,7 +44,7 @@ def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
     message = blamed(walled, start, goals)
     assert message.startswith('obstacle 0 holds s_1, ')
     assert message.endswith('; a box has no way out for who begins inside, unless it is a hazard')
-    hazard = Hazard.drifting(around, np.zeros(2))
+    hazard = MovingObstacle.drifting(around, np.zeros(2))
     plan = Solver(free).solve(replace(start, hazards=(hazard,)), goals)
     assert plan.positions[-1, 0] <= -0.7 + 1e-6
 

@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.problem import (
     Ball,
     Box,
     Floor,
-    Hazard,
+    MovingObstacle,
     Problem,
     State,
     Weights,
@@ -51,7 +51,7 @@ DISC = Ball([3.0, 1.0], 0.5)
 def test_a_hazard_moves_with_the_units():
     problem = Problem(step=0.5, forward=4.0)
     units = Units.of(problem)
-    drifting = replace(Hazard.drifting(DISC, [0.4, -0.2]), reserve=0.3)
+    drifting = replace(MovingObstacle.drifting(DISC, [0.4, -0.2]), reserve=0.3)
     start = State.at([1.0, 2.0], np.eye(2), hazards=(drifting,))
     (scaled,) = units.state(start).hazards
     assert scaled.reserve * units.length == pytest.approx(0.3)
@@ -66,10 +66,10 @@ def test_a_hazard_moves_with_the_units():
 @pytest.mark.parametrize(
     ('hazards', 'named'),
     [
-        ([Hazard.drifting(DISC, [0.0, 1.0])], 'a list'),
+        ([MovingObstacle.drifting(DISC, [0.0, 1.0])], 'a list'),
         ((DISC,), 'a Ball'),
-        ((Hazard.drifting(Ball([0.0, 0.0, 0.0], 1.0), [0.0, 0.0, 1.0]),), '3'),
-        ((Hazard.drifting(DISC, [0.0, 1.0]),) * (MAX_HAZARDS + 1), str(MAX_HAZARDS + 1)),
+        ((MovingObstacle.drifting(Ball([0.0, 0.0, 0.0], 1.0), [0.0, 0.0, 1.0]),), '3'),
+        ((MovingObstacle.drifting(DISC, [0.0, 1.0]),) * (MAX_HAZARDS + 1), str(MAX_HAZARDS + 1)),
     ],
 )
 def test_hazards_of_another_kind_are_refused(hazards, named):
@@ -107,7 +107,7 @@ def crossing(rng, n, count):
         radius = rng.uniform(0.3, 0.8)
         if np.linalg.norm(centre) > radius + 1.2:
             velocity = rng.uniform(-0.4, 0.4, n)
-            hazards.append(Hazard.drifting(Ball(centre, radius), velocity))
+            hazards.append(MovingObstacle.drifting(Ball(centre, radius), velocity))
     return tuple(hazards)
 
 
@@ -162,7 +162,7 @@ def test_who_arrives_passes_bodies_of_all_kinds(n, turning, motion):
     goals, found = np.tile(np.eye(n)[0] * 1.5, (6, 1)), 0
     for shape, moves in itertools.product(SHAPES, (False, True)):
         body = shape(n)
-        hazards = (Hazard.drifting(body, np.full(n, -0.05)),) if moves else ()
+        hazards = (MovingObstacle.drifting(body, np.full(n, -0.05)),) if moves else ()
         problem = replace(free, obstacles=() if moves else (body,))
         coasted = np.eye(n) if turning == 2 else None
         start = State.at(np.zeros(n), 0.5 * np.eye(n), coasted=coasted, hazards=hazards)
@@ -181,7 +181,7 @@ def test_who_arrives_passes_bodies_of_all_kinds(n, turning, motion):
 def test_the_optimum_is_that_of_a_fine_enumeration():
     """One disc, one step decided, two to choose: fast headings on a grid, each flown on its own."""
     problem = Problem(horizon=3, step=1.0, forward=1.0)
-    disc = Hazard.drifting(Ball([1.6, 0.1], 0.5), [-0.2, 0.0])
+    disc = MovingObstacle.drifting(Ball([1.6, 0.1], 0.5), [-0.2, 0.0])
     start, goals = (
         State.at([0.0, 0.0], 0.1 * np.eye(2), hazards=(disc,)),
         np.tile([3.0, 0.0], (3, 1)),
@@ -222,7 +222,7 @@ def test_a_plan_that_hits_is_refused(between):
     assert violations(problem, start, goals, plan) == []
     centre = [1.5, 0.0] if between else [2.0, 0.0]
     for radius, refused in ((0.2, True), (1e-9, False)):
-        clear = Hazard.drifting(
+        clear = MovingObstacle.drifting(
             Ball([*centre[:1], 2.0 * radius * (not refused)], radius), [0.0, 0.0]
         )
         found = violations(problem, replace(start, hazards=(clear,)), goals, plan)
@@ -236,16 +236,16 @@ def test_a_body_that_meets_the_plan_half_way_between_two_steps_is_seen():
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([9.0, 0.0], (3, 1))
     plan = Solver(problem).solve(start, goals)
     across = Ball([1.5, 1.5], 0.3)
-    dash = Hazard(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.5], [0, 0]])
+    dash = MovingObstacle(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.5], [0, 0]])
     found = violations(problem, replace(start, hazards=(dash,)), goals, plan)
     assert any('hazard 0' in each for each in found)
-    clear = Hazard(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.1], [0, 0]])
+    clear = MovingObstacle(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.1], [0, 0]])
     assert violations(problem, replace(start, hazards=(clear,)), goals, plan) == []
 
 
 def test_a_moving_box_is_stayed_clear_of():
     problem = Problem(horizon=4, step=1.0, forward=1.0)
-    moving = Hazard.drifting(Box([1.5, -0.5], [2.5, 0.5]), [0.0, 0.1])
+    moving = MovingObstacle.drifting(Box([1.5, -0.5], [2.5, 0.5]), [0.0, 0.1])
     start, goals = State.at([0.0, 0.0], np.eye(2), hazards=(moving,)), np.tile([5.0, 0.0], (4, 1))
     plan = Solver(problem).solve(start, goals)
     assert plan.status == 'optimal'
@@ -270,12 +270,12 @@ def test_a_controller_stays_clear_of_what_it_is_told_moves():
     controller = Stepped(problem, gap_tolerance=0.05)
     controller.expect_hazards()
     place, heading = np.zeros(2), np.eye(2)
-    body, nearest = Hazard.drifting(Ball([3.0, 0.05], 0.5), [-0.5, 0.0]), np.inf
+    body, nearest = MovingObstacle.drifting(Ball([3.0, 0.05], 0.5), [-0.5, 0.0]), np.inf
     speed = 0.0
     for k in range(10):
         time = 0.5 * k
         now = Ball(body.body.centre + body.moved(np.array([time]))[0], 0.5)
-        controller.hazards = (Hazard.drifting(now, [-0.5, 0.0]),)
+        controller.hazards = (MovingObstacle.drifting(now, [-0.5, 0.0]),)
         odometry = Odometry(time, place.copy(), heading, np.array([speed, 0.0]), np.zeros(1))
         polls = itertools.count()
         goals = np.tile([4.0, 0.0], (5, 1))
@@ -295,8 +295,8 @@ def test_a_controller_stays_clear_of_what_it_is_told_moves():
 )
 def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
     controller = Stepped(Problem(horizon=3), gap_tolerance=0.05)
-    around = Hazard.drifting(Ball([4.0, 0.0], 1.0), velocity)
-    controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
+    around = MovingObstacle.drifting(Ball([4.0, 0.0], 1.0), velocity)
+    controller.hazards = (MovingObstacle.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
     tick = controller.tick(odometry, np.tile([4.5, 0.0], (3, 1)))
     assert tick.plan is not None
@@ -308,7 +308,7 @@ def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
 
 def test_a_reserve_counts_later_in_a_plan():
     problem = Problem(horizon=6, step=0.5, forward=1.0)
-    disc = Hazard.drifting(Ball([3.0, 0.2], 0.5), [-0.2, 0.0])
+    disc = MovingObstacle.drifting(Ball([3.0, 0.2], 0.5), [-0.2, 0.0])
     goals = np.tile([4.0, 0.0], (6, 1))
 
     def apart(reserve):
@@ -332,7 +332,9 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
     """The goal is 0.2 m from both discs, so that who keeps 0.4 m away cannot arrive."""
     problem = Problem(horizon=6, step=0.5, forward=1.0, terminal='constraint')
     controller = Stepped(problem, gap_tolerance=0.01, reserve=0.4)
-    still = [Hazard.drifting(Ball([2.5, 0.7 * side], 0.5), [0.0, 0.0]) for side in (-1.0, 1.0)]
+    still = [
+        MovingObstacle.drifting(Ball([2.5, 0.7 * side], 0.5), [0.0, 0.0]) for side in (-1.0, 1.0)
+    ]
     controller.hazards = tuple(still)
     goals = np.tile([2.5, 0.0], (6, 1))
     rest, attitude = np.zeros(2), np.eye(2)
@@ -348,7 +350,7 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
 def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     problem = Problem(horizon=6, step=0.5, forward=1.0)
     asides = 0.65, -0.8, 1.5  # the way passes the discs at 0.15, 0.3 and 1 m
-    hazards = tuple(Hazard.drifting(Ball([2.5, y], 0.5), [0.0, 0.0]) for y in asides)
+    hazards = tuple(MovingObstacle.drifting(Ball([2.5, y], 0.5), [0.0, 0.0]) for y in asides)
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([3.0, 0.0], (6, 1))
     plan = Solver(problem).solve(start, goals)
     found = achieved_clearance(problem, replace(start, hazards=hazards), plan, 0.6)
@@ -366,7 +368,7 @@ def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
 @pytest.mark.parametrize('reserve', [-0.1, np.nan])
 def test_a_reserve_is_not_negative(reserve):
     with pytest.raises(BadInput, match=r'obstacles\.reserve'):
-        replace(Hazard.drifting(DISC, [0.0, 0.0]), reserve=reserve)
+        replace(MovingObstacle.drifting(DISC, [0.0, 0.0]), reserve=reserve)
     with pytest.raises(BadInput, match='reserve'):
         Stepped(Problem(horizon=2), reserve=reserve)
 
@@ -379,7 +381,7 @@ FAR = np.tile([20.0, 0.0], (8, 1))
 
 def meeting(away):
     """A boat that goes slowly along x, towards a disc that comes up to it from so far away."""
-    disc = Hazard.drifting(Ball([away, 0.0], 1.0), [-0.5, 0.0])
+    disc = MovingObstacle.drifting(Ball([away, 0.0], 1.0), [-0.5, 0.0])
     return State.at([0.0, 0.0], 0.3 * np.eye(2), hazards=(disc,))
 
 
@@ -412,7 +414,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
 def test_the_clearest_way_is_the_one_that_is_clear_the_longest(monkeypatch):
     """Though it ends the deeper inside: until then there will be other plans."""
     discs = Ball([2.0, 0.0], 0.9), Ball([0.0, 1.0], 0.2)
-    hazards = tuple(Hazard.drifting(each, [0.0, 0.0]) for each in discs)
+    hazards = tuple(MovingObstacle.drifting(each, [0.0, 0.0]) for each in discs)
     problem, state = Problem(horizon=3), State.at([0, 0], 0.0 * np.eye(2), attitude=np.eye(2))
     state, goals = replace(state, hazards=hazards), np.tile([3.0, 0.0], (3, 1))
     late, soon = (
@@ -428,7 +430,7 @@ def test_the_clearest_way_is_the_one_that_is_clear_the_longest(monkeypatch):
 def test_the_clearest_way_is_flown_where_none_is_clear():
     """Shut in by a disc that is too large to leave within the horizon."""
     controller = Stepped(BOAT)
-    controller.hazards = (Hazard.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
+    controller.hazards = (MovingObstacle.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
     tick = controller.tick(odometry, FAR)
     assert tick.status in ('infeasible', 'failed')
@@ -461,7 +463,9 @@ def test_the_separating_normal_is_the_direction_to_the_nearest_point(n, m):
 @pytest.mark.parametrize('hull', [Ball([0.0, 0.0], 1.5), Box([-1.4, -1.5], [1.5, 1.4])])
 def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     problem = Problem(horizon=8, step=0.5, forward=2.0, **model)
-    start = State.at([-0.6, 0.4], 0.6 * np.eye(2), hazards=(Hazard.drifting(hull, [0.0, 0.0]),))
+    start = State.at(
+        [-0.6, 0.4], 0.6 * np.eye(2), hazards=(MovingObstacle.drifting(hull, [0.0, 0.0]),)
+    )
     goals = np.tile([6.0, 0.0], (8, 1))
     polls = itertools.count()
     plan = Solver(problem).solve(start, goals, None, lambda: next(polls) > 600)
@@ -471,7 +475,7 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     assert depth[-1] <= 1e-6
     gone = np.flatnonzero(depth <= 1e-6)[0]
     assert (depth[gone:] <= 1e-6).all()  # and stays out
-    still = replace(start, hazards=(Hazard.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
+    still = replace(start, hazards=(MovingObstacle.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
     with pytest.raises((Infeasible, SolverFailure)):  # shut in, not just inside of a margin
         Solver(problem).solve(still, goals, None, lambda: next(polls) > 1200)
 
@@ -482,7 +486,7 @@ def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
     """The present velocity alone decides the way to s_1, which the disc holds, or is across."""
     problem = Problem(horizon=8, step=0.5, forward=2.0)
     disc = Ball([0.55, -0.45], 0.5) if between else Ball([1.3, 0.1], 0.4)
-    start = State.at([0.0, 0.0], np.eye(2), hazards=(Hazard.drifting(disc, [0.0, 0.0]),))
+    start = State.at([0.0, 0.0], np.eye(2), hazards=(MovingObstacle.drifting(disc, [0.0, 0.0]),))
     goals = np.tile([6.0, 0.0], (8, 1))
     plan = Solver(problem).solve(start, goals)
     assert violations(problem, start, goals, plan) == []
@@ -495,7 +499,7 @@ def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
 def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():
     """Its margin is eased, as if it were inside; to stay would be to be met within step 2."""
     ball, bends = Ball([0.0, 0.0], 1.0), np.array([0.0, -0.2, 0.0, 0.2, 0.0, 0.0])
-    wavering = Hazard(ball, 0.5 * np.arange(6), np.column_stack([bends, 0.0 * bends]))
+    wavering = MovingObstacle(ball, 0.5 * np.arange(6), np.column_stack([bends, 0.0 * bends]))
     problem = Problem(horizon=3)
     state = State.at([1.15, 0.0], np.zeros((2, 2)), attitude=np.eye(2), hazards=(wavering,))
     for speed, met in ((0.0, True), (1.0, False)):
@@ -513,7 +517,7 @@ def test_who_is_only_where_tracks_may_stray_is_not_let_into_a_body_by_another():
                   [0.0675, 0.0883, 0.1964, 0.3135]),
     }  # fmt: skip
     hazards = tuple(
-        Hazard(
+        MovingObstacle(
             Ball(centre, 1.000005),
             np.array([0.0, *(turn + 0.5 * np.arange(4))]),
             np.array([[0.0, *x], [0.0, *y]]).T,
@@ -531,7 +535,7 @@ def test_who_is_only_where_tracks_may_stray_is_not_let_into_a_body_by_another():
 @pytest.mark.parametrize('order', [1, 2])
 def test_among_hazards_plans_to_all_sides_stand_in(order):
     problem = Problem(horizon=6, step=0.5, forward=2.0, max_rate=1.0, rotation_order=order)
-    disc = Hazard.drifting(Ball([3.0, 0.0], 1.0), [0.0, 0.0])
+    disc = MovingObstacle.drifting(Ball([3.0, 0.0], 1.0), [0.0, 0.0])
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([6.0, 0.0], (6, 1))
     without = list(turning(problem, start, goals))
     among = list(turning(problem, replace(start, hazards=(disc,)), goals))
@@ -550,7 +554,7 @@ def test_what_a_hazard_costs_is_what_a_smaller_one_would_save():
     goals = np.tile([5.0, 0.0], (4, 1))
 
     def solved(radius):
-        disc = Hazard.drifting(Ball([2.0, 0.3], radius), [-0.1, 0.0])
+        disc = MovingObstacle.drifting(Ball([2.0, 0.3], radius), [-0.1, 0.0])
         start = State.at([0.0, 0.0], 0.5 * np.eye(2), hazards=(disc,))
         return start, Solver(problem, gap_tolerance=1e-3).solve(start, goals)
 
@@ -592,8 +596,8 @@ def test_files_name_hazards():
     ]
     case = case_of({**CROSSED, 'hazards': named})
     ball, box = Ball([2.0, 0.0], 0.5), Box([0.0, 3.0], [1.0, 4.0])
-    track = Hazard(box, [0.0, 1.0, 3.0], [[0.0, 0.0], [0.0, 1.0], [2.0, 1.0]])
-    assert case.state.hazards == (Hazard.drifting(ball, [0.0, -0.2]), track)
+    track = MovingObstacle(box, [0.0, 1.0, 3.0], [[0.0, 0.0], [0.0, 1.0], [2.0, 1.0]])
+    assert case.state.hazards == (MovingObstacle.drifting(ball, [0.0, -0.2]), track)
     assert case_of(CROSSED).state.hazards == ()
 
 
@@ -630,14 +634,16 @@ def test_what_the_first_hazard_needs_can_be_made_before_it_comes(monkeypatch):
     controller = Stepped(Problem(horizon=3))
     controller.expect_hazards()
     monkeypatch.setattr(solver, 'method_among', lambda *_, **__: pytest.fail('made in a tick'))
-    controller.hazards = (Hazard.drifting(DISC, [0.0, 0.1]),)
+    controller.hazards = (MovingObstacle.drifting(DISC, [0.0, 0.1]),)
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
     assert controller.tick(odometry, np.tile([1.5, 0.0], (3, 1))).plan is not None
 
 
 # --- ways that a vehicle can turn along
 
-GATE = tuple(Hazard.drifting(Ball([8.0, y], 2.3), [0.0, 0.0]) for y in (-6.65, -2.65, 4.85, 8.85))
+GATE = tuple(
+    MovingObstacle.drifting(Ball([8.0, y], 2.3), [0.0, 0.0]) for y in (-6.65, -2.65, 4.85, 8.85)
+)
 THROUGH = replace(BOAT, horizon=12)
 BEYOND = np.tile([24.7, -0.6], (12, 1))
 
@@ -698,7 +704,7 @@ def test_a_scouted_way_stands_in_for_a_plan_that_is_not_found(monkeypatch):
 
 def test_a_catch_that_is_clear_needs_no_search_among_hazards(monkeypatch):
     controller = Stepped(BOAT, capture_radius=0.5)
-    controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]),)
+    controller.hazards = (MovingObstacle.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]),)
     monkeypatch.setattr(controller, '_tracked', lambda task: pytest.fail('it was searched'))
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([3.0, 0.0]), np.zeros(1))
     tick = controller.tick(odometry, np.tile([6.0, 0.0], (8, 1)))
@@ -706,7 +712,9 @@ def test_a_catch_that_is_clear_needs_no_search_among_hazards(monkeypatch):
 
 
 def test_what_may_be_faster_counts_as_larger_until_it_is_seen_again():
-    disc = replace(Hazard.drifting(Ball([6.0, 0.0], 1.0), [0.0, 0.0]), reserve=0.4, unsure=1.5)
+    disc = replace(
+        MovingObstacle.drifting(Ball([6.0, 0.0], 1.0), [0.0, 0.0]), reserve=0.4, unsure=1.5
+    )
     start = State.at([0.0, 0.0], np.eye(2), hazards=(disc,))
     kept = traffic_of(BOAT, start).kept[0]
     np.testing.assert_allclose(kept, [0.0, 0.85, 1.7, 2.55, 0.4, 0.4, 0.4, 0.4])

@@ -33,7 +33,16 @@ from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.vehicle import Vehicle
 
@@ -287,7 +296,7 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
         return controller.tick(measured([0.0, 0.0], 0.0, 3.0), goals)
 
     def disc(x, y, velocity):
-        return Hazard.drifting(Ball([x, y], 1.0), velocity)
+        return MovingObstacle.drifting(Ball([x, y], 1.0), velocity)
 
     alone = ticked()
     beside = disc(4.5, 3.0, [0.0, 0.5])

@@ -19,7 +19,7 @@ from problems import rotation
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Leaf, plain, statement
 from orbimpc_ros.mpc.proof.prove import Unproved, held, held_in_time
@@ -78,11 +78,11 @@ def test_what_has_a_plan_is_not_refuted(kind):
 def test_balls_in_space_are_left_out_of_what_is_refuted_and_nothing_else_is():
     problem, goals = Problem(3, horizon=4, terminal='constraint'), np.tile([9.0, 0.0, 0.0], (4, 1))
     bodies = Ball(np.full(3, 9.0), 1.0), Box(np.full(3, 8.0), np.full(3, 9.0))
-    moving = tuple(Hazard.drifting(each, np.eye(3)[2]) for each in bodies)
+    moving = tuple(MovingObstacle.drifting(each, np.eye(3)[2]) for each in bodies)
     made = refutation_of(Sought(problem, State.at(np.zeros(3), np.eye(3), hazards=moving), goals))
     assert judged(made.text()) == 'holds'
     assert len(made.document()['limits']['walls']) == 1
-    around = (Hazard.drifting(Ball(np.zeros(3), 9.0), np.zeros(3)),)
+    around = (MovingObstacle.drifting(Ball(np.zeros(3), 9.0), np.zeros(3)),)
     held = State.at(np.zeros(3), np.eye(3), hazards=around)
     with pytest.raises(Unproved, match='no refutation'):
         refutation_of(Sought(replace(problem, terminal='penalty'), held, goals))
@@ -365,7 +365,7 @@ def test_the_first_steps_of_a_problem_are_those_of_a_shorter_one(kind):
         problem, state, goals = replace(case.problem, terminal='penalty'), case.state, case.goals
     else:
         hazards = [Ball(np.array([3.0, 1.0]), 0.5), Box(np.array([1.0, 1.0]), np.array([2.0, 2.0]))]
-        moving = tuple(Hazard.drifting(each, rng.normal(size=2)) for each in hazards)
+        moving = tuple(MovingObstacle.drifting(each, rng.normal(size=2)) for each in hazards)
         problem = Problem(horizon=5, max_acceleration=0.1 * (kind == 'pace'))
         state = State.at(np.zeros(2), 0.5 * np.eye(2), attitude=np.eye(2), hazards=moving)
         goals = rng.normal(size=(5, 2))

@@ -22,7 +22,7 @@ from orbimpc_ros.loop.traffic import (
     silence,
 )
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 
 FASTEST = 50.0
 NEAR = Distance(1.0, 0.5)
@@ -211,7 +211,7 @@ def test_no_hazard_that_can_be_met_is_left_out(order):
     rng = np.random.default_rng([73, order])
     for _ in range(200):
         body = disc(*rng.uniform(-12.0, 12.0, 2), rng.uniform(0.1, 2.0))
-        hazard = Hazard.drifting(body, rng.uniform(-3.0, 3.0, 2))
+        hazard = MovingObstacle.drifting(body, rng.uniform(-3.0, 3.0, 2))
         blown = rng.uniform(0.0, 1.0)
         used, left_out = nearest(problem, odometry(), np.array([0.0, blown]), [hazard])
         assert left_out == 0
@@ -220,13 +220,13 @@ def test_no_hazard_that_can_be_met_is_left_out(order):
 
 
 def test_what_cannot_be_met_is_no_concern():
-    away = Hazard.drifting(disc(15.0, 0.0), np.array([0.5, 0.0]))
+    away = MovingObstacle.drifting(disc(15.0, 0.0), np.array([0.5, 0.0]))
     assert nearest(Problem(), odometry(), None, [away]) == ((), 0)
     assert len(nearest(Problem(), odometry(), None, [away], horizons=6.0)[0]) == 1
 
 
 def test_of_too_many_the_nearest_count():
-    crowd = [Hazard.drifting(disc(2.0 + 0.02 * k, 0.0), np.zeros(2)) for k in range(100)]
+    crowd = [MovingObstacle.drifting(disc(2.0 + 0.02 * k, 0.0), np.zeros(2)) for k in range(100)]
     shuffled = [crowd[k] for k in np.random.default_rng(74).permutation(100)]
     used, left_out = nearest(Problem(), odometry(), None, shuffled)
     assert left_out == 100 - MAX_HAZARDS
@@ -235,7 +235,7 @@ def test_of_too_many_the_nearest_count():
 
 def test_the_clearance_is_the_least_over_steps_and_obstacles():
     problem = Problem(horizon=2, obstacles=(Box(np.array([0.0, 5.0]), np.array([1.0, 6.0])),))
-    crossing = Hazard.drifting(disc(2.0, 2.0), np.array([0.0, -1.0]))
+    crossing = MovingObstacle.drifting(disc(2.0, 2.0), np.array([0.0, -1.0]))
     state = State.at(np.zeros(2), np.eye(2), hazards=(crossing,))
     positions = np.array([[0.0, 0.0], [1.0, 0.0], [1.5, 0.0]])
     assert clearance(problem, state, positions) == pytest.approx(0.0)

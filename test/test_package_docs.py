@@ -140,6 +140,53 @@ def test_the_first_pages_boat_reaches_its_beacon(tmp_path, domain):
         assert planner.wait(PATIENCE) == 0
 
 
+CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
+# That have been believed: each is false, or holds of something else only.
+UNTRUE = [
+    'any Linux',  # rclpy from PyPI has no wheels for arm64
+    r'nodes never import',  # modules of both are shared
+    'calls back',
+    r'replays (them )?all',
+    r'the same (run|result) every time(?! on a machine \(a `deadline` then limits work)',
+    'mcap-ros2-support',  # nothing imports it
+]
+
+
+@pytest.mark.parametrize(
+    'page', [*PAGES, ROOT / 'package.xml', *CONFIGURATIONS], ids=lambda page: page.name
+)
+def test_what_was_found_to_be_untrue_is_not_claimed_again(page):
+    text = ' '.join(page.read_text().split())
+    assert [each for each in UNTRUE if re.search(each, text)] == []
+
+
+@pytest.mark.parametrize('file', CONFIGURATIONS, ids=lambda file: file.name)
+def test_pages_that_a_configuration_refers_to_exist(file):
+    for named in re.findall(r'docs/[\w/]+\.\w+', file.read_text()):
+        assert (ROOT / named).is_file(), named
+
+
+def recommended():
+    """Return where parameters of planners are recommended, and which."""
+    texts = [(page.name, text) for page in PAGES for text in blocks(page, 'yaml')]
+    texts += [(file.name, file.read_text()) for file in CONFIGURATIONS]
+    for name, text in texts:
+        for node, section in (yaml.safe_load(text) or {}).items():
+            if node.endswith('planner') and 'ros__parameters' in section:
+                yield name, section['ros__parameters']
+
+
+def test_who_is_to_catch_what_moves_is_recommended_the_forecast_that_finds_its_motion():
+    """Straight on from the last observations loses to flying at where the goal was seen."""
+    forecasts = {
+        name: given.get('goal_prediction', 'hold')
+        for name, given in recommended()
+        if given.get('objective') == 'intercept'
+    }
+    assert {'README.md', 'vehicle.md', 'fixed_wing.yaml'} <= forecasts.keys()
+    assert set(forecasts.values()) == {'auto'}, forecasts
+
+
 def here():
     """Return an environment in which this very package is imported from anywhere."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))

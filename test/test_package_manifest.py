@@ -11,9 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import settings
-
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
 STANDARD = sys.stdlib_module_names
@@ -150,32 +147,6 @@ def test_make_keeps_the_numpy_that_ros_is_compiled_for(tmp_path, numpy, kept):
     )  # fmt: skip
     (install,) = (line for line in done.stdout.splitlines() if 'pip install' in line)
     assert ('--constraint requirements-jazzy.txt' in install) == kept
-
-
-def test_executables_exist():
-    tree = ast.parse((ROOT / 'setup.py').read_text())
-    texts = [ast.unparse(n) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr)]
-    targets = re.findall(r'\{NAME\}\.([\w.]+):(\w+)', ' '.join(texts))
-    assert len(targets) == 3
-    for module, function in targets:
-        module = f'orbimpc_ros.{module}'
-        file = ROOT / (module.replace('.', '/') + '.py')
-        names = {n.name for n in ast.parse(file.read_text()).body if isinstance(n, ast.FunctionDef)}
-        assert function in names
-
-
-def test_it_is_an_ament_python_package():
-    assert PACKAGE.get('format') == '3'
-    assert PACKAGE.find('export/build_type').text == 'ament_python'
-    assert (ROOT / 'resource' / 'orbimpc_ros').is_file()
-    assert 'Apache License' in (ROOT / PACKAGE.find('license').get('file')).read_text()
-
-
-def test_configuration_is_found():
-    for file in (ROOT / 'config').glob('*.yaml'):
-        assert settings.config(file.name).read_bytes() == file.read_bytes()
-    with pytest.raises(BadInput, match=r'nothing\.yaml'):
-        settings.config('nothing.yaml')
 
 
 @pytest.mark.parametrize('node', ['planner', 'sim'])

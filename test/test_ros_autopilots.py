@@ -123,7 +123,8 @@ def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):
     )
     assert len(autopilot.commands) == before
     assert autopilot.planner.stop() == 0
-    observer.until(lambda: True)
+    topic = TOPICS['ardupilot']['cmd_vel']
+    observer.until(lambda: not observer.node.count_publishers(topic), 'its end')
     assert len(autopilot.commands) == before  # nor at the end
     for words in ('engaged: commands', 'not engaged: silent'):
         assert words in autopilot.planner.output

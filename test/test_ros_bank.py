@@ -68,12 +68,6 @@ def test_the_name_changes_when_the_goal_does():
     np.testing.assert_allclose(report.decision.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
 
 
-@pytest.mark.parametrize('prediction', ['hold', 'velocity', 'harmonic'])
-def test_forecasts_that_do_not_choose_name_nothing(prediction):
-    report = Watched(goal_prediction=prediction).watch(carried, 10)
-    assert 'goal_model' not in report.values
-
-
 def test_another_forecast_begins_with_the_last_goal():
     watched = Watched()
     watched.watch(carried, 10)
@@ -84,16 +78,6 @@ def test_another_forecast_begins_with_the_last_goal():
     np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
     watched.inputs.forget()
     assert watched.inputs.goal_model == ''
-
-
-def test_replaying_the_same_messages_gives_the_same_targets():
-    rng = np.random.default_rng(1)
-    noisy = {k: carried(0.1 * k) + 0.05 * rng.normal(size=2) for k in range(1, 101)}
-    reports = [
-        Watched(goal_prediction='auto').watch(lambda time: noisy[round(10 * time)], 100)
-        for _ in range(2)
-    ]
-    np.testing.assert_array_equal(*(report.decision.goals for report in reports))
 
 
 class Away:

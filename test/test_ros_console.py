@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Twist, TwistStamped
-from planners import QUICK, Bench, goal, moving, odometry, told
+from geometry_msgs.msg import TwistStamped
+from planners import QUICK, Bench, moving, told
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
@@ -56,18 +56,6 @@ def test_a_stop_is_said_once_and_so_is_its_end(launch, observer):
     assert said(bench, 'over: odometry is') == 1
 
 
-def test_who_else_is_there_is_said_when_it_comes_and_when_it_goes(launch, observer):
-    bench, node = Bench(launch, observer, QUICK), observer.node
-    rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())
-    assert said(bench, '2 publishers on /cmd_vel: the vehicle hears them all') == 1
-    node.destroy_publisher(rival)
-    assert said(bench, 'over: 2 publishers on /cmd_vel') == 1
-    other = node.create_publisher(Twist, 'goal_path', qos())
-    assert said(bench, '/goal_path of /observer is a geometry_msgs/msg/Twist, not a nav_msgs') == 1
-    node.destroy_publisher(other)
-    assert said(bench, 'over: /goal_path of /observer is a') == 1
-
-
 @pytest.mark.parametrize('trigger', ['odom', 'timer'])
 def test_simulated_time_that_never_starts_is_said(launch, observer, trigger):
     clock = observer.node.create_publisher(Clock, '/clock', qos())
@@ -82,31 +70,6 @@ def test_simulated_time_that_never_starts_is_said(launch, observer, trigger):
         return f'over: {words}' in bench.planner.output
 
     bench.until(started, 'the end of it')
-
-
-def test_what_a_plan_is_doubtful_about_is_said_everywhere(launch, observer):
-    bench, stamps = Bench(launch, observer, QUICK), itertools.count(10)
-    doubt = 'the goal is 1e+05 m away'
-
-    def fed(happened):  # while somebody listens: the first messages may be lost
-        def again():
-            stamp = 0.1 * next(stamps)
-            far = goal(stamp)
-            far.pose.position.x = 1e5
-            bench.goal.publish(far)
-            bench.odometry.publish(odometry(stamp))
-            return happened()
-
-        return again
-
-    bench.until(fed(lambda: bench.ticks), 'a tick')
-    tick = told(bench.ticks[0])
-    assert tick['fallback'] == ''
-    assert doubt in tick['reason']
-    bench.until(fed(lambda: any(doubt in m.status[0].message for m in bench.health)), doubt)
-    worried = next(m.status[0] for m in bench.health if doubt in m.status[0].message)
-    assert worried.level == DiagnosticStatus.WARN
-    assert said(bench, doubt) == 1
 
 
 def test_the_vehicle_believed_in_is_said_at_the_start(launch, observer):
@@ -134,15 +97,6 @@ def test_numbers_come_on_topics_of_their_own(launch, observer):
     assert heard['solve_time'][-1].data > 0.0
 
 
-RENAMED = """
-    import sys
-    from orbimpc_ros.ros.planner.node import PlannerNode
-    from orbimpc_ros.ros.process import run
-
-    sys.exit(run(PlannerNode, [*sys.argv, '-r', '__ns:=/boat', '-r', 'odom:=/gps']))
-"""
-
-
 @pytest.fixture
 def script(tmp_path):
     def write(text):
@@ -151,12 +105,6 @@ def script(tmp_path):
         return file
 
     return write
-
-
-def test_topics_are_called_what_they_are_called_outside(launch, observer, script):
-    planner = launch(script(RENAMED), QUICK)
-    words = 'waits for odometry on /gps and a goal on /boat/goal or /boat/goal_path'
-    observer.until(lambda: words in planner.output, words)
 
 
 def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
@@ -258,28 +206,3 @@ def test_a_wing_is_never_told_less_than_its_floor(launch, observer):
     assert min(speeds) >= 10.0 - 1e-3
     assert max(rates) <= WING['max_rate'] * (1.0 + 1e-5)
     assert bench.commands[-1].twist.angular.z > 0.0  # it circles
-
-
-def test_only_goals_that_accompany_every_odometry_are_waited_for(launch, observer):
-    """One driver, one clock: waiting for goals would slow odometry down to their pace."""
-    bench = Bench(launch, observer, QUICK)
-    bench.fly(1.0)
-    at = 2.0
-
-    def drive(turns, every):
-        """Send odometry as soon as the last is answered, with a goal at some; return who waits."""
-        nonlocal at
-        for turn in range(turns):
-            at += 0.02
-            sent = odometry(at)
-            if turn % every == 0:
-                bench.goal.publish(goal(at))
-            bench.odometry.publish(sent)
-            stamp = sent.header.stamp
-            bench.until(lambda s=stamp: bench.commands[-1].header.stamp == s, 'an answer')
-        told_before = len(bench.health)
-        bench.until(lambda: len(bench.health) > told_before, 'diagnostics')
-        return told(bench.health[-1])['waits with odometry for']
-
-    assert drive(12, every=1) == 'goal'
-    assert drive(20, every=5) == ''

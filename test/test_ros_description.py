@@ -35,6 +35,43 @@ def test_one_line_says_what_vehicle_the_planner_believes_in():
     )
 
 
+HOVERING = {'dimension': 3, 'translation_order': 2, 'forward': 20.0, 'gravity': 9.81}
+LANDER = {**HOVERING, 'forward': 3.6, 'gravity': 1.62, 'tilt': 0.2618, 'glide_slope': 0.8727}
+FLOORED = {**HOVERING, 'floor.shape': 'circle', 'floor.fraction': 0.6}
+AIR = {'velocity_source': 'air'}
+
+
+@pytest.mark.parametrize(
+    ('changes', 'words', 'others'),
+    [
+        ({}, '', 'wind'),
+        ({}, '', 'integrated exactly'),
+        ({'wind': (0.3, -0.2)}, 'wind (0.3, -0.2) m/s,', ''),
+        ({'wind': (3.0, 4.0)}, 'wind (3, 4) m/s, 5 m/s in all: too much to hold a goal', ''),
+        ({'discretisation': 'exact'}, 'integrated exactly', ''),
+        (AIR, 'odometry through the air,', ''),
+        ({**AIR, 'sideslip': True}, 'through the air, with its slip,', ''),
+        (HOVERING, 'gravity 9.81 m/s^2: hovers at 0.491 of its thrust', ''),
+        (HOVERING, 'safe command hover', ''),
+        (FLOORED, 'cannot hover, for its least thrust is 12', ''),
+        ({**HOVERING, 'safe_command': 'stop'}, 'stop although that is to fall', ''),
+        ({**HOVERING, 'thrust_axis': 'z', 'hover_thrust': 0.4}, 'told as 0.4 on thrust', ''),
+        (LANDER, 'tilted by at most 15 deg', 'to hold a goal takes'),
+        (LANDER, 'above a glide slope of 50 deg', ''),
+        (
+            {**LANDER, 'wind': (0.6, 0.0, 0.0)},
+            'takes a tilt of 20.32 deg: more than is allowed',
+            '',
+        ),
+        ({**LANDER, 'tilt': 0.0}, '', 'tilted'),
+    ],
+)
+def test_the_start_up_line_says_what_moves_the_vehicle(changes, words, others):
+    line = summary(described(**changes), simulated=False)
+    assert words in line
+    assert not others or others not in line
+
+
 def test_a_stop_below_the_floor_is_told():
     told = summary(described(**WING, safe_command='stop'), simulated=False)
     assert told.endswith('safe command stop although that is below the floor')

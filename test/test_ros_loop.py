@@ -100,31 +100,6 @@ def test_the_rope_is_caught_and_the_topics_are_as_documented(launch, observer, o
     _check_against(oracle, heard)
 
 
-ALONG_Z = """
-/**: {ros__parameters: {thrust_axis: z}}
-sim: {ros__parameters: {start.orientation: [0.0, 0.7071067811865476, 0.0, 0.7071067811865476]}}
-"""
-
-
-def test_it_flies_alike_whichever_body_axis_pushes(launch, observer, tmp_path):
-    heard = observer.listen(Odometry, 'odom', qos(100))
-    file = tmp_path / 'z.yaml'
-    file.write_text(ALONG_Z)
-    flown = []
-    for files in (['retrieval3d'], ['retrieval3d', file]):
-        heard.clear()
-        planner = launch('planner', {}, *files)
-        sim = launch('sim', LONG | {'max_ticks': 6}, *files)
-        observer.until(lambda s=sim: s.ended, 'the end of the flight')
-        planner.stop()
-        observer.until(lambda: reached(heard, 5 * 10**9), 'the last odometry')
-        flown.append(once(heard)[:6])
-    for along_x, along_z in zip(*flown, strict=True):
-        one, other = along_x.pose.pose.position, along_z.pose.pose.position
-        np.testing.assert_allclose([one.x, one.y, one.z], [other.x, other.y, other.z], atol=1e-6)
-        assert along_x.twist.twist.linear.x == pytest.approx(along_z.twist.twist.linear.z)
-
-
 def _check_frames(heard):
     for topic, frame in (('goal', 'odom'), ('rotation', 'odom'), ('plan', 'odom')):
         assert {m.header.frame_id for m in heard[topic]} == {frame}

@@ -56,26 +56,6 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
     assert np.linalg.norm(np.subtract(*ends.values())) > 4.0
 
 
-def test_a_multirotor_hears_of_the_boxes_and_keeps_clear_of_them(missions):
-    """Told of none, it flies through: the simulator judges by its own."""
-    from orbimpc_ros.sim.parameters import sim_settings
-    from orbimpc_ros.tool import settings
-    from orbimpc_ros.tool.run.onboard import Onboard
-    from orbimpc_ros.tool.settings import config
-
-    values = settings.resolve(config('multirotor.yaml'), ('max_ticks=25',))
-    touched = {}
-    for told in (values['obstacles'], ()):
-        flight, _, _ = missions.flown(
-            Onboard(values | {'obstacles': told}, patient=True),
-            sim_settings(settings.of_sim(values)),
-        )
-        assert flight.distance < 1.0
-        touched[told] = flight.touched
-    assert not touched[values['obstacles']]
-    assert touched[()]
-
-
 def test_each_limit_is_judged(missions):
     values = {'floor.shape': 'circle', 'floor.fraction': 0.5, 'max_rate': 0.4}
 

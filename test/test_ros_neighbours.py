@@ -7,9 +7,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry
-from planners import QUICK, Bench, moving, told
-from rclpy.qos import DurabilityPolicy
+from planners import QUICK, Bench
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -39,19 +37,6 @@ def gone(bench, words):
     bench.until(lambda: words not in bench.health[-1].status[0].message, f'no more {words}')
 
 
-def test_two_sources_of_odometry_bring_the_safe_command(flying):
-    assert moving(flying.fly(1.0))
-    node = flying.observer.node
-    other = node.create_publisher(Odometry, 'odom', qos())
-    words = '2 publishers on /odom'
-    assert level(flying, words) == DiagnosticStatus.ERROR
-    assert not moving(flying.fly(2.0))
-    flying.until(lambda: any(words in told(m)['reason'] for m in flying.ticks), words)
-    node.destroy_publisher(other)
-    gone(flying, words)
-    assert moving(flying.fly(3.0))
-
-
 def test_a_rival_on_the_vehicles_topic_is_warned_of(flying):
     flying.fly(1.0)
     node = flying.observer.node
@@ -59,15 +44,6 @@ def test_a_rival_on_the_vehicles_topic_is_warned_of(flying):
     assert level(flying, '2 publishers on /cmd_vel') >= DiagnosticStatus.WARN
     node.destroy_publisher(rival)
     flying.fly(2.0)
-
-
-def test_who_cannot_hear_us_for_qos_is_named_with_the_policy(flying):
-    node, kept = flying.observer.node, qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    deaf = node.create_subscription(TwistStamped, 'cmd_vel', lambda _message: None, kept)
-    words = '/cmd_vel of /observer does not match: Volatile publisher and transient local'
-    assert level(flying, words) == DiagnosticStatus.ERROR
-    node.destroy_subscription(deaf)
-    gone(flying, words)
 
 
 def test_who_speaks_another_type_is_named(flying):

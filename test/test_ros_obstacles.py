@@ -333,19 +333,3 @@ def goal(seconds):
 def odometry(seconds):
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
     return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), measured(vehicle))
-
-
-@pytest.mark.parametrize(
-    ('given', 'culprit'),
-    [
-        ({'avoid': ('/uav2/plan',)}, 'avoid_radius'),
-        ({'avoid': ('/uav2//plan',), 'avoid_radius': 1.0}, 'avoid'),
-        ({'avoid': ('',), 'avoid_radius': 1.0}, 'avoid'),
-        ({'avoid_timeout': -1.0}, 'avoid_timeout'),
-        ({'obstacle_speed_limit': 0.0}, 'obstacle_speed_limit'),
-    ],
-)
-def test_parameters_that_cannot_be_are_refused(given, culprit):
-    values = {row.name: row.default for row in PLANNER}
-    with pytest.raises(BadInput, match=culprit):
-        planner_settings({**values, **given})

@@ -6,9 +6,9 @@ import random
 import re
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
@@ -23,7 +23,6 @@ from rcl_interfaces.srv import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
-from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.scaling import weighed
@@ -33,8 +32,6 @@ from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.ros.parameters.spec import completed, parameter, settings_from, specs_of
 from orbimpc_ros.ros.process import initialised
 from orbimpc_ros.sim.parameters import SIM, sim_settings
-
-CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
 
 
 def defaults(table):
@@ -82,6 +79,14 @@ def test_planner_and_sim_agree_on_what_they_share():
     assert all(planner[name] == sim[name] for name in shared)
 
 
+LANDER = {
+    'dimension': 3,
+    'translation_order': 2,
+    'forward': 3.6,
+    'gravity': 1.62,
+    'tilt': 0.2618,
+    'glide_slope': 0.8727,
+}
 REFUSED = [
     (PLANNER, {'floor.shape': 'polygon', 'floor.fraction': 0.8}, 'floor.fraction'),
     (PLANNER, {'dimension': 3, 'floor.shape': 'polygon'}, 'floor.faces'),
@@ -127,6 +132,39 @@ REFUSED = [
     (SIM, {'capture_radius': 0.0}, 'capture_radius'),
     (SIM, {'clock': 'lamport'}, 'clock'),
     (SIM, {'failsafe.rate': 3.2}, 'failsafe.rate'),
+    (PLANNER, {**LANDER, 'tilt': 15.0}, 'tilt'),
+    (PLANNER, {'glide_slope': 0.8}, 'glide_slope'),
+    (PLANNER, {'dimension': 3, 'tilt': 0.2}, 'tilt'),
+    (PLANNER, {**LANDER, 'gravity': 3.7}, 'gravity'),
+    (PLANNER, {**LANDER, 'hover_thrust': 0.46}, 'hover_thrust'),
+    (PLANNER, {'hover_thrust': 0.4}, 'hover_thrust'),
+    (PLANNER, {'avoid': ('/uav2/plan',)}, 'avoid_radius'),
+    (PLANNER, {'avoid': ('/uav2//plan',), 'avoid_radius': 1.0}, 'avoid'),
+    (PLANNER, {'avoid': ('',), 'avoid_radius': 1.0}, 'avoid'),
+    (PLANNER, {'avoid_timeout': -1.0}, 'avoid_timeout'),
+    (PLANNER, {'obstacle_speed_limit': 0.0}, 'obstacle_speed_limit'),
+    (SIM, {'vehicle': 'airship'}, 'vehicle'),
+    *((SIM, {name: 0.3}, name) for name in ('response.speed', 'gust', 'odom_rate')),
+    *(
+        (SIM, {'vehicle': 'continuous', **change}, name)
+        for name, change in {
+            'response.rate': {'response.rate': -1.0},
+            'gain': {'gain': 0.0},
+            'wind': {'wind': (1.0,)},
+            'gravity': {'gravity': 9.81},
+            'velocity_source': {'velocity_source': 'sea'},
+            'drag': {'drag': 0.1},
+            'max_acceleration': {'translation_order': 2, 'max_acceleration': 1.0},
+        }.items()
+    ),
+    *(
+        (SIM, {'vehicle': 'cessna', name: 0.7}, name)
+        for name in ('response.rate', 'drag', 'gain', 'gust_time')
+    ),
+    *(
+        (SIM, {'vehicle': 'servicer', 'dimension': 3, 'translation_order': 2, name: 0.7}, name)
+        for name in ('gust', 'stall_speed', 'response.speed')
+    ),
     *(
         (SIM, {'wait_for': text}, 'wait_for')
         for text in (
@@ -221,22 +259,6 @@ def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
         ({**timed, 'weights.input': 0.05}, 0.05),
     ):  # fmt: skip
         assert completed(PLANNER, stated)['weights.input'] == wanted
-
-
-def test_the_configuration_is_the_scenario():
-    """The file, the table's defaults and the loop without ROS tell one story."""
-    sections = yaml.safe_load(CONFIG.read_text())
-
-    def given(node, table):
-        own = sections[f'/**/{node}']['ros__parameters']
-        values = {**sections['/**']['ros__parameters'], **own}
-        values.pop('use_sim_time', None)
-        assert values.keys() <= defaults(table).keys()
-        return {**defaults(table), **values}
-
-    assert repr(planner_settings(given('planner', PLANNER)).problem) == repr(retrieval_problem())
-    for values in (given('sim', SIM), defaults(SIM)):
-        assert repr(sim_settings(values).scenario) == repr(retrieval())
 
 
 BAD_STARTS = [
@@ -413,6 +435,33 @@ def test_a_vehicle_in_the_plane_has_no_axis_to_push_along_but_x(settings):
     with pytest.raises(BadInput, match='thrust_axis is z; allowed: x when dimension is 2'):
         settings(values)
     assert settings(values | {'dimension': 3}).frames.thrust_axis == 'z'
+
+
+def settings_of(table, **changes):
+    made = planner_settings if table is PLANNER else sim_settings
+    return made({**defaults(table), **changes})
+
+
+def test_wind_and_gravity_add_up_to_one_disturbance_of_planner_and_simulator():
+    known = {**LANDER, 'wind': (0.5, 0.0, 1.0), 'discretisation': 'exact'}
+    planner = settings_of(PLANNER, **known)
+    np.testing.assert_allclose(planner.disturbance, [0.5, 0.0, -0.62])
+    assert planner.safe_command == 'hover'
+    known = {name: known[name] for name in known.keys() & defaults(SIM).keys()}
+    model = settings_of(SIM, **known).scenario.model
+    np.testing.assert_allclose(model.blown, planner.disturbance)
+    assert model.discretisation == planner.problem.discretisation == 'exact'
+    np.testing.assert_allclose(settings_of(PLANNER, wind=(0.3, -0.2, 7.0)).disturbance, [0.3, -0.2])
+    assert not settings_of(PLANNER).disturbance.any()
+
+
+def test_both_cones_come_into_the_problem_and_may_change_in_flight():
+    problem = settings_of(PLANNER, **LANDER).problem
+    assert (problem.tilt, problem.glide_slope) == (0.2618, 0.8727)
+    rows = {row.name: row for row in PLANNER}
+    for name in ('tilt', 'glide_slope'):
+        assert rows[name].live
+        assert rows[name].descriptor.floating_point_range[0].to_value < 1.6
 
 
 def settings_of_defaults(settings):

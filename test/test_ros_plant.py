@@ -9,7 +9,6 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.tool import bags, cli
@@ -76,26 +75,6 @@ def test_at_order_2_there_are_drag_and_gravity():
     plant = told.scenario.model
     assert (plant.drag, plant.mass, plant.step) == (0.2, 2.0, 1.0)
     np.testing.assert_array_equal(plant.blown, [0.0, 0.0, -9.81])
-
-
-@pytest.mark.parametrize(
-    ('changes', 'complaint'),
-    [
-        ({'vehicle': 'airship'}, 'vehicle is airship; allowed: discrete | continuous'),
-        ({'response__speed': 0.3}, 'response.speed is 0.3; allowed: 0.0 with vehicle: discrete'),
-        ({'gust': 0.3}, 'gust is 0.3; allowed: 0.0 with vehicle: discrete'),
-        ({'odom_rate': 5.0}, 'odom_rate is 5.0; allowed: 0.0 with vehicle: discrete'),
-        ({'vehicle': 'continuous', 'response__rate': -1.0}, r'response.rate is -1.0; allowed: a '),
-        ({'vehicle': 'continuous', 'gain': 0.0}, r'gain is 0.0; allowed: a double in \[0.1, 10\]'),
-        ({'vehicle': 'continuous', 'wind': (1.0,)}, 'wind is .*; allowed: 2 or 3 numbers'),
-        ({'vehicle': 'continuous', 'gravity': 9.81}, 'gravity is 9.81; allowed: 0 unless'),
-        ({'vehicle': 'continuous', 'velocity_source': 'sea'}, 'allowed: ground | air'),
-        ({'vehicle': 'continuous', 'drag': 0.1}, 'drag is 0.1; allowed: 0 at translation_order 1'),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line(changes, complaint):
-    with pytest.raises(BadInput, match=complaint):
-        settings(**changes)
 
 
 def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():

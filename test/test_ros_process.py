@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import pytest
 
@@ -14,33 +13,10 @@ from orbimpc_ros.ros.entry import PACKAGES
 
 pytest.importorskip('rclpy')
 
-from planners import QUICK, Bench, goal, moving, odometry, told
+from planners import QUICK, Bench, moving, told
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.process import FAILURES_IN_A_ROW, FAREWELLS, executor_named
-
-BROKEN = """
-    import sys
-    from orbimpc_ros.ros.planner import node as planner
-    from orbimpc_ros.ros.process import run
-
-    class Panic(BaseException):
-        '''As a library written in Rust raises it.'''
-
-    class Broken(planner.PlannerNode):
-        '''Its ticks fail from the second on.'''
-
-        ticks = 0
-
-        def _plan_now(self, *now):
-            self.ticks += 1
-            if self.ticks > 1:
-                raise Panic('out of order')
-            super()._plan_now(*now)
-
-    sys.exit(run(Broken, sys.argv))
-"""
-
+from orbimpc_ros.ros.process import executor_named
 
 COLLECTING = """
     import gc, sys
@@ -104,41 +80,6 @@ def test_what_a_tick_made_in_too_long_a_time_is_not_flown(tmp_path, launch, obse
     assert not moving(bench.fly(2.0))
     bench.until(lambda: any('odometry is' in told(m)['reason'] for m in bench.ticks), 'why')
     assert moving(bench.fly(3.0))
-
-
-def driven(bench, done):
-    """Send odometry and goals until something has happened; return what was commanded."""
-    seconds, sent = 1.0, 0.0
-
-    def step():
-        nonlocal seconds, sent
-        if time.monotonic() - sent > 0.05:
-            sent, seconds = time.monotonic(), seconds + 0.1
-            # Stamps that differ: the two belong to no pair, and every tick is odometry's.
-            bench.goal.publish(goal(seconds - 0.05))
-            bench.odometry.publish(odometry(seconds))
-        return done()
-
-    try:
-        bench.until(step, 'the end')
-    except AssertionError:
-        print(bench.planner.output)
-        raise
-    return bench.commands
-
-
-def test_after_five_failures_in_a_row_it_gives_up_with_code_1(tmp_path, launch, observer):
-    script = tmp_path / 'broken.py'
-    script.write_text(textwrap.dedent(BROKEN))
-    bench = Bench(launch, observer, QUICK, script)
-    commands = driven(bench, lambda: bench.planner.ended)
-    assert bench.planner.wait() == 1, bench.planner.output
-    assert bench.planner.output.count('Panic: out of order') >= FAILURES_IN_A_ROW
-    assert 'giving up' in bench.planner.output
-    assert 'Traceback' not in bench.planner.output
-    reasons = [told(m)['reason'] for m in bench.ticks]
-    assert any('_plan_now failed' in r or '_on_' in r for r in reasons)
-    assert not any(moving(command) for command in commands[-FAREWELLS:])
 
 
 HALF_MADE = """
@@ -241,18 +182,6 @@ def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
         assert starting.wait() == 0
     others = [line for line in said if not line.startswith('import time:')]
     assert others == []
-
-
-def test_with_the_executor_of_events_it_flies_and_ends_the_same(launch, observer):
-    pytest.importorskip('rclpy.experimental.events_executor')
-    bench = Bench(launch, observer, QUICK | {'executor': 'events'})
-    assert moving(bench.fly(1.0))
-    bench.until(lambda: not moving(bench.commands[-1]), 'the safe command: odometry is stale')
-    assert moving(bench.fly(2.0))
-    bench.planner.tell(signal.SIGTERM)
-    assert bench.planner.wait() == 0, bench.planner.output
-    bench.until(lambda: not any(map(moving, bench.commands[-3:])), 'three safe commands')
-    assert 'Traceback' not in bench.planner.output
 
 
 def test_an_executor_that_is_not_there_is_refused_in_a_line(monkeypatch):

@@ -12,7 +12,6 @@ from conftest import PATIENCE
 from nav_msgs.msg import Path
 from planners import QUICK, Bench, told
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import ReliabilityPolicy
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.planner import Planner
@@ -68,12 +67,6 @@ def test_bodies_and_plans_are_planned_with_and_who_is_not_heard_is_told_of(bench
     bench.says('is silent: avoided wherever it may have stopped')
     markers.publish(body(1.0, (5.0, 5.0)))
     assert bench.counts('refused obstacles: stale stamp') == 1
-
-
-def test_who_sees_bodies_without_promising_to_say_so_is_told_of(bench, observer):
-    observer.node.create_publisher(MarkerArray, 'obstacles', qos(1, ReliabilityPolicy.BEST_EFFORT))
-    bench.says('/obstacles of')
-    bench.says('does not match')
 
 
 def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, default_context, monkeypatch):

@@ -5,7 +5,6 @@ import itertools
 import os
 import random
 import shutil
-import sqlite3
 import struct
 
 import pytest
@@ -257,12 +256,6 @@ def test_what_is_no_bag_is_refused(tmp_path):
     assert_refused(tmp_path / 'notes.txt', 'no bag')
     assert_refused(tmp_path, 'without metadata.yaml and .mcap')
     (tmp_path / 'bag.db3').write_bytes(b'')
-    assert_refused(tmp_path / 'bag.db3')
-
-
-def test_tables_that_are_no_bags_are_refused(tmp_path):
-    with sqlite3.connect(tmp_path / 'bag.db3') as database:
-        database.execute('CREATE TABLE other (id)')
     assert_refused(tmp_path / 'bag.db3')
 
 

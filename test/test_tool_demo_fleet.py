@@ -86,38 +86,6 @@ def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(flown):
     assert found == {f'{ns}/{topic}': {f'{ns[1:]}/base_link'} for ns in NAMES for topic in topics}
 
 
-def test_what_is_not_caught_is_a_failure(tmp_path):
-    done = run('--vehicles', '1', '--out', str(tmp_path), '--set', 'max_ticks=2')
-    assert done.returncode == 1
-    assert 'captured      0 of 1' in done.stdout
-    assert 'Traceback' not in done.stderr
-
-
-@pytest.mark.parametrize(
-    ('words', 'culprit'),
-    [
-        (('--vehicles', '0'), 'vehicles'),
-        (('--vehicles', '65'), 'vehicles'),
-        (('--vehicles', 'all'), '--vehicles'),
-        (('--set', 'clock=lockstep'), 'clock'),
-        (('--set', 'rope.frequency=-1'), 'rope.frequency'),
-    ],
-)
-def test_bad_words_are_refused_in_one_line(tmp_path, words, culprit):
-    done = run('--out', str(tmp_path), *words)
-    assert done.returncode == 2
-    assert done.stderr.count('\n') == 1
-    assert culprit in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_only_a_fleet_has_vehicles(tmp_path):
-    words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'demo', 'retrieval', '--vehicles', '2']
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == 2
-    assert '--vehicles' in done.stderr
-
-
 def test_ropes_are_drawn_from_the_seed_alone():
     assert vehicles(3) == vehicles(3)
     assert vehicles(3) != vehicles(3, seed=1)

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The demos beside the retrieval, end to end: real processes over DDS, numbers, bags, pictures."""
 
-import re
 import subprocess
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -16,7 +16,27 @@ from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.settings import config
 
 pytest.importorskip('rclpy')
-NUMBER = r'(\d+\.\d+e[-+]\d+)'
+ONE = ('trajectory.png', 'data.png')
+
+
+class Flown(NamedTuple):
+    """What a demo shows: its end in words, its pictures, its flights, and how these are driven."""
+
+    end: str
+    pictures: tuple[str, ...] = ONE
+    flights: tuple[str, ...] = ('',)
+    thrust: str = ''  # axis of the force
+    least: float = 0.0  # speed [m/s] or force [N] commanded
+    rolled: bool = True  # whether the vehicle is the discrete model
+
+
+DEMOS = {
+    'dubins': Flown('arrived       yes', ('trajectory.png',), ('none', 'polygon')),
+    'spacecraft': Flown('arrived       yes', thrust='x'),
+    'retrieval3d': Flown('captured      t = 8.5', least=np.sqrt(0.3)),
+    'multirotor': Flown('touched       no box', thrust='z', rolled=False),
+    'lander': Flown('arrived       yes', thrust='z', least=0.3 * 3.6 * 500.0, rolled=False),
+}
 
 
 def run(name, out, *words):
@@ -24,88 +44,56 @@ def run(name, out, *words):
     return subprocess.run([*command, *words], capture_output=True, text=True, check=False)
 
 
-def demo_of(name):
-    """Return a fixture of a demo's finished process and its folder."""
-
-    @pytest.fixture(scope='module')
-    def fixture(tmp_path_factory):
-        out = tmp_path_factory.mktemp(name)
-        return run(name, out), out / name
-
-    return fixture
+def commanded(found, axis):
+    """Return the speeds or, along an axis, the forces commanded but the last, shape (K, 3)."""
+    if axis:
+        vectors = [message.wrench.force for message in found['cmd_thrust'].values()]
+    else:
+        vectors = [message.twist.linear for message in found['cmd_vel'].values()]
+    return np.array([(each.x, each.y, each.z) for each in vectors])[:-1]
 
 
-dubins, spacecraft, retrieval3d, multirotor = map(
-    demo_of, ('dubins', 'spacecraft', 'retrieval3d', 'multirotor')
+@pytest.mark.parametrize('name', DEMOS)
+def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, tmp_path):
+    """Every odometry is answered on every topic; the last one need not have a plan to fly."""
+    shown, done = DEMOS[name], run(name, tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count(shown.end) == len(shown.flights)
+    check_pictures(tmp_path / name, *shown.pictures)
+    for flight in shown.flights:
+        found = messages_of(tmp_path / name / flight)
+        topics = ('goal', 'cmd_vel', 'rotation', 'tick', *(['cmd_thrust'] if shown.thrust else []))
+        for topic in topics:
+            assert set(found[topic]) == set(found['odom']), topic
+        assert found['captured']
+        along = 'xyz'.index(shown.thrust or 'x')
+        pushed = commanded(found, shown.thrust)
+        assert not np.delete(pushed, along, axis=1).any()
+        assert pushed[:, along].min() >= shown.least * (1.0 - 1e-6)
+        assert pushed[:, along].max() > 0.0
+        if shown.rolled:
+            assert set(found['plan']) >= set(sorted(found['odom'])[:-1])
+            check_rollout(tmp_path / name / flight)
+
+
+@pytest.mark.parametrize(
+    ('name', 'changes', 'end'),
+    [
+        ('dubins', ('floor.shape=none', 'max_ticks=5'), 'arrived       no'),
+        # A box that its planner does not know of, on the way that it takes.
+        (
+            'multirotor',
+            ('sim.obstacles=[4.0, -3.0, -3.0, 4.5, 3.0, 3.0]', 'max_ticks=20'),
+            'touched       box 1',
+        ),
+    ],
 )
-
-
-def check_topics(found, *more):
-    """Every odometry was answered on every topic; the last one without a plan to fly."""
-    for topic in ('goal', 'cmd_vel', 'rotation', 'tick', *more):
-        assert set(found[topic]) == set(found['odom']), topic
-    assert set(found['plan']) >= set(sorted(found['odom'])[:-1])
-    assert found['captured']
-
-
-def test_the_dubins_car_arrives_with_and_without_minimum_speed(dubins):
-    done, folder = dubins
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count('arrived       yes') == 2
-    assert done.stdout.count('fallbacks     0') == 2
-    check_pictures(folder, 'trajectory.png')
-
-
-@pytest.mark.parametrize(('shape', 'floor'), [('none', 0.2), ('polygon', 0.5)])
-def test_the_dubins_bags_tell_the_whole_flight(dubins, shape, floor):
-    _, folder = dubins
-    found = messages_of(folder / shape)
-    assert len(found['odom']) == 21
-    check_topics(found)
-    speeds = [m.twist.twist.linear.x for m in found['odom'].values()]
-    assert floor - 1e-6 <= min(speeds) ** 2 < floor + 0.01
-    end = found['odom'][max(found['odom'])].pose.pose.position
-    assert np.allclose([end.x, end.y], [5.0, 10.0], atol=1e-3)
-    check_rollout(folder / shape)
-
-
-def test_the_spacecraft_arrives_at_rest(spacecraft):
-    done, folder = spacecraft
-    assert done.returncode == 0, done.stdout + done.stderr
-    missed, speed = map(float, re.findall(NUMBER, done.stdout)[:2])
-    assert missed <= 0.05
-    assert speed <= 0.05
-    check_pictures(folder, 'trajectory.png', 'data.png')
-
-
-def test_the_spacecraft_is_commanded_by_rates_and_thrust(spacecraft):
-    _, folder = spacecraft
-    found = messages_of(folder)
-    assert len(found['odom']) == 21
-    check_topics(found, 'cmd_thrust')
-    assert all(m.twist.linear.x == 0.0 for m in found['cmd_vel'].values())
-    assert max(m.wrench.force.x for m in found['cmd_thrust'].values()) > 0.5
-    check_rollout(folder)
-
-
-def test_the_rope_is_caught_in_space(retrieval3d):
-    done, folder = retrieval3d
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert 'captured      t = 8.5' in done.stdout
-    check_pictures(folder, 'trajectory.png', 'data.png')
-    found = messages_of(folder)
-    check_topics(found)
-    check_rollout(folder)
-    speeds = [m.twist.linear.x for m in list(found['cmd_vel'].values())]
-    assert min(speeds) >= np.sqrt(0.3) - 1e-6
-
-
-def test_who_does_not_arrive_has_failed(tmp_path):
-    done = run('dubins', tmp_path, '--set', 'floor.shape=none', '--set', 'max_ticks=5')
-    assert done.returncode == 1
-    assert 'arrived       no' in done.stdout
+def test_who_does_not_arrive_or_touches_a_box_has_failed(name, changes, end, tmp_path):
+    done = run(name, tmp_path, *(word for each in changes for word in ('--set', each)))
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert end in done.stdout
     assert 'Traceback' not in done.stderr
-    assert (tmp_path / 'dubins' / 'trajectory.png').is_file()
+    assert (tmp_path / name / 'trajectory.png').is_file()
 
 
 PROBLEMS = {
@@ -127,35 +115,3 @@ def test_configurations_say_what_the_scenarios_say(name):
             assert np.allclose(getattr(getattr(found, part), field), value, atol=1e-12), field
     for field in ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed'):
         assert getattr(found, field) == getattr(known, field)
-
-
-def test_the_multirotor_arrives_and_touches_no_box(multirotor):
-    done, folder = multirotor
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert 'arrived       yes' in done.stdout
-    assert 'touched       no box' in done.stdout
-    check_pictures(folder, 'trajectory.png', 'data.png')
-    found = messages_of(folder)
-    assert set(found['cmd_thrust']) == set(found['odom'])
-    assert all(m.wrench.force.x == 0.0 for m in found['cmd_thrust'].values())  # along z
-
-
-def test_a_multirotor_through_a_box_has_failed(tmp_path):
-    """A box that its planner does not know of, on the way that it takes."""
-    unknown = 'sim.obstacles=[4.0, -3.0, -3.0, 4.5, 3.0, 3.0]'
-    done = run('multirotor', tmp_path, '--set', unknown, '--set', 'max_ticks=20')
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert 'touched       box 1' in done.stdout
-
-
-def test_the_lander_touches_down(tmp_path):
-    done = run('lander', tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r'arrived +yes', done.stdout)
-    folder = tmp_path / 'lander'
-    found = messages_of(folder)
-    forces = [message.wrench.force for message in found['cmd_thrust'].values()]
-    flown = np.array([(force.x, force.z) for force in forces][:-1])
-    assert not flown[:, 0].any()
-    assert flown[:, 1].min() >= 0.3 * 3.6 * 500.0 * (1.0 - 1e-6)
-    check_pictures(folder, 'trajectory.png', 'data.png')

@@ -123,22 +123,6 @@ def test_only_what_was_made_here_is_replaced(capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.glob('.*'))
 
 
-@pytest.mark.parametrize(
-    ('bag', 'out', 'culprit'),
-    [
-        ('nowhere', 'out', 'nowhere'),
-        (str(GOLDEN / 'dubins'), 'file', '--out'),
-        (str(GOLDEN / 'dubins'), 'file/below', '--out'),
-    ],
-)
-def test_bad_words_are_refused_in_one_line(capsys, tmp_path, bag, out, culprit):
-    (tmp_path / 'file').write_text('mine')
-    code, _, complaint = run(capsys, bag, '-o', tmp_path / out, '--no-animation')
-    assert (code, len(complaint)) == (2, 1)
-    assert culprit in complaint[0]
-    assert [file.name for file in tmp_path.iterdir()] == ['file']
-
-
 def test_the_vehicles_of_a_bag_are_named(capsys, tmp_path):
     complaint = str(absent(Path('bag'), '/odom', ['/uav1/odom', '/uav2/odom', '/uav2/goal']))
     assert 'without /odom' in complaint

@@ -9,8 +9,7 @@ import sys
 import textwrap
 
 import pytest
-from conftest import PATIENCE
-from test_benchmarks_faults import alive, wait_for
+from harness import PATIENCE, alive, wait_for
 
 from orbimpc_ros.ros.entry import PACKAGES
 

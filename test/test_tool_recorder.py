@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A recorder that is told to stop, or killed: what it heard is there, and can be read."""
 
-import errno
 import os
 import random
 import signal
@@ -17,12 +16,11 @@ import pytest
 pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import GetParameters
 
 from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.run.recorder import AGAIN, LEAP, Recorder, Stamps, carried
+from orbimpc_ros.tool.run.recorder import LEAP, Recorder, Stamps, carried
 from orbimpc_ros.tool.topics import topics_of
 
 PATIENCE = 20.0  # [s]
@@ -111,42 +109,6 @@ def test_the_order_of_sending_is_kept(domain, observer, tmp_path, monkeypatch):
     assert [message.content.header.stamp.sec for message in found] == stamps
     assert [message.stamp // SECOND for message in found] == stamps
     assert all(begun <= message.sent <= time.time_ns() for message in found)
-
-
-def test_a_planner_that_does_not_answer_yet_is_not_called_at_every_look(
-    domain, observer, tmp_path, monkeypatch
-):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    calls = []
-
-    def answer(request, response):
-        calls.append(request)
-        return response
-
-    observer.node.create_service(GetParameters, '/planner/get_parameters', answer)
-    recorder, begun = Recorder(tmp_path / 'bag', topics_of(), {}), time.monotonic()
-    end = begun + PATIENCE
-    while not recorder._unmet['/planner'].service_is_ready():
-        assert time.monotonic() < end
-        recorder.spin(0.01)
-    for _ in range(30):  # as many looks as it takes the planner to compile
-        recorder.spin(0.0)
-    observer.until(lambda: recorder.spin(0.0) or not recorder._unmet, 'the answer')
-    recorder.close()
-    assert len(calls) <= 1 + (time.monotonic() - begun) / AGAIN
-
-
-def test_a_node_ends_even_if_its_bag_cannot_be_finished(domain, tmp_path, monkeypatch):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    recorder = Recorder(tmp_path / 'bag', topics_of(), {}, planners=())
-
-    def full():
-        raise OSError(errno.EFBIG, 'too large')
-
-    monkeypatch.setattr(recorder._bag, 'close', full)
-    with pytest.raises(OSError, match='too large'):
-        recorder.close()
-    assert not recorder._node.context.ok()
 
 
 # --- stamps

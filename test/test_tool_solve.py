@@ -279,13 +279,6 @@ def test_process_keeps_tracebacks_to_itself():
     assert done.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
 
 
-@pytest.mark.parametrize('words', [(), ('dance',), ('solve',), ('solve', 'a', 'b')])
-def test_bad_usage_is_one_line(words):
-    done = run_process(*words)
-    assert done.returncode == cli.BAD_INPUT
-    assert done.stderr.count('\n') == 1
-
-
 def test_help_and_version():
     assert 'solve' in run_process('--help').stdout
     assert run_process('--version').stdout.startswith('orbimpc_ros ')
@@ -353,12 +346,3 @@ def test_a_search_that_would_take_hours_ends_at_its_limit_with_a_bound(tmp_path,
     told = json.loads(capsys.readouterr().out)
     assert told['status'] == 'feasible'
     assert 0.0 <= told['lower_bound'] < told['objective']
-
-
-@pytest.mark.parametrize('limit', ['0', '-1', 'nan', 'inf', 'soon'])
-def test_a_limit_that_is_no_time_is_refused_in_one_line(limit, tmp_path, capsys):
-    with pytest.raises(SystemExit) as ended:
-        cli.main(['solve', str(tmp_path), '--time-limit', limit])
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert '--time-limit' in line

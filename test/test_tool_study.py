@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.tool import cli, settings, study
+from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.study import flights, results
 from orbimpc_ros.tool.study.draws import draws_of
@@ -255,41 +254,6 @@ def test_a_flight_that_ends_with_an_error_is_reported(monkeypatch):
     monkeypatch.setattr(flights, 'sim_settings', lambda values: 1 / 0)
     with ThreadPoolExecutor(1) as pool, pytest.raises(results.FlightFailure, match='ZeroDivision'):
         list(results.each_flown(pool, [job('retrieval')], lambda: True))
-
-
-@contextmanager
-def no_workers(cluster, count):
-    raise AssertionError('nothing was to be flown')
-    yield
-
-
-@pytest.mark.parametrize(
-    ('words', 'named'),
-    [
-        (['--runs', '0'], '--runs is 0'),
-        (['--seed', '-1'], '--seed is -1'),
-        (['--workers', '0'], '--workers is 0'),
-        (['--workers', '2', '--cluster', 'tcp://127.0.0.1:1'], '--workers is 2'),
-        (['--controllers', 'orbitope,autopilot'], 'autopilot'),
-        (['--controllers', 'lead,lead'], 'at most once'),
-        (['--set', 'rope.freq=1'], 'rope.frequency'),
-        (['--set', 'capture_radius=0'], 'capture_radius'),
-        (['--resume'], '-o DIR'),
-        (['--resume', '-o', 'nowhere'], 'nowhere'),
-        (['-o', '/proc/study'], '/proc/study'),
-        (['-o', '.'], 'other files'),
-        (['nobody'], 'a parameter file, or one of'),
-    ],
-)
-def test_bad_input_is_one_line(words, named, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(results, 'workers', no_workers)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'thesis.tex').write_text('precious')
-    assert cli.main(['study', *words]) in (1, 2)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1, lines
-    assert named in lines[0]
-    assert not list(tmp_path.rglob(study.FLIGHTS))
 
 
 def test_baselines_need_a_clone(monkeypatch):

@@ -86,15 +86,9 @@ def test_a_certificate_of_another_problem_is_refused(run, solved):
 def test_what_is_no_certificate_is_bad_input(run, tmp_path, text):
     file = tmp_path / 'broken.json'
     file.write_text(text)
-    code, _, error = run('verify', file)
-    assert code == 2
+    code, out, error = run('verify', file)
+    assert (code, out) == (2, '')  # no head of a table without rows
     assert error.count('\n') == 1
-
-
-def test_a_missing_file_is_bad_input(run, tmp_path):
-    code, _, error = run('verify', tmp_path / 'missing.json')
-    assert code == 2
-    assert 'No such file' in error
 
 
 def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):

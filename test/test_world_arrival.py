@@ -5,12 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import fly
 from open_loop import open_loop
 from scenarios import dubins, dubins_problem, spacecraft, spacecraft_problem
 
-from orbimpc_ros.loop.goal.forecast import forecast_named
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.sim.world import departure, fixed
 
 AHEAD = replace(dubins(), rope=fixed(np.array([3.0, 0.0])), max_ticks=3, arrival_radius=0.1)
@@ -60,11 +57,3 @@ def test_the_spacecraft_arrives_at_rest_by_its_first_plan(projection):
     found = open_loop(spacecraft_problem(), spacecraft(), projection)
     assert max(found.relaxed[:2]) < 1e-6
     assert max(found.flown[:2]) < 1e-3
-
-
-def test_the_dubins_car_arrives_re_planning():
-    controller = Planner(dubins_problem('polygon'), shrinking=True)
-    log = fly(controller, dubins(), forecast_named('hold'))
-    assert log.captured
-    assert len(log.ticks) == 20
-    assert log.flights[-1].distance < 1e-6

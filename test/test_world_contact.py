@@ -9,7 +9,7 @@ import pytest
 from scenarios import retrieval
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Ball, Box, Hazard, Problem
+from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import launched
@@ -79,7 +79,7 @@ def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
     for _ in range(300):
         place, velocity, begin, end = rng.uniform(-2.0, 2.0, (4, dimension))
         radius, (start, stop) = rng.uniform(0.1, 1.5), np.cumsum(rng.uniform(0.1, 2.0, 2))
-        ball = Hazard.drifting(Ball(place, radius), velocity)
+        ball = MovingObstacle.drifting(Ball(place, radius), velocity)
         way = begin + shares * (end - begin)
         there = place + (start + shares * (stop - start)) * velocity
         least = np.linalg.norm(way - there, axis=1).min()
@@ -94,7 +94,9 @@ def test_what_a_plan_may_lead_inside_is_no_touch(order):
     unit, speed = model.length_unit, np.array([4.0, 0.0]) if order == 2 else None
     assert unit == pytest.approx(Problem(2, 1, order, step=0.5, forward=4.0).length_unit)
     for depth, allowed in ((0.9e-6 * unit, True), (1.1e-6 * unit, False)):
-        ball = Hazard.drifting(Ball(np.array([1.0, 0.3 - depth]), 0.3), np.array([-1.0, 0.0]))
+        ball = MovingObstacle.drifting(
+            Ball(np.array([1.0, 0.3 - depth]), 0.3), np.array([-1.0, 0.0])
+        )
         wall = Box(np.array([0.5, -1.0]), np.array([1.5, depth]))
         for bodies in ({'traffic': (ball,)}, {'obstacles': (wall,)}):
             start = launched(model, np.zeros(2), np.eye(2), velocity=speed)
@@ -104,8 +106,8 @@ def test_what_a_plan_may_lead_inside_is_no_touch(order):
 
 def test_who_touches_traffic_has_not_caught_anything():
     """A ball that crosses the way of a step between its ends, and one that is late."""
-    crossing_by = Hazard.drifting(Ball(np.array([0.5, 5.0]), 0.2), np.array([0.0, -10.0]))
-    late = Hazard.drifting(Ball(np.array([0.5, 50.0]), 0.2), np.array([0.0, -10.0]))
+    crossing_by = MovingObstacle.drifting(Ball(np.array([0.5, 5.0]), 0.2), np.array([0.0, -10.0]))
+    late = MovingObstacle.drifting(Ball(np.array([0.5, 50.0]), 0.2), np.array([0.0, -10.0]))
     for traffic, numbers in (((crossing_by,), {0}), ((late,), set()), ((late, crossing_by), {1})):
         scenario = replace(retrieval(), traffic=traffic, capture_radius=1e6)
         flight = departure(scenario, 100.0).after(1.0, np.zeros(1))

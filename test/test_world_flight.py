@@ -86,6 +86,30 @@ def test_the_papers_story(controller, seed):
     assert all(tick.status == 'optimal' for tick in log.ticks)
 
 
+class KnownRope:
+    """The rope's true future, as a simulator publishes it."""
+
+    def observe(self, sighting):
+        pass
+
+    def at(self, times):
+        return np.array([retrieval().rope.at(time) for time in times])
+
+
+@pytest.mark.parametrize(
+    'forecast',
+    [forecast_named('harmonic'), forecast_named('auto'), KnownRope()],
+    ids=['harmonic', 'auto', 'known'],
+)
+def test_who_knows_the_swing_catches_the_rope_in_well_under_half_of_the_ticks(forecast):
+    ticks = []
+    for each in (forecast, forecast_named('hold')):
+        log = fly(Planner(retrieval_problem()), retrieval(), each)
+        assert log.captured
+        ticks.append(len(log.ticks))
+    assert ticks[0] < 0.4 * ticks[1]
+
+
 def test_a_command_that_ends_within_a_step_stops_the_vehicle_there():
     flight = departure(retrieval()).after(1.0, np.array([0.4]))
     whole, cut = (flight.after(0.9, np.array([0.6]), held) for held in (np.inf, 0.25))

@@ -5,12 +5,10 @@ import itertools
 import math
 from dataclasses import replace
 
-import airframe
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp, trapezoid
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.plant import Gusts, Plant, lagged
@@ -116,26 +114,6 @@ def integrated(plant, vehicle, time, fraction, rate):
     return end[:n], velocity, attitude, end[2 * n + n * n : -1], end[-1]
 
 
-def test_it_agrees_with_a_vehicle_that_was_written_apart():
-    """The one that the planner's limits are tried on, which takes steps of 10 ms of its own."""
-    rng = np.random.default_rng(3)
-    for speed_lag, rate_lag in ((0.8, 0.3), (0.0, 0.0), (0.3, 0.0)):
-        wind = rng.normal(size=2)
-        plant = plant_of(wind=wind, speed_lag=speed_lag, rate_lag=rate_lag, gain=0.95, max_rate=0.4)
-        frame = airframe.Airframe(speed_lag, rate_lag, 0.95, wind, 0.0, 0.4)
-        vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2), fraction=0.8))
-        motion = airframe.Motion(0.0, 0.0, 0.0, 0.95 * 12.0, 0.0)
-        for k in range(40):
-            speed, rate = 15.0 * rng.uniform(0.5, 1.0), rng.uniform(-0.6, 0.6)
-            vehicle = plant.flown(vehicle, 0.5, speed / 15.0, np.array([rate]), 0.5 * k)[-1]
-            motion = airframe.flown(frame, motion, speed, rate, 0.5)
-        np.testing.assert_allclose(vehicle.position, [motion.x, motion.y], atol=0.3)  # of 230 m
-        heading = math.atan2(vehicle.attitude[1, 0], vehicle.attitude[0, 0])
-        assert math.remainder(heading - motion.heading, 2 * math.pi) == pytest.approx(0, abs=3e-3)
-        seen = measured(vehicle).body_velocity
-        np.testing.assert_allclose(seen, airframe.over_ground(frame, motion), atol=0.02)
-
-
 @pytest.mark.parametrize(('n', 'order'), ORDERS)
 def test_two_halves_of_a_step_are_the_step(n, order):
     rng = np.random.default_rng(4)
@@ -185,37 +163,6 @@ def test_it_turns_no_faster_than_it_can(n):
     np.testing.assert_allclose(end.body_rate, 0.4 * rate / np.linalg.norm(rate))
     small = 0.3 * rate / np.linalg.norm(rate)
     np.testing.assert_allclose(plant.flown(vehicle, 1.0, 1.0, small, 0.0)[-1].body_rate, small)
-
-
-@pytest.mark.parametrize(('n', 'order'), ORDERS)
-def test_a_steady_wind_carries_the_same_flight_along(n, order):
-    """Galileo: in the moving air, or under the constant pull, everything is as in still air."""
-    rng = np.random.default_rng(5)
-    wind, t = rng.normal(size=n), 1.7
-    calm = plant_of(n, order, speed_lag=0.5, rate_lag=0.2)
-    windy = replace(calm, disturbance=tuple(wind))
-    still = drawn(calm, rng)
-    rate = rng.normal(size=calm.rates)
-    there = calm.flown(still, t, 0.5, rate, 0.0)[-1]
-    carried = windy.flown(windy.begun(still), t, 0.5, rate, 0.0)[-1]
-    way = t * wind if order == 1 else 0.5 * t * t * wind
-    np.testing.assert_allclose(carried.position - there.position, way, atol=1e-9)
-    gained = wind if order == 1 else t * wind
-    np.testing.assert_allclose(carried.velocity - there.velocity, gained, atol=1e-9)
-    np.testing.assert_array_equal(carried.attitude, there.attitude)
-    if order == 1:
-        assert carried.airspeed == pytest.approx(there.airspeed)
-
-
-def test_drag_ends_acceleration_at_its_terminal_speed():
-    plant = plant_of(3, 2, wind=[0.0, 0.0, -1.0], drag=0.5, forward=2.0)
-    vehicle = launched(plant, np.zeros(3), np.eye(3), fraction=1.0)
-    end = plant.flown(vehicle, 60.0, 1.0, np.zeros(3), 0.0)[-1]
-    np.testing.assert_allclose(end.velocity, [4.0, 0.0, -2.0], atol=1e-9)
-    coasting = replace(vehicle, velocity=np.array([3.0, 0.0, 0.0]), fraction=0.0)
-    slower = replace(plant, disturbance=()).flown(coasting, 2.0, 0.0, np.zeros(3), 0.0)[-1]
-    np.testing.assert_allclose(slower.velocity, [3.0 * math.exp(-1.0), 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(slower.position[0], 6.0 * (1.0 - math.exp(-1.0)), atol=1e-9)
 
 
 def test_without_drag_free_fall_keeps_its_energy():
@@ -298,19 +245,6 @@ def test_a_goal_drifts_while_it_swings():
     drifting = replace(still, velocity=np.array([0.3, -0.4]))
     for t in (0.0, 2.5, 40.0):
         np.testing.assert_allclose(drifting.at(t), still.at(t) + t * np.array([0.3, -0.4]))
-
-
-@pytest.mark.parametrize(
-    ('values', 'culprit'),
-    [
-        ({'drag': 0.1}, 'drag is 0.1; allowed: 0 at translation_order 1'),
-        ({'order': 2, 'max_acceleration': 1.0}, 'max_acceleration is 1.0; allowed: 0 at trans'),
-        ({'wind': [1.0, 2.0, 3.0]}, r'wind is \(1.0, 2.0, 3.0\); allowed: 2 finite numbers'),
-    ],
-)
-def test_a_plant_that_cannot_be_is_refused_by_name(values, culprit):
-    with pytest.raises(BadInput, match=culprit):
-        plant_of(**values)
 
 
 LONG = 10_000.0  # [s]

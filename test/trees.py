@@ -13,7 +13,16 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.limits import STEP, limits_of
 from orbimpc_ros.mpc.proof.stated import Statement
@@ -29,6 +38,7 @@ KINDS: dict[str, dict[str, Any]] = {
     'hull, arrival': ARRIVES,
     'hull, inertia, arrival': {'translation_order': 2, **ARRIVES},
     'hull, turn rate': {'max_rate': 0.5},
+    'hull, acceleration': {'max_acceleration': 0.1},
     'hull, approach': {'aims': True},
     'coasting': {'rotation_order': 2, 'translation_order': 2},
     'coasting, round': {'rotation_order': 2, 'floor': ROUND, 'max_rate': 0.7},
@@ -166,7 +176,7 @@ def _beside(problem: Problem, state: State, x: np.ndarray, counts: dict, rng: An
     for _ in range(counts['hazards']):
         middle = positions[0] + rng.normal(size=n)
         body = Ball(middle + 10.0, 1.0) if rng.integers(2) else Box(middle - 12.0, middle - 9.0)
-        hazards.append(Hazard.drifting(body, 0.3 * rng.normal(size=n)))
+        hazards.append(MovingObstacle.drifting(body, 0.3 * rng.normal(size=n)))
     problem = replace(problem, obstacles=tuple(bodies))
     state = replace(state, hazards=tuple(hazards))
     cost = trajectory_of(problem, state, goals, x).cost
@@ -245,6 +255,7 @@ class Growing:
         self.stated = Statement(problem).of(case.state, case.goals, limits)
         self.bodies = limits.bodies
         self.nodes: list[list[int]] = []
+        self.parents: list[int] = []
         self.at: list[float] = []
         self.leaves = 0
         self.rows: list[list[tuple[int, float]]] = []
@@ -252,7 +263,7 @@ class Growing:
     def tree(self, splits: int) -> ProofTree:
         """Return a tree of about so many splits."""
         count = self.case.problem.horizon
-        self.nodes, self.at = [[trees.LEAF, 0, 0, 0, -1]], [0.0]
+        self.nodes, self.at, self.parents = [[trees.LEAF, 0, 0, 0, -1]], [0.0], [-1]
         known: list[dict[int, Any]] = [{}]
         for _ in range(splits):
             leaf = int(self.rng.choice([t for t, n in enumerate(self.nodes) if n[0] == trees.LEAF]))
@@ -261,7 +272,7 @@ class Growing:
             if node[0] == trees.LEAF:
                 node[4] = self.leaves
                 self.leaves += 1
-                self.rows.append(self._pressed(known[t]))
+                self.rows.append(self._pressed(t, known))
                 if self.rng.uniform() < 0.02:
                     node[0] = trees.EMPTY
         return self._made()
@@ -298,6 +309,7 @@ class Growing:
         for i in range(parts):
             self.nodes.append([trees.LEAF, 0, 0, 0, -1])
             self.at.append(0.0)
+            self.parents.append(t)
             known.append({**known[t], choice: told[i]})
 
     def _directed(self, choice: int, told: Any, limited: bool, solid: int) -> tuple:
@@ -323,19 +335,21 @@ class Growing:
             return trees.PATCHES, 20, 0.0, [True] * 20
         return trees.QUARTERS, 4, 0.0, [True] * 4
 
-    def _pressed(self, known: dict[int, Any]) -> list[tuple[int, float]]:
+    def _pressed(self, t: int, known: list[dict]) -> list[tuple[int, float]]:
         count, degree = self.case.problem.horizon, self.case.problem.translation.degree
         found = []
-        for choice in known:
+        for choice in known[t]:
             if choice < 2 * count:
                 continue
-            body = self.bodies[choice // count - 2]
-            told = known[choice]
+            body, place, levels = self.bodies[choice // count - 2], t, 0
+            while choice in known[max(0, self.parents[place])] and self.rng.integers(2):
+                place, levels = self.parents[place], levels + 1
+            told = known[place][choice]
             if body.radius and self.case.problem.dimension == 2 and told[1] - told[0] > 3.0:
                 continue
             last = degree if body.of == STEP else 0
             number = 4 * (choice - 2 * count) + int(self.rng.integers(last + 1))
-            found.append((number, self._size()))
+            found.append((number + 4 * count * len(self.bodies) * levels, self._size()))
         return found
 
     def _size(self) -> float:

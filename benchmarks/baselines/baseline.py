@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.problem import Hazard, State
+from orbimpc_ros.mpc.problem import MovingObstacle, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 
@@ -57,7 +57,7 @@ class Sight(NamedTuple):
     wind: Array
 
     @property
-    def hazards(self) -> tuple[Hazard, ...]:
+    def hazards(self) -> tuple[MovingObstacle, ...]:
         """Return what moves around the vehicle, in a time that begins at :attr:`time`."""
         return self.state.hazards
 
@@ -164,7 +164,7 @@ class Baseline(ABC):
         return Command(min(max(fraction, least), 1.0), turn, rotation)
 
 
-def depths(hazards: Sequence[Hazard], paths: Array, times: Array) -> Array:
+def depths(hazards: Sequence[MovingObstacle], paths: Array, times: Array) -> Array:
     """Return how deep points of paths are inside of what moves [m]; negative outside.
 
     Args:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from operator import attrgetter
@@ -24,6 +25,7 @@ HULLS = 'SE(2) hull N='  # how the problems begin whose time is looked at over N
 SAME = 1e-4  # relative: objectives closer than this agree
 HEAD = ('', 'n', 'p50 ms', 'p99 ms', 'gap', 'objective', 'x p50', 'x p99', '')
 WIDTHS = (22, 5, 8, 8, 6, 10, 7, 7, 7)
+INDENT = 4  # of remarks
 
 
 @dataclass(frozen=True)
@@ -187,8 +189,14 @@ def table(rows: Sequence[BenchRow]) -> str:
     for problem, group in itertools.groupby(rows, attrgetter('problem')):
         lines.append(problem)
         for row in group:
-            lines += [_aligned(_cells(row)), *(f'    {note}' for note in _notes(row))]
+            lines += [_aligned(_cells(row)), *itertools.chain(*map(_wrapped, _notes(row)))]
     return '\n'.join(lines)
+
+
+def _wrapped(note: str) -> list[str]:
+    return textwrap.wrap(
+        note, sum(WIDTHS), initial_indent=INDENT * ' ', subsequent_indent=INDENT * ' '
+    )
 
 
 def _aligned(cells: Sequence[str]) -> str:

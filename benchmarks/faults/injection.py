@@ -38,7 +38,8 @@ class Expected:
     """The reaction that a fault of the stimulus requires.
 
     Attributes:
-        wait: until an input counts as stale [s].
+        wait: until nothing that was planned may be flown: an input counts as stale, and the plan
+            that outlives it has had its ticks [s].
         allowed: ticks after that.
         strict: whether the planner must be safe as long as the fault lasts.
     """

@@ -15,9 +15,11 @@ from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER, MIDWAY, SOLVING, START, Expected
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.stimulus import HUGE, Spoiled, shifted, with_field
+from orbimpc_ros.loop.planner import FALLBACK_TICKS
 
 ODOMETRY = Expected(wait=0.3, allowed=1.0)  # odom_timeout: 1.5 steps
-GOAL = Expected(wait=0.4, allowed=1.0)  # goal_timeout of the harness
+# goal_timeout of the harness, after which the last plan is flown on for two ticks at most.
+GOAL = Expected(wait=0.4 + FALLBACK_TICKS * STEP, allowed=1.0)
 HEALTH = 1.2  # [s] in which counts are reported
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)

@@ -40,10 +40,10 @@ from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
-from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
-from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
+from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
@@ -78,7 +78,7 @@ class Snapshot:
     odometry: Odometry | None = None
     goal: Array | GoalMotion | None = None
     wanted: Array | None = None
-    hazards: tuple[Hazard, ...] = ()
+    hazards: tuple[MovingObstacle, ...] = ()
     traffic: Traffic | None = None
     odometry_age: float = 0.0
     goal_age: float = 0.0
@@ -422,7 +422,9 @@ class Planner:
             left_out=left_out,
         )
 
-    def _hazards(self, snapshot: Snapshot, odometry: Odometry) -> tuple[tuple[Hazard, ...], int]:
+    def _hazards(
+        self, snapshot: Snapshot, odometry: Odometry
+    ) -> tuple[tuple[MovingObstacle, ...], int]:
         """Return the hazards that matter, and how many more there are."""
         if snapshot.traffic is None:
             return snapshot.hazards, 0
@@ -430,7 +432,7 @@ class Planner:
         found = snapshot.traffic.hazards(odometry.time)
         return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
 
-    def _state(self, odometry: Odometry, hazards: tuple[Hazard, ...]) -> State:
+    def _state(self, odometry: Odometry, hazards: tuple[MovingObstacle, ...]) -> State:
         wanted = self._memory.wanted if self._wants_attitude else None  # or it is not looked at
         state = self._compensator.state(odometry, self._memory.reached, wanted)
         return replace(state, hazards=hazards)
@@ -454,7 +456,7 @@ class Planner:
         self,
         snapshot: Snapshot,
         odometry: Odometry,
-        hazards: tuple[Hazard, ...],
+        hazards: tuple[MovingObstacle, ...],
         late: Late | None,
     ) -> Decision:
         """Return the decision for a goal that is known."""
@@ -470,7 +472,7 @@ class Planner:
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._safe(state, Status.FEASIBLE, reason)
         copied = sealed(np.array(goals, dtype=float))
-        goals, shortened = pulled_in(self.problem, state, copied)
+        goals, shortened = clamp_goal(self.problem, state, copied)
         task = self._task(state, goals, knots, late)
         memory.goals = goals
         held, catch = held_goal(task.problem, state, goals), None
@@ -591,7 +593,9 @@ class Planner:
 
     # --- without a new plan
 
-    def _hold(self, odometry: Odometry, hazards: tuple[Hazard, ...], words: str) -> Decision:
+    def _hold(
+        self, odometry: Odometry, hazards: tuple[MovingObstacle, ...], words: str
+    ) -> Decision:
         """Go on without a goal: by the previous plan while the fallback allows, then safely."""
         memory, reason = self._memory, Reason(Cause.GOAL, words)
         self._change_speed(self._passed(odometry.time))

@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.reach import farthest
 
 SOON = 1e-6  # [s] a point of a track that is due sooner adds nothing to it
@@ -68,7 +68,7 @@ def position(times: Array, positions: Array, at: float) -> Array:
     return np.asarray(positions[leg] + share * (positions[leg + 1] - positions[leg]))
 
 
-def along(body: Box | Ball, times: Array, positions: Array, at: float) -> Hazard:
+def along(body: Box | Ball, times: Array, positions: Array, at: float) -> MovingObstacle:
     """Return the hazard that a body on a track is from a time on.
 
     Args:
@@ -82,7 +82,7 @@ def along(body: Box | Ball, times: Array, positions: Array, at: float) -> Hazard
     if not len(ahead):
         ahead, points = np.array([1.0]), position(times, positions, at + 1.0)[None]
     shifts = np.concatenate([np.zeros((1, len(start))), points - start])
-    return Hazard(placed(body, start), np.concatenate([[0.0], ahead]), shifts)
+    return MovingObstacle(placed(body, start), np.concatenate([[0.0], ahead]), shifts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ def _velocity(track: Track) -> Array:
     return moved
 
 
-def _hazard(track: Track, at: float, unseen: float) -> Hazard:
+def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
     last = track[-1]
     place, velocity = centre(last.body), _velocity(track)
     times, places = last.time + np.array([0.0, 1.0]), np.array([place, place + velocity])
@@ -209,7 +209,7 @@ class AgentTrajectory:
         sealed(self.times)
         sealed(self.positions)
 
-    def hazards(self, at: float, distance: Distance) -> list[Hazard]:
+    def hazards(self, at: float, distance: Distance) -> list[MovingObstacle]:
         """Return what the vehicle is from a time [s] on."""
         age = at - self.time
         if age > distance.timeout + FORGOTTEN:
@@ -218,7 +218,7 @@ class AgentTrajectory:
         found = [along(body, self.times, self.positions, at)]
         if age > distance.timeout:
             stopped = _stopped(self, at, distance.radius)
-            found.append(Hazard.drifting(stopped, 0.0 * body.centre))
+            found.append(MovingObstacle.drifting(stopped, 0.0 * body.centre))
         return found
 
 
@@ -276,7 +276,7 @@ class Traffic:
     unseen: float = 0.0
     distance: Distance = Distance(0.0, math.inf)
 
-    def hazards(self, at: float) -> list[Hazard]:
+    def hazards(self, at: float) -> list[MovingObstacle]:
         """Return what moves from a time [s] on: bodies whose lifetime is not over, and vehicles."""
         lasting = (each for each in self.tracks if at - each[-1].time <= each[-1].lifetime)
         bodies = [_hazard(track, at, self.unseen) for track in lasting]
@@ -287,9 +287,9 @@ def nearest(
     problem: Problem,
     odometry: Odometry,
     disturbance: Array | None,
-    hazards: Sequence[Hazard],
+    hazards: Sequence[MovingObstacle],
     horizons: float = 1.0,
-) -> tuple[tuple[Hazard, ...], int]:
+) -> tuple[tuple[MovingObstacle, ...], int]:
     """Return the hazards that a vehicle may meet, and how many more there are.
 
     Those are the ones whose way and its own reach can meet at one and the same time; the ones that
@@ -316,7 +316,7 @@ def nearest(
     return tuple(hazard for _, hazard in met[:MAX_HAZARDS]), max(0, len(met) - MAX_HAZARDS)
 
 
-def outside(hazard: Hazard, points: Array, times: Array) -> Array:
+def outside(hazard: MovingObstacle, points: Array, times: Array) -> Array:
     """Return how far points are outside of a hazard at times, shape (M,) [m]; negative inside.
 
     Args:
@@ -327,7 +327,7 @@ def outside(hazard: Hazard, points: Array, times: Array) -> Array:
     return np.asarray(-hazard.body.depth(points - hazard.moved(times)))
 
 
-def _fastest(hazard: Hazard) -> float:
+def _fastest(hazard: MovingObstacle) -> float:
     speeds = np.linalg.norm(np.diff(hazard.shifts, axis=0), axis=1) / np.diff(hazard.times)
     return float(speeds.max())
 

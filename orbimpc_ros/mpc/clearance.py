@@ -16,7 +16,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Ball, Box, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.obstacle import moved_together, simultaneous
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 
@@ -35,7 +35,7 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     if traffic is None:
         return {}
     standing, count = np.zeros(problem.dimension), len(traffic.bodies) - len(state.hazards)
-    still = [Hazard.drifting(body, standing) for body in traffic.bodies[:count]]
+    still = [MovingObstacle.drifting(body, standing) for body in traffic.bodies[:count]]
     every = [*still, *state.hazards]
     found = np.empty(len(every))
     for group in simultaneous(every):
@@ -46,7 +46,7 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     return dict(zip(traffic.names, found.tolist(), strict=True))
 
 
-def _apart(hazards: Sequence[Hazard], eased: Array, problem: Problem, plan: Plan) -> Array:
+def _apart(hazards: Sequence[MovingObstacle], eased: Array, problem: Problem, plan: Plan) -> Array:
     """Return how far simultaneous hazards, eased by shape (J, N), are stayed clear of, (J,) [m]."""
     times = _instants(problem, plan, hazards[0])
     away = _positions(problem, plan, times) - moved_together(hazards, times)
@@ -62,7 +62,7 @@ def _apart(hazards: Sequence[Hazard], eased: Array, problem: Problem, plan: Plan
     return np.asarray((apart + eased[:, step]).min(axis=1))
 
 
-def _instants(problem: Problem, plan: Plan, hazard: Hazard) -> Array:
+def _instants(problem: Problem, plan: Plan, hazard: MovingObstacle) -> Array:
     """Return the instants between which both move along chords, shape (M,) [s]."""
     pieces = 1 if problem.translation.degree == 1 else PIECES
     end = plan.horizon * problem.step

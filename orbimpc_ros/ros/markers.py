@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Hazard, Problem
+from orbimpc_ros.mpc.problem import MovingObstacle, Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
 from orbimpc_ros.ros.obstacles import shown
 
@@ -30,7 +30,7 @@ LIFETIME = 3.0  # markers of a dead node vanish after so many steps
 
 
 def plan_markers(
-    stamp: Stamp, problem: Problem, plan: Plan, hazards: Sequence[Hazard] = ()
+    stamp: Stamp, problem: Problem, plan: Plan, hazards: Sequence[MovingObstacle] = ()
 ) -> MarkerArray:
     """Return the plan as a line, its thrust as arrows, its obstacles and its floor.
 
@@ -70,7 +70,7 @@ def _obstacles(stamp: Stamp, problem: Problem) -> list[Marker]:
     ]
 
 
-def _hazards(stamp: Stamp, problem: Problem, hazards: Sequence[Hazard]) -> list[Marker]:
+def _hazards(stamp: Stamp, problem: Problem, hazards: Sequence[MovingObstacle]) -> list[Marker]:
     times, found = problem.step * np.arange(problem.horizon + 1), []
     for k, hazard in enumerate(hazards):
         found.append(

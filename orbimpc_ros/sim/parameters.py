@@ -13,7 +13,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
-from orbimpc_ros.mpc.problem import Approach, Ball, Hazard
+from orbimpc_ros.mpc.problem import Approach, Ball, MovingObstacle
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
@@ -291,14 +291,16 @@ class SimSettings(VehicleParameters):
                 shown = list(value) if isinstance(value, tuple) else value
                 raise BadInput(name, shown, f'0 with vehicle: {kind}')
 
-    def _traffic(self) -> tuple[Hazard, ...]:
+    def _traffic(self) -> tuple[MovingObstacle, ...]:
         numbers, n = self.given_traffic, self.dimension
         if len(numbers) % (2 * n + 1):
             raise BadInput('traffic', list(numbers), f'{2 * n + 1} numbers for each ball')
         rows = np.array(numbers, dtype=float).reshape(-1, 2 * n + 1)
         for row in rows:
             number(float(row[-1]), 'traffic radius', 0.0, above=True)
-        return tuple(Hazard.drifting(Ball(row[:n], float(row[-1])), row[n:-1]) for row in rows)
+        return tuple(
+            MovingObstacle.drifting(Ball(row[:n], float(row[-1])), row[n:-1]) for row in rows
+        )
 
     def _approach(self) -> Approach:
         """Return the cone in which a catch counts; the goal's orientation is that of the world."""

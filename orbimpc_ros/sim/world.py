@@ -13,7 +13,7 @@ from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Hazard
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle
 from orbimpc_ros.sim.vehicle import Model, Vehicle
 
 FINISHES = ('capture', 'arrival')
@@ -87,7 +87,7 @@ class Scenario:
     arrival_radius: float = 0.05
     arrival_speed: float = 0.0
     obstacles: tuple[Box, ...] = ()
-    traffic: tuple[Hazard, ...] = ()
+    traffic: tuple[MovingObstacle, ...] = ()
     approach: Approach = field(default_factory=Approach)
     rope_length: float = 0.0
 
@@ -301,7 +301,7 @@ def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0)
 
 
 def met(
-    traffic: Sequence[Hazard],
+    traffic: Sequence[MovingObstacle],
     flown: tuple[Array, Array],
     times: tuple[float, float],
     grazed: float = 0.0,
@@ -328,7 +328,7 @@ def met(
     return frozenset(np.flatnonzero(np.einsum('ji,ji->j', nearest, nearest) < radii**2).tolist())
 
 
-def _middle(ball: Hazard) -> Array:
+def _middle(ball: MovingObstacle) -> Array:
     assert isinstance(ball.body, Ball)
     return ball.body.centre
 

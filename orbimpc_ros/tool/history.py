@@ -139,7 +139,8 @@ class History:
             for time, vehicle, rope in zip(self.times, self.positions, self.ropes, strict=True)
         ]
         by_time = {moment.time: moment for moment in (*seen, *self.approaches)}
-        return [by_time[time] for time in sorted(by_time) if time <= self.end]
+        end = self.end
+        return [by_time[time] for time in sorted(by_time) if time <= end]
 
     @property
     def near_misses(self) -> list[Encounter]:
@@ -166,7 +167,7 @@ class History:
     def capture(self) -> Encounter | None:
         """Return the approach that caught the rope; None too where the job is to arrive."""
         caught = self.captured and not self.arrives
-        return self.approaches[-1] if caught and len(self.times) > 1 else None
+        return self._approach(len(self.times) - 2) if caught and len(self.times) > 1 else None
 
 
 def of_bag(path: Path, namespace: str = '') -> History:

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from obstacle_tasks import DEADLINE, Budget, planned
 
 from orbimpc_ros.mpc.model.motion import controls
-from orbimpc_ros.mpc.problem import Ball, Floor, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Floor, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 
 COUNT, STEPS, TICKS = 16, 12, 30
@@ -63,7 +63,7 @@ def fly(solver: Solver, rng: np.random.Generator) -> tuple[list[float], list[str
     times, became, clearance = [], [], np.inf
     shares = np.linspace(0.0, 1.0, FINE + 1)[:, None]
     for _ in range(TICKS):
-        hazards = tuple(map(Hazard.drifting, map(Ball, centres, radii), ways))
+        hazards = tuple(map(MovingObstacle.drifting, map(Ball, centres, radii), ways))
         state = State.at(state.position, state.rotation, attitude=state.attitude,
                          velocity=state.velocity, hazards=hazards)  # fmt: skip
         begun = time.process_time()

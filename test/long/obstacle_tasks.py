@@ -23,7 +23,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.plan import Plan, shifted
-from orbimpc_ros.mpc.problem import Ball, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, MovingObstacle, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver
 
 NEAR, SLOW = 0.15, 0.05
@@ -127,13 +127,13 @@ def planned_for(dimension: int) -> Problem:
     )  # fmt: skip
 
 
-def seen(bodies: list[Body], now: float, horizon: int) -> tuple[Hazard, ...]:
+def seen(bodies: list[Body], now: float, horizon: int) -> tuple[MovingObstacle, ...]:
     """The tracks of bodies from now on."""
     times = np.arange(horizon * KNOTS + 1) / KNOTS
     found = []
     for body in bodies:
         track = body.at(now + times)
-        found.append(Hazard(Ball(track[0], body.radius + MARGIN), times, track - track[0]))
+        found.append(MovingObstacle(Ball(track[0], body.radius + MARGIN), times, track - track[0]))
     return tuple(found)
 
 

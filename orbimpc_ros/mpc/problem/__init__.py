@@ -3,7 +3,7 @@
 
 from orbimpc_ros.mpc.problem.approach import Approach
 from orbimpc_ros.mpc.problem.floor import Floor
-from orbimpc_ros.mpc.problem.obstacle import MAX_HAZARDS, Ball, Box, Hazard
+from orbimpc_ros.mpc.problem.obstacle import MAX_HAZARDS, Ball, Box, MovingObstacle
 from orbimpc_ros.mpc.problem.problem import MAX_HORIZON, TERMINALS, Problem, Weights
 from orbimpc_ros.mpc.problem.state import State
 
@@ -15,7 +15,7 @@ __all__ = [
     'Ball',
     'Box',
     'Floor',
-    'Hazard',
+    'MovingObstacle',
     'Problem',
     'State',
     'Weights',

@@ -12,7 +12,16 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.problem.obstacle import tracked
 from orbimpc_ros.mpc.problem.scaling import weighed
 
@@ -49,9 +58,9 @@ def case_of(mapping: Any) -> Case:
     (``cone``, and a ``direction`` unless it is the goal's) there is a penalty and no limit;
     without ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is
     none. Of ``hazards``, bodies like those among ``obstacles``, each has a ``velocity``, or a track
-    of ``times`` and ``shifts`` (:class:`~orbimpc_ros.mpc.problem.Hazard`), its time beginning with
-    the plan. A weight on ``attitude``, or an approach along the goal's own axis, needs
-    ``goal_attitude``, the rotation wanted at the end.
+    of ``times`` and ``shifts`` (:class:`~orbimpc_ros.mpc.problem.MovingObstacle`), its time
+    beginning with the plan. A weight on ``attitude``, or an approach along the goal's own axis,
+    needs ``goal_attitude``, the rotation wanted at the end.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.
@@ -111,22 +120,22 @@ def _obstacle(value: Any, culprit: str) -> Box | Ball:
     return Box(_numbers(box['min'], 'obstacles.min'), _numbers(box['max'], 'obstacles.max'))
 
 
-def _hazards(problem: Problem, value: Any) -> tuple[Hazard, ...]:
+def _hazards(problem: Problem, value: Any) -> tuple[MovingObstacle, ...]:
     if not isinstance(value, list):
         raise BadInput('hazards', value, f'a list of {BODIES} that move')
     made = tuple(_hazard(each, f'hazards[{i}]') for i, each in enumerate(value))
     return tracked(made, problem.dimension)
 
 
-def _hazard(value: Any, culprit: str) -> Hazard:
+def _hazard(value: Any, culprit: str) -> MovingObstacle:
     moves = ('times', 'shifts') if isinstance(value, dict) and 'times' in value else ('velocity',)
     kind = ('centre', 'radius') if isinstance(value, dict) and 'centre' in value else ('min', 'max')
     known = _fields(value, culprit, (*kind, *moves))
     body = _obstacle({name: known[name] for name in kind}, culprit)
     given = [_numbers(known[name], f'{culprit}.{name}') for name in moves]
     if len(given) == 2:
-        return Hazard(body, *given)
-    return Hazard.drifting(body, frozen(given[0], (body.dimension,), f'{culprit}.velocity'))
+        return MovingObstacle(body, *given)
+    return MovingObstacle.drifting(body, frozen(given[0], (body.dimension,), f'{culprit}.velocity'))
 
 
 def _state(problem: Problem, value: Any, wanted: Any) -> State:

@@ -95,7 +95,7 @@ class Ball(ByContent):
 
 
 @dataclass(frozen=True, eq=False)
-class Hazard(ByContent):
+class MovingObstacle(ByContent):
     """An obstacle that moves: other traffic, or another vehicle that flies its plan.
 
     Attributes:
@@ -129,7 +129,7 @@ class Hazard(ByContent):
         number(self.unsure, 'obstacles.unsure', 0.0)
 
     @classmethod
-    def drifting(cls, body: Box | Ball, velocity: Array) -> Hazard:
+    def drifting(cls, body: Box | Ball, velocity: Array) -> MovingObstacle:
         """Return a body that keeps a velocity, shape (n,) [m/s]."""
         still = np.zeros(body.dimension)
         return cls(body, np.array([0.0, 1.0]), np.array([still, velocity]))
@@ -139,9 +139,9 @@ class Hazard(ByContent):
         """Return n."""
         return self.body.dimension
 
-    def scaled(self, length: float, time: float) -> Hazard:
+    def scaled(self, length: float, time: float) -> MovingObstacle:
         """Return it in units in which lengths and times are so many times as large."""
-        return Hazard(
+        return MovingObstacle(
             self.body.scaled(length),
             self.times * time,
             self.shifts * length,
@@ -159,7 +159,7 @@ class Hazard(ByContent):
         return self.times[1:-1]
 
 
-def reserves(hazards: Sequence[Hazard], horizon: int, step: float) -> Array:
+def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Array:
     """Return by how much hazards count as larger in each step [s], shape (J, N) [m]."""
     begun = np.arange(horizon)
     shares = np.minimum(begun / RESERVE_STEPS, 1.0)
@@ -169,7 +169,7 @@ def reserves(hazards: Sequence[Hazard], horizon: int, step: float) -> Array:
     return kept
 
 
-def simultaneous(hazards: Sequence[Hazard]) -> list[list[int]]:
+def simultaneous(hazards: Sequence[MovingObstacle]) -> list[list[int]]:
     """Return the numbers of hazards, those together whose tracks have the same times."""
     groups: dict[bytes, list[int]] = {}
     for j, each in enumerate(hazards):
@@ -177,7 +177,7 @@ def simultaneous(hazards: Sequence[Hazard]) -> list[list[int]]:
     return list(groups.values())
 
 
-def moved_together(hazards: Sequence[Hazard], times: Array) -> Array:
+def moved_together(hazards: Sequence[MovingObstacle], times: Array) -> Array:
     """Return how far simultaneous hazards will have moved, shape (J, M, n) [m].
 
     Args:
@@ -195,7 +195,7 @@ def _interpolated(knots: Array, shifts: Array, times: Array) -> Array:
     return np.asarray(begin + share[:, None] * (shifts[..., at + 1, :] - begin))
 
 
-def tracked(hazards: tuple[Hazard, ...], dimension: int) -> tuple[Hazard, ...]:
+def tracked(hazards: tuple[MovingObstacle, ...], dimension: int) -> tuple[MovingObstacle, ...]:
     """Return hazards that plans of a dimension can take.
 
     Raises:
@@ -206,8 +206,8 @@ def tracked(hazards: tuple[Hazard, ...], dimension: int) -> tuple[Hazard, ...]:
     if len(hazards) > MAX_HAZARDS:
         raise BadInput('state.hazards', len(hazards), f'at most {MAX_HAZARDS}')
     for each in hazards:
-        if not isinstance(each, Hazard):
-            raise BadInput('state.hazards', f'a {type(each).__name__}', 'a Hazard')
+        if not isinstance(each, MovingObstacle):
+            raise BadInput('state.hazards', f'a {type(each).__name__}', 'a MovingObstacle')
         if each.dimension != dimension:
             allowed = f'bodies of dimension {dimension}'
             raise BadInput('state.hazards', each.dimension, allowed)

@@ -52,7 +52,7 @@ def clear_of_hazards(problem: Problem, state: State) -> State:
     return replace(state, hazards=())
 
 
-def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:
+def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:
     """Return goals no farther away than counts, and what was done about them in words, if anything.
 
     The cost of a goal at distance d is of the order of d^2, and what plans differ by of the order

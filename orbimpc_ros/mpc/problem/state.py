@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.geometry.rotations import nearest
-from orbimpc_ros.mpc.problem.obstacle import Hazard, tracked
+from orbimpc_ros.mpc.problem.obstacle import MovingObstacle, tracked
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class State(ByContent):
     coasted: Array | None
     disturbance: Array
     commanded: float | None = None
-    hazards: tuple[Hazard, ...] = ()
+    hazards: tuple[MovingObstacle, ...] = ()
     wanted: Array | None = None
 
     @classmethod
@@ -65,7 +65,7 @@ class State(ByContent):
         coasted: ArrayLike | None = None,
         disturbance: ArrayLike | None = None,
         commanded: float | None = None,
-        hazards: tuple[Hazard, ...] = (),
+        hazards: tuple[MovingObstacle, ...] = (),
         wanted: ArrayLike | None = None,
     ) -> State:
         """Return the state at a position and rotation, at rest where nothing else is said.

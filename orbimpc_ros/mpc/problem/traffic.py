@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.problem.leaving import inside
 from orbimpc_ros.mpc.problem.obstacle import (
     Ball,
     Box,
-    Hazard,
+    MovingObstacle,
     moved_together,
     reserves,
     simultaneous,
@@ -84,7 +84,7 @@ def _met(problem: Problem, state: State) -> Traffic | None:
     return Traffic(names, bodies, shifts, strays, kept, eased)
 
 
-def _strays(hazards: Sequence[Hazard], ends: Array) -> Array:
+def _strays(hazards: Sequence[MovingObstacle], ends: Array) -> Array:
     """Return by how much simultaneous tracks stray from even motion in steps, shape (J, N) [m]."""
     strays, turns = np.zeros((len(hazards), len(ends) - 1)), hazards[0].turns
     inside = turns[turns < ends[-1]]

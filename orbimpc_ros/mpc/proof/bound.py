@@ -199,14 +199,16 @@ def _at_point(stated, leaves, leaf, empty, work):
 
 
 @woven
-def _held(stated, part, span, corners, leaves, sections, leaf, work):
+def _held(stated, region, depth, leaves, sections, leaf, work):
     """Add forces of a leaf's multipliers; return what they come to, its size, and if they hold."""
     ends, count, n = stated.ends, len(work.slopes), stated.n
     point, forces = leaves.point[leaf], leaves.forces[leaf]
     begun = leaves.press_end[leaf - 1] if leaf > 0 else 0
-    value, size, held = pressed(
-        stated.motion, stated.sets, stated.bodies, part, span, corners, leaves, begun, leaf, work
-    )
+    value = size = 0 * stated.sets.full
+    held = 0 <= begun <= leaves.press_end[leaf] <= len(leaves.press)
+    if held and begun < leaves.press_end[leaf]:
+        known = stated.motion, stated.sets, stated.bodies, region, depth
+        value, size, held = pressed(*known, leaves, begun, leaf, work)
     if sections.tether >= 0:
         tether, tied = forces[sections.tether :], stated.start[-1]
         more, terms, sound = towed(ends, tether[:count], point, tied, work.slopes)
@@ -221,14 +223,13 @@ def _held(stated, part, span, corners, leaves, sections, leaf, work):
 
 
 @woven
-def leaf_bound(stated, part, span, corners, leaves, sections, leaf, empty, work):
+def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
     """Return what a leaf proves, and whether its multipliers are sound.
 
     Args:
         stated: the problem.
-        part: of each choice at the leaf, shape (C,).
-        span: of each, shape (C, 2).
-        corners: of patches, shape (C, 3, 3).
+        region: what is known of choices from the root to the leaf.
+        depth: of the leaf.
         leaves: of the tree.
         sections: of their forces.
         leaf: its row.
@@ -236,14 +237,11 @@ def leaf_bound(stated, part, span, corners, leaves, sections, leaf, empty, work)
         work: arrays to be written; the Hessian is there.
     """
     point, shor, slopes, n = leaves.point[leaf], leaves.shor[leaf], work.slopes, stated.n
-    count, zero, sets, known = (
-        len(point),
-        0 * stated.sets.full,
-        stated.sets,
-        (part, span, len(point)),
-    )
+    count, zero, sets = len(point), 0 * stated.sets.full, stated.sets
+    span, corners = region.span[depth], region.corners[depth]
+    known = region.part[depth], span, count
     value, size = _at_point(stated, leaves, leaf, empty, work)
-    more, terms, held = _held(stated, part, span, corners, leaves, sections, leaf, work)
+    more, terms, held = _held(stated, region, depth, leaves, sections, leaf, work)
     if not held:
         return value, False
     pulled_back(stated.motion, work.flown, slopes)
@@ -323,18 +321,7 @@ def tree_bound(stated, allowed, order, nodes, at, leaves, sections, depth, regio
         empty = node[KIND] == EMPTY
         if not 0 <= node[ROW] < len(leaves.point):
             return least, 0, UNSOUND
-        corners = region.corners[d]
-        value, sound = leaf_bound(
-            stated,
-            region.part[d],
-            region.span[d],
-            corners,
-            leaves,
-            sections,
-            node[ROW],
-            empty,
-            work,
-        )
+        value, sound = leaf_bound(stated, region, d, leaves, sections, node[ROW], empty, work)
         if not sound or not abs(value) >= 0 or (empty and not value > 0):
             return least, 0, UNSOUND
         if not empty:

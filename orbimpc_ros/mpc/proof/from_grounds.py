@@ -7,14 +7,17 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
+from orbimpc_ros.mpc.proof.convexity import lack
 from orbimpc_ros.mpc.proof.grounds import Grounds, Left, Tangent
 from orbimpc_ros.mpc.proof.stated import UNTURNED
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, NOTHING, SPEED, ProofTree, one
@@ -44,14 +47,25 @@ def _one(problem: Problem, state: State, goals: Array, left: Tangent) -> ProofTr
         known['pull'] = _pulls(problem, state, goals, left.point[None], pulls, stiffness)[0]
     if left.point.shape[1] == 9 and problem.weights.length:
         known['share'] = -length_weights(problem)[1:, None] * left.ways
-    return one(left.point, _shor(problem, left.bends), **known)
+    return one(left.point, _shor(problem, left.bends[None])[0], **known)
 
 
 def _shor(problem: Problem, bends: Array) -> Array:
-    """Return the curvature that steps keep: a little less than what was added to it."""
-    bent = (bends < 0.0).any(axis=-1, keepdims=True)
-    spare = SPARE * problem.horizon * max(1.0, float(np.abs(bends).max(initial=0.0)))
-    return np.ascontiguousarray(-bends - bent * spare)
+    """Return the curvature that steps keep, shape (T, N): a little less than was added to it.
+
+    Less, too, by what the cost lacks to be convex with it, where all that needs no arrival.
+    """
+    kept = -bends
+    for t in np.flatnonzero((bends < 0.0).any(axis=-1)):
+        if problem.terminal != 'constraint':
+            kept[t] -= lack(_hessian(problem), bends[t], 1.0)
+        kept[t] -= SPARE * problem.horizon * max(1.0, float(np.abs(bends[t]).max()))
+    return kept
+
+
+@lru_cache(maxsize=8)
+def _hessian(problem: Problem) -> Array:
+    return Condensed(problem).hessian
 
 
 def _pulls(

@@ -103,27 +103,27 @@ def control_of(of, k, degree, i):
 
 
 @generic
-def pressed(motion, sets, bodies, part, span, corners, leaves, begun, leaf, work):
-    """Add forces of multipliers of what is known beside bodies.
+def pressed(motion, sets, bodies, region, depth, leaves, begun, leaf, work):
+    """Add forces of multipliers of what is known beside bodies, at a leaf or above it.
 
     Returns:
         What they come to; the size of its terms; whether they are of what is known.
     """
     value, size, normal = 0 * sets.full, 0 * sets.full, work.vectors[0]
     count, degree, flown = len(work.slopes), motion.degree, work.flown
-    end, n = leaves.press_end[leaf], work.flown.shape[2]
-    if not 0 <= begun <= end <= len(leaves.press):
-        return value, size, False
+    end, n, rows = leaves.press_end[leaf], work.flown.shape[2], POINTS * count * len(bodies.of)
     for e in range(begun, end):
         y, row = leaves.press[e], leaves.press_row[e]
-        if not (y >= 0 and 0 <= row < POINTS * count * len(bodies.of)):
+        if not (y >= 0 and 0 <= row < rows * (depth + 1)):
             return value, size, False
         if y == 0:
             continue
+        d, row = depth - row // rows, row % rows
         choice, at = row // POINTS + 2 * count, row % POINTS
         j, k = choice // count - 2, choice % count
         i = control_of(bodies.of[j], k, degree, at)
-        out, off, terms = side_of(sets, bodies, choice, part, span, corners, normal)
+        known = region.part[d], region.span[d], region.corners[d]
+        out, off, terms = side_of(sets, bodies, choice, *known, normal)
         if i < 0 or terms < 0:
             return value, size, False
         value, size = value + y * (out - off), size + y * terms

@@ -10,7 +10,13 @@ from __future__ import annotations
 
 import math
 
-from orbimpc_ros.mpc.proof.arithmetic import direction, generic, least_eigenvalue, root, slack
+from orbimpc_ros.mpc.proof.arithmetic import (
+    direction,
+    generic,
+    least_eigenvalue,
+    root,
+    slack,
+)
 
 TOLERANCE = 16  # times the slack of a slope, by which a direction may be outside
 
@@ -56,7 +62,7 @@ def in_sector(g, low, high, sets):
 def reach(angle, least, sets):
     """Return the least speed that a polygon allows in a direction, whose faces are at ``least``."""
     share = sets.full / sets.polygon
-    off = angle - share * round(angle / share)
+    off = angle - share * math.floor((2 * angle / share + 1) / 2)
     return least / direction(off)[0]
 
 
@@ -245,14 +251,14 @@ def in_both(g, cone, corners):
     """Return the least g . u over unit vectors u in a patch and within an angle of an axis.
 
     It is inside, on an edge, on the rim, or at one of their vertices: each that may be in both
-    counts.
+    counts. Where no direction is in both, it is as much as any comes to.
     """
     size, axis = size_of(g, 3), (cone[0], cone[1], cone[2])
     off = TOLERANCE * slack(size + 1)
     whole = in_patch(g, corners)
     if whole <= TOLERANCE * slack(size) - size and in_cone(g, cone, 3) <= off - size:
         return -size
-    least, found = whole, False
+    least, spare = size, 4 * slack(1 + 0 * size)  # of a square root, where edge and rim touch
     volume = triple(corners[0], corners[1], corners[2])
     turn = 1 if volume > 0 else -1
     rim, inside = lowest_on(g, cone), True
@@ -267,8 +273,7 @@ def in_both(g, cone, corners):
         square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
         far = size_of(p, 3)
         if (p[0] * axis[0] + p[1] * axis[1] + p[2] * axis[2]) / far >= cone[3] - off:
-            value = (g[0] * p[0] + g[1] * p[1] + g[2] * p[2]) / far
-            least, found = value if not found else min(least, value), True
+            least = min(least, (g[0] * p[0] + g[1] * p[1] + g[2] * p[2]) / far)
         level = g[0] * m[0] + g[1] * m[1] + g[2] * m[2]
         w = (level * m[0] - g[0], level * m[1] - g[1], level * m[2] - g[2])
         steep = root(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -276,11 +281,11 @@ def in_both(g, cone, corners):
             u = (w[0] / steep, w[1] / steep, w[2] / steep)
             tall = u[0] * axis[0] + u[1] * axis[1] + u[2] * axis[2]
             if tall >= cone[3] - off and between(p, q, u, m, turn, off):
-                least, found = -steep if not found else min(least, -steep), True
+                least = min(least, -steep)
         left = square - cone[3] * cone[3]
         if square > 0 and left >= -off:
             share = cone[3] / square
-            wide = root(max(0 * left, left)) / square
+            wide = root(max(0 * left, left) + spare) / square
             for side in (-1, 1):
                 u = (
                     share * a[0] + side * wide * cross(m, a, 0),
@@ -288,11 +293,9 @@ def in_both(g, cone, corners):
                     share * a[2] + side * wide * cross(m, a, 2),
                 )
                 if between(p, q, u, m, turn, off):
-                    value = g[0] * u[0] + g[1] * u[1] + g[2] * u[2]
-                    least, found = value if not found else min(least, value), True
+                    least = min(least, g[0] * u[0] + g[1] * u[1] + g[2] * u[2])
     if inside:
-        value = g[0] * rim[0] + g[1] * rim[1] + g[2] * rim[2]
-        least, found = value if not found else min(least, value), True
+        least = min(least, g[0] * rim[0] + g[1] * rim[1] + g[2] * rim[2])
     return least
 
 

@@ -40,7 +40,8 @@ class ProofTree(NamedTuple):
         point: where tangents touch, shape (L, N, d).
         shor: b_k, curvature of the cost that step k keeps for itself, shape (L, N).
         press_end: where the multipliers of rows of each leaf end in the arrays below, shape (L,).
-        press_row: 4 (choice - 2 N) + i, of control point i on the side of a choice, shape (P,).
+        press_row: 4 (choice - 2 N) + i, of control point i on the side of a choice, shape (P,);
+            4 N J more, of J bodies, for each level above the leaf where that side is known.
         press: their multipliers, >= 0, shape (P,).
         pull: multipliers of an arrival s_N = g_N (and p_N = 0), shape (L, m, n); (0, 0, 0) without.
         slide: of the glide slope, shape (L, N, 3) or (0, 0, 0).

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED, compiled
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.bound import PROVED, REFUTED, Leaves, Sections, Work, tree_bound
-from orbimpc_ros.mpc.proof.limits import Limits, limits_of
+from orbimpc_ros.mpc.proof.limits import NO_LIMITS, Limits, limits_of
 from orbimpc_ros.mpc.proof.splits import ICOSAHEDRON, Allowed, Order, Region, depths_of
 from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
@@ -45,7 +45,7 @@ class Verifier:
             n, count = problem.dimension, problem.horizon
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
             still = one(np.zeros((count, self._statement.width)), leaf)
-            self.bound(start, np.zeros((count, n)), still)
+            self._bound(start, np.zeros((count, n)), still, NO_LIMITS)
 
     def bound(self, state: State, goals: Array, tree: ProofTree) -> float:
         """Return a cost that no trajectory undercuts; -inf if a tree proves none.
@@ -57,8 +57,12 @@ class Verifier:
             goals: g_1..g_N, shape (N, n) [m].
             tree: in the units of the problem.
         """
+        limits = limits_of(self._statement.problem, state, goals)
+        return self._bound(state, goals, tree, limits)
+
+    def _bound(self, state: State, goals: Array, tree: ProofTree, limits: Limits) -> float:
         problem = self._statement.problem
-        stated = self._statement.of(state, goals, limits_of(problem, state, goals))
+        stated = self._statement.of(state, goals, limits)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         depth = np.empty(len(tree.nodes), np.int64)

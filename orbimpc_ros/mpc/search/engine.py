@@ -70,10 +70,11 @@ class Engine:
     def solves(problem: Problem) -> bool:
         """Return whether there are stage sets for all limits of a problem, and machine code."""
         changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
+        straight = problem.floor.shape == 'polygon' and not problem.weights.length
         return (
             COMPILED
             and (problem.dimension, problem.rotation_order) == (2, 1)
-            and (problem.floor.shape == 'polygon' or (problem.floor.shape == 'circle' and changes))
+            and (straight or (problem.floor.shape == 'circle' and changes))
             and problem.terminal == 'penalty'
             and not problem.obstacles
             and problem.horizon <= LONGEST

@@ -14,7 +14,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -375,7 +375,7 @@ class ChoiceTree:
                 rows += [self._row(j, int(i), cell) for i in np.flatnonzero(passage.moved)]
         return rows
 
-    def _held(self, choice: Choice, found: Multipliers, empty: bool) -> Held:
+    def _held(self, t: int, choice: Choice, found: Multipliers, empty: bool) -> Held:
         problem, steps, n = self._problem, self._problem.horizon, self._problem.dimension
         shape = steps, n
         pull = found.pull.reshape(-1, n)
@@ -412,7 +412,7 @@ class ChoiceTree:
         asked = self._asked(choice) if any(row >= 0 for row, *_ in rows) else []
         for row, _, size in rows:
             if 0 <= row < len(asked):  # what follows are the edges of a first turn's cone
-                made = made.pressed(asked[row], size)
+                made = made.pressed(asked[row]._replace(since=t), size)
         return made
 
     def _within_slope(self, slide: Array) -> Array:
@@ -430,19 +430,31 @@ class ChoiceTree:
         Args:
             most: nodes of it, the first ones, which prove less; None for all.
         """
-        nodes, leaves = self._first(most), dict[int, Held]()
+        nodes, leaves, above = self._first(most), dict[int, Held](), dict[int, int]()
+        for place, node in enumerate(nodes):
+            above |= dict.fromkeys(range(node.first, node.first + node.count), place)
         for place, node in enumerate(nodes):
             if node.kind not in (LEAF, EMPTY):
                 continue
             made = self._refuted(node.refuted) if node.refuted else self._best(node.of)
             if made is None:
                 return None
-            leaves[place] = made._replace(share=self._share(made))
+            presses = tuple((self._from(place, row, above), y) for row, y in made.presses)
+            leaves[place] = made._replace(share=self._share(made), presses=presses)
         tree = tree_of(nodes, leaves)
         if not self._ordered:
             return tree
         origins = np.full(self._problem.horizon, self._begin)
         return tree._replace(ordered=True, origins=origins)
+
+    def _from(self, place: int, row: Row, above: Mapping[int, int]) -> Row:
+        """Return a row numbered as one of a leaf: by how far above the leaf it is known from."""
+        levels, known = 0, (place,) if row.since < 0 else self._places[row.since]
+        while place not in known:
+            place, levels = above[place], levels + 1
+        passages = len(self._posed.alternatives) - self._posed.fixed
+        rows = POINTS * (len(self._problem.boxes) * self._problem.horizon + passages)
+        return row._replace(place=row.place + levels * rows)
 
     def _first(self, most: int | None) -> list[Node]:
         """Return the nodes as they were when there were no more than so many, but at least one."""
@@ -469,10 +481,10 @@ class ChoiceTree:
         """Return what is best known of a node of the search."""
         own, made = self._solved.get(t), self._made[t]
         if (own is not None and t not in self._worse) or made is None:
-            return None if own is None else self._held(*own)
+            return None if own is None else self._held(t, *own)
         before, j, cell = made
         known = self._best(before)
-        rows = [self._row(j, i, cell) for i in self._free_rows(j)]
+        rows = [self._row(j, i, cell)._replace(since=t) for i in self._free_rows(j)]
         if known is None or not rows or not np.isfinite(self._inverse).all():
             return known
         return known.raised(rows, self._inverse)

@@ -27,6 +27,7 @@ class Row(NamedTuple):
         shares: what each R_k e1 adds to what it is a row of, shape (N,).
         normal: shape (n,).
         offset: of the half-space.
+        since: which node of the search it is known from; -1 of the leaf.
     """
 
     place: int
@@ -34,6 +35,7 @@ class Row(NamedTuple):
     shares: Array
     normal: Array
     offset: float
+    since: int = -1
 
 
 class Held(NamedTuple):
@@ -58,27 +60,19 @@ class Held(NamedTuple):
     def raised(self, rows: Sequence[Row], inverse: Array) -> Held:
         """Return the tangent that is best for multipliers of a side's rows, those of others held.
 
-        Those of a larger side of the same choice are dropped.
-
         Args:
             rows: of the side.
             inverse: H^-1, shape (N, N).
         """
-        n, point = len(rows[0].normal), self.point.copy()
-        places, sizes = {row.place for row in rows if row.place >= 0}, np.zeros(len(rows))
+        n, point, sizes = len(rows[0].normal), self.point.copy(), np.zeros(len(rows))
         moved = [inverse @ row.shares for row in rows]
-        made = self._replace(presses=tuple(p for p in self.presses if p[0].place not in places))
-        for row, size in self.presses:
-            if row.place in places:
-                point[:, :n] -= size * np.outer(inverse @ row.shares, row.normal)
-                made = made._replace(force=made.force + size * np.outer(row.shares, row.normal))
         for _ in range(SWEEPS if len(rows) > 1 else 1):
             for i, (row, way) in enumerate(zip(rows, moved, strict=True)):
                 short = row.offset - float(row.shares @ point[:, :n] @ row.normal)
                 step = max(-sizes[i], short / float(row.shares @ way))
                 sizes[i] += step
                 point[:, :n] += step * np.outer(way, row.normal)
-        made = made._replace(point=point)
+        made = self._replace(point=point)
         for row, size in zip(rows, sizes.tolist(), strict=True):
             made = made.pressed(row, size) if size else made
         return made

@@ -257,6 +257,7 @@ class Solver:
             bound, tree = (proved, tree) if checked else (bound, None)
         else:
             tree = None
+        bound = min(bound, cost * found.cost)  # which may miss constraints by rounding
         known = float(bound) if 0.0 < bound < np.inf else 0.0
         known, checked = known * (1.0 - OUTWARD), checked or known == 0.0
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)

@@ -242,7 +242,7 @@ class PlannerSettings(VehicleParameters):
         return self.trigger == 'odom'
 
     @cached_property
-    def halves(self) -> bool:
+    def is_pose_twist(self) -> bool:
         """Return whether odometry comes as a pose and a twist."""
         return self.odometry == 'pose_twist'
 

@@ -27,7 +27,6 @@ from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock, RosTime
-from orbimpc_ros.ros.halves import HALVES, Halves, Joined
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
@@ -50,6 +49,7 @@ from orbimpc_ros.ros.planner.outputs import (
     refutation_messages,
     report_messages,
 )
+from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwist, PoseTwistSynchronizer
 from orbimpc_ros.ros.process import LIFE, qos, run
 from orbimpc_ros.ros.reports import (
     AFRESH,
@@ -109,9 +109,10 @@ class PlannerNode(Managed):
             settings, planner = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
         avoided = others(settings.avoid, names[PLAN], self.resolve_topic_name)
-        self._halves, self._frame_check = Halves(), VelocityFrameCheck(settings.frames.velocity)
-        if settings.halves:
-            names['odom'] = ' and '.join(map(self.resolve_topic_name, HALVES))
+        self._synchronizer = PoseTwistSynchronizer()
+        self._frame_check = VelocityFrameCheck(settings.frames.velocity)
+        if settings.is_pose_twist:
+            names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
         simulated = self._time.simulated
         self._core = Core(
             settings,
@@ -179,7 +180,7 @@ class PlannerNode(Managed):
 
     def _create_subscriptions(self) -> None:
         settings = self._core.settings
-        if settings.halves:
+        if settings.is_pose_twist:
             odometry = self._listen(PoseStamped, 'pose', self._of('pose', self._on_half))
             self._listen(TwistStamped, 'twist', self._of('twist', self._on_half))
         else:
@@ -235,7 +236,7 @@ class PlannerNode(Managed):
 
     def _on_half(self, topic: str, message: Any) -> None:
         try:
-            joined = getattr(self._halves, topic)(message)
+            joined = getattr(self._synchronizer, topic)(message)
         except BadInput as error:
             self._core.inputs.refused[f'{topic}: {error.culprit}'] += 1
             self._refuse(f'{self.resolve_topic_name(topic)} refused: {error}')
@@ -243,7 +244,7 @@ class PlannerNode(Managed):
         if joined is not None:
             self._on_odometry(joined)
 
-    def _on_odometry(self, message: OdometryMessage | Joined) -> None:
+    def _on_odometry(self, message: OdometryMessage | PoseTwist) -> None:
         now, ros = self.steady_now(), self._time.now
         refusal = self._core.inputs.update('odom', message, now, ros)
         if refusal:
@@ -298,7 +299,7 @@ class PlannerNode(Managed):
         self._refusal, self._refused_at = refusal, self.steady_now()
         self._show_changes()
 
-    def _repeat_answer(self, message: OdometryMessage | Joined) -> None:
+    def _repeat_answer(self, message: OdometryMessage | PoseTwist) -> None:
         """Answer a repeated request again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._sent_at > REPEAT
@@ -597,7 +598,7 @@ class PlannerNode(Managed):
     def _forget_plan(self) -> None:
         self._patience.cancel()
         self._core.planner.start_afresh()
-        self._halves = Halves()
+        self._synchronizer = PoseTwistSynchronizer()
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:

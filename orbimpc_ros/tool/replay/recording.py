@@ -16,9 +16,9 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause
-from orbimpc_ros.ros.halves import HALVES, Halves
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.obstacles import stamp_of as stamp_of_markers
+from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwistSynchronizer
 from orbimpc_ros.tool import bags, topics
 from orbimpc_ros.tool.bags import Message, fields, point
 
@@ -237,7 +237,7 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
         Input(topic, stamp_of(each.content), each.sent, each.content)
         for topic in (CLOCK, *INPUTS, *others, *TREE)
         for each in own[topic]
-        if topic not in HALVES
+        if topic not in POSE_TWIST
     ]
     answers = _answers({topic: own[topic] for topic in COMPARED})
     return Recording(
@@ -249,12 +249,12 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
 
 
 def _joined(poses: Iterable[Message], twists: Iterable[Message]) -> Iterator[Message]:
-    """Yield the odometry that the planner made of its halves, each when the second one was sent."""
-    halves = Halves()
+    """Yield the odometry that the planner made of pairs, each when its second message was sent."""
+    synchronizer = PoseTwistSynchronizer()
     for each in sorted((*poses, *twists), key=lambda each: each.sent):
         name = each.topic.rpartition('/')[2]
         with suppress(BadInput):
-            joined = halves.pose(each.content) if name == 'pose' else halves.twist(each.content)
+            joined = getattr(synchronizer, name)(each.content)
             if joined is not None:
                 yield each._replace(topic=each.topic.removesuffix(name) + 'odom', content=joined)
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Odometry in two halves: the pose and the twist that autopilots publish apart, put together.
+"""Odometry of a pose and a twist, which autopilots publish on two topics.
 
 Where the two come with the same stamps, in whatever order, they belong together. Elsewhere each is
 measured at its own pace, and a pose goes with the last twist.
@@ -15,12 +15,12 @@ from std_msgs.msg import Header
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import SECOND, nanoseconds
 
-HALVES = ('pose', 'twist')
+POSE_TWIST = ('pose', 'twist')
 APART = SECOND // 10  # [ns] at most, from a pose to its twist
 
 
-class Joined(NamedTuple):
-    """Odometry of two halves, with the fields of a nav_msgs/Odometry that are read."""
+class PoseTwist(NamedTuple):
+    """Odometry of a pose and a twist, with the fields of a nav_msgs/Odometry that are read."""
 
     header: Header
     child_frame_id: str
@@ -28,8 +28,8 @@ class Joined(NamedTuple):
     twist: TwistStamped
 
 
-class Halves:
-    """Puts poses and twists together as odometry, stamped as the pose."""
+class PoseTwistSynchronizer:
+    """Pairs poses with twists as odometry, stamped as the pose."""
 
     def __init__(self) -> None:
         self._pose: tuple[int, PoseStamped] | None = None
@@ -37,7 +37,7 @@ class Halves:
         self._joined_at = -1  # stamp of the last pose that has become odometry [ns]
         self._twins = False  # whether stamps have been seen to be the same
 
-    def pose(self, message: PoseStamped) -> Joined | None:
+    def pose(self, message: PoseStamped) -> PoseTwist | None:
         """Take in a pose; return odometry if it has its twist.
 
         Raises:
@@ -46,7 +46,7 @@ class Halves:
         self._pose = nanoseconds(message.header.stamp, 'pose.header.stamp'), message
         return self._join(alone=not self._twins)
 
-    def twist(self, message: TwistStamped) -> Joined | None:
+    def twist(self, message: TwistStamped) -> PoseTwist | None:
         """Take in a twist; return odometry if a pose has waited for it.
 
         Raises:
@@ -55,7 +55,7 @@ class Halves:
         self._twist = nanoseconds(message.header.stamp, 'twist.header.stamp'), message
         return self._join(alone=self._joined_at < 0)
 
-    def _join(self, *, alone: bool) -> Joined | None:
+    def _join(self, *, alone: bool) -> PoseTwist | None:
         """Return odometry, of stamps that need not be the same if ``alone``."""
         if self._pose is None or self._twist is None:
             return None
@@ -67,4 +67,4 @@ class Halves:
             apart = f'{abs(stamp - other) / SECOND:.3g} s from that of pose'
             raise BadInput('twist.header.stamp', apart, f'within {APART / SECOND:g} s')
         self._joined_at = stamp
-        return Joined(pose.header, twist.header.frame_id, pose, twist)
+        return PoseTwist(pose.header, twist.header.frame_id, pose, twist)
