@@ -76,7 +76,6 @@ docs: $(VENV)/.installed-demo
 $(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
 	$(SAY) 'Installing orbimpc_ros into $(VENV) (some minutes, only once)'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)' $(PINS)
-	$(COMPILE)
 	@touch $@
 
 $(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt

@@ -12,8 +12,10 @@ from orbimpc_ros.loop.compensation import (
     GAP,
     LARGEST,
     PATIENCE,
+    PUSHED,
     CommandHistory,
     Estimator,
+    NoiseModel,
     Response,
 )
 from orbimpc_ros.loop.planner import Planner, Snapshot
@@ -168,7 +170,7 @@ def test_what_is_known_is_not_estimated_again():
 @pytest.mark.parametrize('order', [1, 2])
 def test_innovations_are_as_large_as_the_model_says(order):
     """Of a motion drawn from the very model, they are of one standard deviation."""
-    rng, unit = np.random.default_rng(4), 3.0
+    rng, unit, noise = np.random.default_rng(4), 3.0, {1: NoiseModel(), 2: PUSHED}[order]
     problem = Problem(translation_order=order, forward=unit)
     estimator, history = Estimator(problem, 0.5), CommandHistory()
     history.add(Command(0.0, np.zeros(1), np.eye(2)), -1.0)
@@ -177,7 +179,7 @@ def test_innovations_are_as_large_as_the_model_says(order):
     for k in range(3000):
         for _ in range(10):
             gust = 0.05 * unit * np.sqrt(0.01) * rng.normal(size=2)
-            w = w + 0.03 * unit * np.sqrt(0.01) * rng.normal(size=2)
+            w = w + noise.drift * unit * np.sqrt(0.01) * rng.normal(size=2)
             w = np.clip(w, -2.0, 2.0)
             if order == 1:
                 s = s + 0.01 * w + gust

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import textwrap
 from dataclasses import replace
 
 import numpy as np
@@ -336,6 +337,33 @@ def test_an_interrupted_hull_stays_in_its_disks_with_its_bound():
         assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-12
         assert found.lower_bound <= optimum.cost * (1 + 1e-9)
         assert found.cost >= optimum.lower_bound
+
+
+ONCE = """
+    import sys, time
+    from pathlib import Path
+    from orbimpc_ros.mpc.kernels import compiled
+
+    @compiled
+    def added(one, other):
+        return one + other
+
+    mine, others = map(Path, sys.argv[1:])
+    mine.touch()
+    while not others.exists():
+        time.sleep(0.001)
+    added(1.0, 2.0)
+    print(sum(added.stats.cache_misses.values()))
+"""
+
+
+def test_processes_that_need_the_same_code_at_once_compile_it_once(tmp_path):
+    script = tmp_path / 'once.py'
+    script.write_text(textwrap.dedent(ONCE))
+    command = [sys.executable, str(script)]
+    options = {'cwd': tmp_path, 'stdout': subprocess.PIPE, 'text': True}
+    pair = [subprocess.Popen([*command, *names], **options) for names in ('ab', 'ba')]
+    assert sorted(each.communicate(timeout=60)[0] for each in pair) == ['0\n', '1\n']
 
 
 def test_code_from_other_sources_is_forgotten(tmp_path):

@@ -1,21 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The documentation is true: tables, links, commands, and the page's own vehicle over DDS."""
+"""The documentation is true: tables, links, commands; CI follows it by pages.py, tested here."""
 
 import importlib.util
-import os
 import re
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
+import pages
 import pytest
 import yaml
-from conftest import PATIENCE
 
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS
-from orbimpc_ros.mpc.problem.floor import SHAPES
-from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.cli import _parser
 
@@ -75,69 +69,31 @@ def test_the_pictures_can_still_be_drawn():
             assert f'pictures/{look_of}.png' in (DOCS / 'concepts.md').read_text()
 
 
-def test_the_problem_of_the_first_page_is_solved(tmp_path, capsys):
-    (text,) = (t for t in blocks(DOCS / 'getting_started.md', 'yaml') if t.startswith('dimension'))
-    (tmp_path / 'problem.yaml').write_text(text)
-    assert cli.main(['solve', str(tmp_path / 'problem.yaml')]) == 0
-    assert yaml.safe_load(capsys.readouterr().out)['status'] == 'optimal'
-
-
-@pytest.fixture
-def registries():
-    """Forget after the test what a page has registered."""
-    known = [(each, dict(each)) for each in (SHAPES, TRANSLATIONS)]
-    yield
-    for registry, before in known:
-        registry.clear()
-        registry.update(before)
+SHOWN = ['ticks         26', '...', 'solve time    p50 0.5 ms, ... boxes', 'at            1.50 m']
 
 
 @pytest.mark.parametrize(
-    'page',
-    [DOCS / 'library.md', DOCS / 'getting_started.md', ROOT / 'README.md'],
-    ids=lambda page: page.name,
+    ('printed', 'difference'),
+    [
+        ('ticks 26\nmore\nsolve time p50 900 ms, no boxes\nat 1.51 m\n', ''),
+        ('ticks 26\nsolve time p50 0.4 ms, two boxes\nat 1.50 m\n', ''),
+        ('ticks 30\nsolve time p50 0.4 ms, no boxes\nat 1.50 m\n', '30 instead of 26'),
+        ('ticks 26\nsolve time p50 0.4 ms, no boxes\nat 1.90 m\n', '1.90 instead of 1.50'),
+        ('ticks 26\nsolve time p50 0.4 s, no boxes\nat 1.50 m\n', 'other text'),
+        ('ticks 26\nat 1.50 m\n', 'other text'),
+    ],
 )
-@pytest.mark.usefixtures('registries')
-def test_python_that_needs_no_ros_runs(page, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    texts = [text for text in blocks(page, 'python') if 'rclpy' not in text]
-    assert texts
-    for text in texts:
-        exec(compile(text, page.name, 'exec'), {'__name__': '__main__'})
-        out = capsys.readouterr().out
-        assert 'optimal' in out or ('feasible' in out and WORD in out), out
+def test_output_is_held_against_a_page(printed, difference):
+    assert pages.differs(SHOWN, printed) == difference
 
 
-def test_the_first_pages_boat_reaches_its_beacon(tmp_path, domain):
-    pytest.importorskip('rclpy')
-    (boat,) = (t for t in blocks(DOCS / 'getting_started.md', 'python') if 'rclpy' in t)
-    (parameters,) = (
-        t for t in blocks(DOCS / 'getting_started.md', 'yaml') if t.startswith('planner')
-    )
-    (tmp_path / 'boat.py').write_text(boat)
-    (tmp_path / 'boat.yaml').write_text(parameters)
-    environment = here() | {'ROS_DOMAIN_ID': str(domain)}
-    words = ('--ros-args', '--params-file', 'boat.yaml', '-r', 'goal:=beacon')
-    planner = subprocess.Popen(
-        [sys.executable, '-m', 'orbimpc_ros.ros.planner', *words],
-        cwd=tmp_path,
-        env=environment,
-    )
-    try:
-        done = subprocess.run(
-            [sys.executable, 'boat.py'],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=PATIENCE,
-        )
-        assert done.returncode == 0, done.stderr
-        assert 'at the beacon' in done.stdout
-    finally:
-        planner.terminate()
-        assert planner.wait(PATIENCE) == 0
+def test_every_command_of_the_pages_is_followed_or_left_out_for_a_reason():
+    followed = [b for page in pages.PAGES for b in pages.blocks_of((ROOT / page).read_text())]
+    named = {block.file for block in followed} - {''}
+    assert named == {'wing.yaml', 'problem.yaml', 'boat.py', 'boat.yaml'}
+    assert all(block.output for block in followed if block.language == 'python' and not block.file)
+    (rope,) = (b for b in followed if b.output and 'near misses' in ' '.join(b.output))
+    assert 'make demo' in rope.text
 
 
 CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
@@ -185,12 +141,6 @@ def test_who_is_to_catch_what_moves_is_recommended_the_forecast_that_finds_its_m
     }
     assert {'README.md', 'vehicle.md', 'fixed_wing.yaml'} <= forecasts.keys()
     assert set(forecasts.values()) == {'auto'}, forecasts
-
-
-def here():
-    """Return an environment in which this very package is imported from anywhere."""
-    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))
-    return os.environ | {'PYTHONPATH': path}
 
 
 def test_the_code_names_sections_of_the_mathematics_that_exist():

@@ -1,30 +1,19 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Layouts for RViz, Foxglove and PlotJuggler name topics, fields and keys that there are."""
+"""Layouts for RViz, Foxglove and PlotJuggler name topics and fields that there are."""
 
 import json
-import re
 import xml.etree.ElementTree as ElementTree
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
-from scenarios import retrieval
-from stepping import Stepped
 
-from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.sim.world import departure
+from orbimpc_ros.ros.planner.numbers import NUMBERS
 from orbimpc_ros.tool.topics import TYPES
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'
-ODOMETRY = measured(departure(retrieval()).vehicle)
-TICK = Stepped(Problem()).tick(ODOMETRY, np.tile([9.0, 0.0], (5, 1)))
-REPORT = Report(TICK, solve_time_ms=0.4)
-KEYS = set(REPORT.values)
 SHOWS = {
     'MarkerArray': 'visualization_msgs/msg/MarkerArray',
     'Odometry': 'nav_msgs/msg/Odometry',
@@ -85,10 +74,9 @@ def test_foxglove_shows_what_there_is():
             assert TYPES[panel['topicToRender'][1:]] == 'diagnostic_msgs/msg/DiagnosticArray'
         for path in panel.get('paths', ()):
             topic, *steps = path['value'][1:].split('.')
-            key = re.search(r'{key=="(\w+)"}', path['value'])
-            assert key is None or key[1] in KEYS
-            plain = [step.partition('[')[0] for step in steps]
-            assert require(topic, plain) == ('string' if key else 'double')
+            assert require(topic, steps) == 'double'
+    plotted = {path['value'] for panel in panels.values() for path in panel.get('paths', ())}
+    assert {f'/planner/{name}.data' for name in NUMBERS} <= plotted
 
 
 def test_foxglove_lays_out_every_panel_once():
@@ -104,28 +92,17 @@ def test_plotjuggler_shows_what_there_is():
     curves = [c for c in curves if c] + [
         c.get('name') for c in plotjuggler().iter('curve') if '[' not in c.get('name')
     ]
-    # It names a number on tick by topic, status and key, as its parser of diagnostics does.
-    status = tick_message(0, '/planner', REPORT).status[0].name
     for curve in curves:
-        if curve.startswith('/tick/'):
-            assert curve.startswith(f'/tick/{status}/')
-            assert curve.rpartition('/')[2] in KEYS
-        else:
-            topic, *steps = curve[1:].split('/')
-            assert require(topic, steps) == 'double'
-    assert {'/cmd_thrust/wrench/force/x', f'/tick/{status}/gap'} <= set(curves)
-
-
-def test_values_on_tick_that_are_plotted_are_numbers():
-    values = {pair.key: pair.value for pair in tick_message(0, '/planner', REPORT).status[0].values}
-    for key in ('objective', 'lower_bound', 'gap', 'solve_time_ms', 'nodes'):
-        assert float(values[key]) == REPORT.values[key]
+        topic = max((each for each in TYPES if curve.startswith(f'/{each}/')), key=len)
+        assert require(topic, curve.removeprefix(f'/{topic}/').split('/')) == 'double'
+    assert {'/cmd_thrust/wrench/force/x', *(f'/planner/{n}/data' for n in NUMBERS)} <= set(curves)
 
 
 def test_the_nodes_have_the_topics_that_layouts_show(launch, observer):
     launch('planner', {}, 'spacecraft')
     launch('sim', {'wait_subscribers': 9}, 'spacecraft')
     shown = {topic for topic, _ in of_rviz()} | {'tick', 'cmd_vel', 'cmd_thrust', 'diagnostics'}
+    shown |= {f'planner/{name}' for name in NUMBERS}
     wanted = {(f'/{topic}', TYPES[topic]) for topic in shown}
 
     def there():

@@ -8,7 +8,6 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from bags import GOLDEN
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -17,7 +16,6 @@ from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.simulation import outcome
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Rope, Scenario, departure
-from orbimpc_ros.tool.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
 
@@ -132,21 +130,6 @@ def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):
 def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
     with pytest.raises(BadInput, match=r'rope.amplitude is \[1.0, 1.0\]; .*at most 1.2 m aside'):
         flight_of(aside=[1.0, 1.0])
-
-
-def test_a_recorded_flight_can_be_flown_again(hummingbird):
-    flights = list(flown_again(GOLDEN / 'rope'))
-    assert flights[-1].captured
-    assert not any(each.captured for each in flights[:-1])
-
-
-def test_it_can_be_rendered(hummingbird):
-    try:
-        picture = flight_of([1.0, 0.0]).vehicle.engine.picture()
-    except Exception as error:
-        pytest.skip(f'MuJoCo cannot draw here ({error}): an EGL or a display runs this')
-    assert picture.shape == (480, 720, 3)
-    assert picture.std() > 5.0
 
 
 @pytest.mark.skipif(not COMPILED, reason='slow in plain Python: pip install numba')

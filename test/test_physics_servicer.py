@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 
 pytest.importorskip('rclpy')
 
-from bags import GOLDEN
 
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -17,8 +16,6 @@ from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Scenario, departure, fixed
-from orbimpc_ros.tool import history
-from orbimpc_ros.tool.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
 
@@ -123,14 +120,6 @@ def test_an_error_of_basilisk_is_a_failure(servicer, monkeypatch):
     monkeypatch.setattr(flight.vehicle.engine._simulation, 'StepUntilStop', failing)
     with pytest.raises(EngineFailure, match='basilisk: the task list is empty'):
         flight.after(0.0, STILL)
-
-
-def test_a_recorded_flight_can_be_flown_again(servicer):
-    """Where the bag has it; libraries of mathematics differ in the last bits."""
-    flights = list(flown_again(GOLDEN / 'servicer'))
-    seen = history.of_bag(GOLDEN / 'servicer').positions
-    assert len(flights) == len(seen) == 23
-    np.testing.assert_allclose([each.vehicle.position for each in flights], seen, atol=1e-6)
 
 
 @pytest.mark.skipif(not COMPILED, reason='slow in plain Python: pip install numba')

@@ -112,7 +112,7 @@ def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
 ):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'empty'))
     planner = launch('planner', {'floor.shape': 'circle'})
-    words = 'compiling machine code, which takes a minute or more'
+    words = 'compiling machine code, only once: function 1, 0 s'
     observer.until(lambda: words in planner.output, words)
     planner.tell(signal.SIGINT)
     assert planner.wait() == 0

@@ -2,7 +2,6 @@
 """Missions: configurations flown in process on the simulator's vehicle in continuous time."""
 
 import json
-import os
 
 import numpy as np
 import pytest
@@ -71,27 +70,6 @@ def test_each_limit_is_judged(missions):
     assert missions.broken(values | {'floor.shape': 'none'}, missions.Tally(), 0) == []
 
 
-def test_what_is_set_is_not_drawn(missions):
-    known = missions.jobs.drawn
-    values, drawn = known('fixed_wing', 1, 0, ('sim.wind=[1.0, 0.0, 0.0]', 'gust=0.0'))
-    assert (values['sim.wind'], values['gust']) == ((1.0, 0.0, 0.0), 0.0)
-    assert not {'sim.wind', 'gust'} & drawn.keys()
-    told, _ = known('fixed_wing', 1, 0, ('wind=[1.0, 0.0, 0.0]',))
-    assert 'sim.wind' not in told
-    assert drawn['seed'] == known('fixed_wing', 1, 0)[1]['seed']
-
-
-def test_with_a_scaled_retrieval_lengths_grow_with_the_speed(missions):
-    """In steps of another length or at another speed the job is the same one."""
-    slow, fast = (
-        missions.jobs.drawn('retrieval', 1, 0, (f'forward={speed}', 'step=0.1', 'deadline=0.02'))[1]
-        for speed in (1.0, 50.0)
-    )
-    for name in ('rope.center', 'rope.amplitude', 'capture_radius'):
-        np.testing.assert_allclose(fast[name], 50.0 * np.array(slow[name]))
-    assert slow['max_ticks'] == fast['max_ticks'] == 300
-
-
 @searched
 def test_a_patient_planner_takes_its_time(missions):
     """With a millionth of a second for a solve no plan is proved, but by one that may wait."""
@@ -101,22 +79,3 @@ def test_a_patient_planner_takes_its_time(missions):
         for patient in (False, True)
     }
     assert proved == {False: False, True: True}
-
-
-@searched
-def test_over_dds_the_nodes_are_judged_by_what_they_have_said(missions, tmp_path, monkeypatch):
-    """The same flight as in process, by two processes that know it from parameters alone."""
-    import over_dds
-
-    for name in ('ROS_DOMAIN_ID', 'ROS_LOG_DIR', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
-        monkeypatch.setenv(name, os.environ.get(name, ''))  # a flight isolates its process
-    patient = ('max_ticks=6', 'deadline=0.25')
-    flown = over_dds.row('fixed_wing', 1, 0, patient, folder=tmp_path)
-    alone = missions.row('fixed_wing', 1, 0, patient)
-    assert flown['broken'] == []
-    assert flown['drawn'] == alone['drawn']
-    assert 10.0 * (1.0 - 1e-6) <= flown['least_airspeed'] <= 15.0
-    assert sum(flown['roads'].values()) == flown['ticks'] >= 6
-    assert 0.0 < flown['turned'] <= 0.4363 * (1.0 + 1e-6)
-    assert (tmp_path / 'fixed_wing-1-0' / 'bag').is_dir()
-    assert flown.keys() == alone.keys()

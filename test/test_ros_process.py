@@ -16,7 +16,9 @@ pytest.importorskip('rclpy')
 from planners import QUICK, Bench, moving, told
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.ros.process import executor_named
+from orbimpc_ros.sim.parameters import SIM
 
 COLLECTING = """
     import gc, sys
@@ -134,11 +136,6 @@ def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path, breaks, code,
     ('node', 'words', 'said'),
     [
         ('planner', ['--params-file', 'x.yaml'], 'x.yaml is not behind --ros-args; allowed: --ros'),
-        (
-            'planner',
-            ['--help'],
-            'allowed: --ros-args, then arguments of ROS, such as --params-file',
-        ),
         ('planner', ['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
         ('sim', ['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file'),
     ],
@@ -149,6 +146,16 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
     assert done.returncode == 2
     assert done.stderr.count('\n') == 1, done.stderr
     assert re.search(f'command line: .*{said}', done.stderr), done.stderr
+
+
+@pytest.mark.parametrize(('node', 'rows'), [('planner', PLANNER), ('sim', SIM)])
+def test_help_has_every_parameter_and_the_exit_codes_within_80_columns(node, rows):
+    command = [sys.executable, '-m', PACKAGES[node], '--help']
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    lines = done.stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert {row.name for row in rows} <= {line.split()[0] for line in lines if line.strip()}
+    assert lines[-1].startswith('exit codes: 0 ')
 
 
 def test_a_parameter_file_that_is_not_there_is_refused_in_one_line():

@@ -16,7 +16,7 @@ from stepping import Stepped
 
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.ros.reports import Report, condition, health_message, tick_message
+from orbimpc_ros.ros.reports import Report, health_message, tick_message
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
@@ -35,20 +35,6 @@ def planned():
 def test_a_status_is_named_as_diagnostic_updater_names_it(node, name, vehicle):
     (told,) = health_message(0, node, 'condition', DiagnosticStatus.OK, 'ready', {}).status
     assert (told.name, told.hardware_id) == (f'{name}: condition', vehicle)
-
-
-def test_levels_get_worse_from_a_proved_plan_to_the_safe_command():
-    safe = Stepped(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
-    proved, unsafe = Report(planned()), Report(safe)
-    asked = [
-        condition([], '', proved, []),
-        condition([], '', proved, ['a rival']),
-        condition([], 'waits for a goal', None, []),
-        condition([], '', unsafe, []),
-        condition(['two sources'], '', proved, []),
-    ]
-    levels = [DiagnosticStatus.OK, *[DiagnosticStatus.WARN] * 2, *[DiagnosticStatus.ERROR] * 2]
-    assert [level for level, _ in asked] == levels
 
 
 def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():

@@ -3,6 +3,7 @@
 
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,11 @@ def recipe(name):
     return yaml.safe_load(text)['/**/planner']['ros__parameters']
 
 
-def flight(parameters, craft, motion, goal, seconds, band=0.0):
-    """Motions at every tick, with the commands, of a vehicle that sets off from a motion."""
+def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
+    """Motions at every tick, with the commands, of a vehicle that sets off from a motion.
+
+    A wind drags a fifth of its speed relative to the vehicle a second, besides what blows steadily.
+    """
     from orbimpc_ros.tool.run.onboard import Onboard
 
     planner, log = Onboard(parameters, clock=time.process_time), []
@@ -45,7 +49,9 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0):
         log.append((now, motion, command, report.decision))
         wanted = command.speed_fraction
         held = wanted if wanted * craft.forward >= band else 0.0
-        motion = flown(craft, motion, held, command.body_rate, planner.period)
+        dragged = 0.0 if wind is None else 0.2 * (next(wind) - motion.velocity)
+        blown = replace(craft, blown=craft.blown + dragged)
+        motion = flown(blown, motion, held, command.body_rate, planner.period)
     return log
 
 
@@ -115,3 +121,26 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
     assert max(np.linalg.norm(command.body_rate) for *_, command, _ in log) <= 3.84 * (1.0 + 1e-9)
     for low, high in around:
         assert not any(np.all((m.position > low) & (m.position < high)) for _, m, *_ in log)
+
+
+def gusts(rng, mean, deviation, memory, period):
+    """A first-order Gauss-Markov process about a mean [m/s], tick by tick."""
+    gust, kept = deviation * rng.normal(size=len(mean)), np.exp(-period / memory)
+    while True:
+        yield mean + gust
+        gust = kept * gust + deviation * np.sqrt(1.0 - kept**2) * rng.normal(size=len(mean))
+
+
+@needs_machine_code
+@pytest.mark.parametrize('number', range(3))
+def test_a_multirotor_holds_its_place_in_gusts(number):
+    """In 6 m/s with gusts of 1 m/s, which last for two seconds."""
+    rng = np.random.default_rng([2901, number])
+    craft = Craft(19.6, True, 0.05, 0.05, 1.0, np.array([0.0, 0.0, -9.81]), turns=3.84)
+    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))
+    start = replace(at_rest(3, fraction=0.5), attitude=upright)
+    way, place = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-6.0, 6.0, 3)
+    wind = gusts(rng, 6.0 * np.array([np.cos(way), np.sin(way), 0.0]), 1.0, 2.0, 0.1)
+    log = flight(recipe('multirotor'), craft, start, lambda now: place, 20.0, wind=wind)
+    late = [motion.position for now, motion, *_ in log if now > 10.0]
+    assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.05

@@ -13,7 +13,7 @@ from bags import check_pictures, check_rollout
 from harness import alive, children_of, wait_for
 from rosbags.rosbag2 import Reader
 
-from orbimpc_ros.tool import bags, demo, history
+from orbimpc_ros.tool import bags, cli, demo, history
 
 pytest.importorskip('rclpy')
 EVERY_TICK = ('odom', 'goal', 'cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick')
@@ -57,6 +57,11 @@ def test_the_same_rope_is_intercepted_on_the_first_pass(flown):
     np.testing.assert_array_equal(other.ropes[:5], paper.ropes[:5])
     assert not other.near_misses
     assert other.capture.time - other.times[0] < 0.5 * (paper.capture.time - paper.times[0])
+
+
+@pytest.mark.parametrize('flight', ['.', 'first_pass'])
+def test_what_was_flown_over_dds_is_what_is_replayed(flown, capsys, flight):
+    assert cli.main(['replay', str(flown[1] / flight / 'bag')]) == 0, capsys.readouterr().out
 
 
 def test_a_retrieval_that_is_not_the_papers_is_flown_alone():

@@ -12,7 +12,7 @@ from bags import check_pictures, check_rollout, messages_of
 
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.tool import settings
+from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.settings import config
 
 pytest.importorskip('rclpy')
@@ -54,7 +54,7 @@ def commanded(found, axis):
 
 
 @pytest.mark.parametrize('name', DEMOS)
-def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, tmp_path):
+def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, tmp_path, capsys):
     """Every odometry is answered on every topic; the last one need not have a plan to fly."""
     shown, done = DEMOS[name], run(name, tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -74,6 +74,8 @@ def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, tmp_path):
         if shown.rolled:
             assert set(found['plan']) >= set(sorted(found['odom'])[:-1])
             check_rollout(tmp_path / name / flight)
+            bag = str(tmp_path / name / flight / 'bag')
+            assert cli.main(['replay', bag]) == 0, capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,6 @@ VIEWER = {
     'view nowhere': 'nowhere',
     f'view {DUBINS} --namespace /uav7': 'without /uav7/odom',
     f'view {DUBINS} --port 70000': '--port',
-    f'view {DUBINS} --save /dev/null/x.rrd': '--save',
 }
 CASES = [
     *(pytest.param(*case, id=case[0]) for case in REFUSED.items()),

@@ -279,6 +279,29 @@ def test_process_keeps_tracebacks_to_itself():
     assert done.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
 
 
+@pytest.mark.parametrize('command', cli.COMMANDS)
+def test_help_of_a_command_has_the_exit_codes_within_80_columns(command, capsys, monkeypatch):
+    monkeypatch.setenv('COLUMNS', '80')
+    with pytest.raises(SystemExit):
+        cli.main([command, '--help'])
+    out = capsys.readouterr().out
+    assert 'exit codes: 0 done, 1 failed' in out
+    assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize('name', ['uav_square_0', 'uav3_hull_0', 'spacecraft_fuel0.1'])
+def test_on_a_terminal_a_plan_is_a_table(solve, monkeypatch, name):
+    answer = json.loads(solve(CASES[name])[1])
+    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
+    lines = solve(CASES[name])[1].splitlines()
+    assert lines[0].startswith(f'status      {answer["status"]}, gap 0')
+    assert max(map(len, lines)) <= 80
+    dimension = CASES[name]['dimension']
+    rows = np.array([line.split() for line in lines[6:]], dtype=float)
+    assert rows[:, 1 : 1 + dimension] == pytest.approx(np.array(answer['positions']), abs=1e-3)
+    assert rows[:, 1 + dimension] == pytest.approx(answer['speed_fraction'], abs=1e-3)
+
+
 def test_help_and_version():
     assert 'solve' in run_process('--help').stdout
     assert run_process('--version').stdout.startswith('orbimpc_ros ')

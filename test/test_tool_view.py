@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The viewer: what it draws of bags, and what it refuses."""
 
-import resource
 import socket
 from types import SimpleNamespace
 
@@ -198,36 +197,6 @@ def run(capsys, *words):
     """Return the exit code and the lines on stderr."""
     code = cli.main(['view', *map(str, words)])
     return code, capsys.readouterr().err.splitlines()
-
-
-@needs_rerun
-def test_a_recording_is_saved_and_never_over_another(capsys, tmp_path):
-    file = tmp_path / 'flight.rrd'
-    assert run(capsys, GOLDEN / 'dubins', '--save', file) == (0, [])
-    written = file.read_bytes()
-    assert written[:3] == b'RRF'
-    assert len(written) > 20_000
-    code, complaint = run(capsys, GOLDEN / 'dubins', '--save', file)
-    assert (code, len(complaint)) == (2, 1)
-    assert file.read_bytes() == written
-
-
-@pytest.fixture
-def full_disk():
-    """Let files grow to 20 kB only, which stands for a disk that is full."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-@needs_rerun
-@pytest.mark.usefixtures('full_disk')
-def test_a_recording_that_the_disk_does_not_take_leaves_nothing_behind(capsys, tmp_path):
-    file = tmp_path / 'flight.rrd'
-    complaint = f'orbimpc: --save {file}: file too large'
-    assert run(capsys, GOLDEN / 'dubins', '--save', file) == (1, [complaint])
-    assert list(tmp_path.iterdir()) == []
 
 
 @needs_rerun

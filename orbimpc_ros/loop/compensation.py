@@ -446,6 +446,7 @@ class NoiseModel:
 
 
 MEASURED = NoiseModel(model=0.01)  # gusts are seen in the velocity, and commands have no part
+PUSHED = NoiseModel(drift=0.2)  # gusts push a vehicle with inertia for as long as they last
 
 
 class Estimator:
@@ -455,7 +456,7 @@ class Estimator:
         problem: gives the orders and the full speed or thrust.
         lag: of speed or thrust [s]; see :class:`orbimpc_ros.loop.compensation.Response`.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        noise: of the model.
+        noise: of the model; by default that of such a vehicle.
         measured: whether the measured speed is believed, through the air, not the commanded one.
 
     Attributes:
@@ -473,7 +474,8 @@ class Estimator:
         *,
         measured: bool = False,
     ) -> None:
-        self._noise = noise or (MEASURED if measured else NoiseModel())
+        usual = PUSHED if problem.inertial else NoiseModel()
+        self._noise = noise or (MEASURED if measured else usual)
         self._problem, self._lag, self._as_measured = problem, lag, measured
         self._velocity_source = velocity_source
         self.reset()

@@ -11,7 +11,10 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from importlib import import_module
+from itertools import takewhile
+from pathlib import Path
 
 # What the tool and the general methods need beside ROS, NumPy and SciPy.
 OTHERS = ('clarabel', 'matplotlib', 'mcap', 'rosbags')
@@ -21,7 +24,8 @@ ROS = (
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
 PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
-BAD_INPUT = 2  # exit code
+TABLES = {'planner': 'orbimpc_ros.ros.parameters', 'sim': 'orbimpc_ros.sim.parameters'}
+DONE, BAD_INPUT = 0, 2  # exit codes
 
 
 def leave_at_signals() -> None:
@@ -47,6 +51,10 @@ def _run(node: str) -> int:
     leave_at_signals()
     gc.disable()  # until the node runs: what a start makes is kept
     try:
+        if asks_for_help(sys.argv):
+            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as for `planner --help | head`
+            print(_help(node))
+            return DONE
         main = import_module(f'{PACKAGES[node]}.node').main
     except ModuleNotFoundError as error:
         line = in_a_line(error)
@@ -55,6 +63,20 @@ def _run(node: str) -> int:
         print(f'{node}: {line}', file=sys.stderr)
         return BAD_INPUT
     return int(main())
+
+
+def asks_for_help(words: Sequence[str]) -> bool:
+    """Return whether a command line asks for help, before the arguments of ROS."""
+    plain = takewhile('--ros-args'.__ne__, words)
+    return any(word in ('-h', '--help') for word in plain)
+
+
+def _help(node: str) -> str:
+    from orbimpc_ros.ros.help import help_of
+
+    rows = getattr(import_module(TABLES[node]), node.upper())
+    name = Path(sys.argv[0]).name
+    return help_of(node, node if name == '__main__.py' else name, rows)
 
 
 def in_a_line(error: ModuleNotFoundError) -> str:

@@ -11,7 +11,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
@@ -21,6 +21,7 @@ from orbimpc_ros.tool.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible, 130 interrupted'
 
 
 class Subcommand(NamedTuple):
@@ -31,31 +32,33 @@ class Subcommand(NamedTuple):
             the repository, which is not installed.
         summary: what it does.
         planning: whether it plans for long, so that a slow planner is worth a word.
+        solves: whether it does so in this process, which may have to compile first.
     """
 
     package: str
     summary: str
     planning: bool = False
+    solves: bool = False
 
 
 TOOL, BENCHMARKS = 'orbimpc_ros.tool', 'benchmarks'
 CLONE = Path(__file__).resolve().parents[2]
 COMMANDS = {
     'bench': Subcommand(
-        BENCHMARKS, 'measure side by side with the solvers that are installed', True
+        BENCHMARKS, 'measure side by side with the solvers that are installed', True, True
     ),
     'demo': Subcommand(
         TOOL, 'run planner and simulator over DDS, record a bag, draw the picture', True
     ),
-    'replay': Subcommand(TOOL, 'solve the inputs of a bag again, compare with its outputs'),
+    'replay': Subcommand(TOOL, 'solve the inputs of a bag again, compare', solves=True),
     'faults': Subcommand(
         BENCHMARKS,
         'try planner and simulator under faults, as real processes, and print the matrix',
     ),
     'plot': Subcommand(TOOL, 'draw the figures and an animation of a bag'),
-    'solve': Subcommand(TOOL, 'solve one problem from a file, print the plan as JSON'),
-    'study': Subcommand(TOOL, 'fly many random tasks and report how they end', True),
-    'verify': Subcommand(TOOL, 'prove lower bounds again, in exact arithmetic'),
+    'solve': Subcommand(TOOL, 'solve one problem from a file, print the plan', solves=True),
+    'study': Subcommand(TOOL, 'fly many random tasks and report how they end', True, True),
+    'verify': Subcommand(TOOL, 'prove lower bounds again, in exact arithmetic', solves=True),
     'view': Subcommand(TOOL, 'look at a flight in a browser, live or from a bag'),
 }
 
@@ -74,9 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         args = _parser(words).parse_args(words)
-        if COMMANDS[args.command].planning and find_spec('numba') is None:
-            _complain(import_module('orbimpc_ros.ros.planner.compiling').MISSING)
-        code = _module(args.command).run(args)
+        module = _module(args.command)
+        _report_on_machine_code(COMMANDS[args.command])
+        code = module.run(args)
         sys.stdout.flush()
         return code
     except OrbimpcError as error:
@@ -104,6 +107,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
 
 
+def _report_on_machine_code(command: Subcommand) -> None:
+    """Report that there is no compiler, or on a terminal how far it is."""
+    from orbimpc_ros.ros.planner.compiling import MISSING, report_compilation
+
+    if find_spec('numba') is None:
+        if command.planning:
+            _complain(MISSING)
+    elif command.solves and sys.stderr.isatty():
+        report_compilation(_complain)
+
+
 def _end_output() -> None:
     """Drop what nobody takes: Python would try once more at its end, and complain."""
     try:
@@ -117,12 +131,13 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser = OneLineParser(
         prog='orbimpc',
         description='Convex model predictive control on rotation orbitopes.',
-        epilog='exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible',
+        epilog=EXIT_CODES,
     )
     parser.add_argument('--version', action='version', version=f'orbimpc_ros {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, command in COMMANDS.items():
-        sub = commands.add_parser(name, help=command.summary, description=command.summary)
+        words_of: Any = {'help': command.summary, 'description': command.summary}
+        sub = commands.add_parser(name, **words_of, epilog=EXIT_CODES)
         if words[:1] == [name]:
             _module(name).add_arguments(sub)
     return parser

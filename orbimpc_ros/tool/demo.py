@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.files import new_folder, writing_to
+from orbimpc_ros.tool.arguments import add_set
+from orbimpc_ros.tool.files import new_folder, shown, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.history import History
@@ -40,20 +41,21 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     scenarios = (*ALONE, *FLEETS)
-    parser.add_argument('scenario', nargs='?', default='retrieval', choices=scenarios)
+    parser.add_argument(
+        'scenario',
+        nargs='?',
+        default='retrieval',
+        choices=scenarios,
+        metavar='SCENARIO',
+        help=f'one of {", ".join(scenarios)} (default: %(default)s)',
+    )
     parser.add_argument(
         '--vehicles', type=int, metavar='K', help='size of the fleet (default: 4) or crossing (8)'
     )
     parser.add_argument(
         '--out', default='out', metavar='DIR', help='takes the results (default: %(default)s)'
     )
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='override a parameter of planner or simulator; may be repeated',
-    )
+    add_set(parser, 'override a parameter of planner or simulator')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -145,18 +147,14 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         folder: takes the pictures.
         places: of the flights' bags, by name.
     """
-    from orbimpc_ros.sim.engine_vehicle import ENGINES
     from orbimpc_ros.tool import history, summary
 
     flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
     for name, each in flown.items():
         print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
     for place in places.values():
-        print(f'bag           {place / "bag"}')
+        print(f'bag           {shown(place / "bag")}')
     _draw(folder, flown)
-    for name, place in places.items():
-        if flown[name].values['vehicle'] in ENGINES:
-            _render(folder, place / 'bag')
     return 0 if all(each.captured for each in flown.values()) else 1
 
 
@@ -168,7 +166,7 @@ def report_fleet(folder: Path, namespaces: Sequence[str]) -> int:
     flown = {name: history.of_bag(path, name) for name in namespaces}
     print(summary.of_fleet(flown, summary.late(path)))
     clear = clearance(flown)
-    print(f'bag           {path}')
+    print(f'bag           {shown(path)}')
     _draw(folder, flown)
     return 0 if clear and all(each.captured for each in flown.values()) else 1
 
@@ -196,17 +194,4 @@ def _draw(folder: Path, flown: Mapping[str, History]) -> None:
     for name, figure in figures.of_runs(flown).items():
         save(figure, folder / name)
         label = 'picture' if name == figures.PATH else Path(name).stem
-        print(f'{label:<14}{folder / name}')
-
-
-def _render(folder: Path, bag: Path) -> None:
-    """Have the engine of a flight draw it, if it can here; the flight is none the worse if not."""
-    from orbimpc_ros.tool.rendering import render
-
-    try:
-        rendered = render(bag, folder)
-    except Exception as error:  # of what kind depends on the graphics that are missing
-        print(f'rendered      not here: {error}'.splitlines()[0])
-    else:
-        if rendered is not None:
-            print(f'rendered      {rendered}')
+        print(f'{label:<14}{shown(folder / name)}')

@@ -34,6 +34,7 @@ from orbimpc_ros.tool.style import (
     paper,
     whole_seconds,
 )
+from orbimpc_ros.tool.summary import length
 
 PATH, DATA = 'trajectory.png', 'data.png'
 COMPONENTS = (('x', RED, '-'), ('y', GREEN, '--'), ('z', BLUE, '-.'))  # RViz's colours
@@ -78,7 +79,7 @@ def _end(history: History) -> str:
     after = f't = {history.end - history.times[0]:.1f} s'
     if history.arrives:
         missed, speed = history.missed
-        at = f' at {speed:.2f} m/s' if history.values['translation_order'] == 2 else ''
+        at = f' at {length(speed)}/s' if history.values['translation_order'] == 2 else ''
         verb = 'Arrives' if history.captured else 'Does not arrive'
         return f'{verb}: {length(missed)} from the goal{at}, {after}'
     near = len(history.near_misses)
@@ -87,13 +88,6 @@ def _end(history: History) -> str:
         return f'Goal not caught by {after}: {misses}'
     verb = 'intercepted' if history.values['objective'] == 'intercept' else 'caught'
     return f'Goal {verb} at {after} {f"after {misses}" if near else "on the first pass"}'
-
-
-def length(metres: float) -> str:
-    """Return a length as people write it."""
-    if metres < 1e-3:
-        return 'less than 1 mm'
-    return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'
 
 
 # --- paths

@@ -222,6 +222,12 @@ def new_folder(out: str, name: str) -> Path:
     raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
 
 
+def shown(path: Path) -> Path:
+    """Return a path as people type it: relative where it is below the present folder."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
 @contextmanager
 def writing_to(folder: Path) -> Iterator[None]:
     """Report a disk that takes no more as the failure of the job that writes into a folder.

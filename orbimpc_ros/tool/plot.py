@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.files import WRITABLE, require_writable, why, writing_to
+from orbimpc_ros.tool.arguments import add_namespace
+from orbimpc_ros.tool.files import WRITABLE, require_writable, shown, why, writing_to
 
 ANIMATION = 'animation.gif'
 
@@ -19,9 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--out', required=True, metavar='DIR', help='takes the pictures; made if missing'
     )
-    parser.add_argument(
-        '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
-    )
+    add_namespace(parser)
     parser.add_argument('--dark', action='store_true', help='for dark pages, not for print')
     parser.add_argument('--no-animation', action='store_true', help='only still pictures')
 
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     with writing_to(folder):
         for name, write in pictures.items():
             write(folder / name)
-    print(f'written: {", ".join(pictures)} in {folder}')
+    print(f'written: {", ".join(pictures)} in {shown(folder)}')
     return 0
 
 

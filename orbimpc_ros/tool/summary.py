@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +20,15 @@ from orbimpc_ros.sim.simulation import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.history import History
 
+WIDTH, NAMES = 80, 14  # characters
+
 
 def text(history: History) -> str:
     """Return the summary of a run."""
     rows = {'arrived' if history.arrives else 'captured': _end(history)}
     if not history.arrives:
         rows['near misses'] = _near_misses(history)
-    return _lines(rows | _touched(history) | _airspeeds(history) | _ticks([history]))
+    return lines(rows | _touched(history) | _airspeeds(history) | _ticks([history]))
 
 
 def of_fleet(flown: Mapping[str, History], late: Mapping[str, int]) -> str:
@@ -43,7 +47,7 @@ def of_fleet(flown: Mapping[str, History], late: Mapping[str, int]) -> str:
     rows['arrived' if arrive else 'captured'] = f'{done} of {len(flown)}'
     ticks = _ticks(list(flown.values()))
     ticks['ticks'] += f', {sum(late.values())} late'
-    return _lines(rows | ticks)
+    return lines(rows | ticks)
 
 
 def late(path: Path) -> dict[str, int]:
@@ -73,8 +77,10 @@ def _late(asked: Mapping[int, int], answered: Mapping[int, int]) -> int:
     )
 
 
-def _lines(rows: Mapping[str, str]) -> str:
-    return '\n'.join(f'{name:<14}{value}' for name, value in rows.items())
+def lines(rows: Mapping[str, str]) -> str:
+    """Return rows of a name and a value each, within the width of a page."""
+    wrap = partial(textwrap.fill, width=WIDTH, subsequent_indent=' ' * NAMES)
+    return '\n'.join(wrap(f'{name:<{NAMES}}{value}') for name, value in rows.items())
 
 
 def _end(history: History) -> str:
@@ -82,10 +88,17 @@ def _end(history: History) -> str:
     if history.arrives:
         missed, speed = history.missed
         done, when = 'yes' if history.captured else 'no', history.times[-1] - begun
-        return f'{done}, {missed:.1e} m from the goal at {speed:.1e} m/s, t = {when:.0f} s'
+        return f'{done}, {length(missed)} from the goal at {length(speed)}/s, t = {when:.0f} s'
     if capture is None:
         return 'no'
-    return f't = {capture.time - begun:.2f} s, {capture.distance:.3f} m from the rope'
+    return f't = {capture.time - begun:.2f} s, {length(capture.distance)} from the rope'
+
+
+def length(metres: float) -> str:
+    """Return a length as people write it."""
+    if metres < 1e-3:
+        return 'less than 1 mm'
+    return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'
 
 
 def _near_misses(history: History) -> str:

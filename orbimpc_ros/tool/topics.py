@@ -52,14 +52,19 @@ EVENTS = (
     Topic('caught', 'std_msgs/msg/Bool', latched=True),
 )
 PROOFS = (Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),)
+NUMBERS = tuple(
+    Topic(f'planner/{name}', 'std_msgs/msg/Float64')
+    for name in ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
+)  # for plots of whoever reads bags; this tool takes them from tick
 NEEDED = 'odom and goal are needed'
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *EVENTS, *PROOFS)
-TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE)}
+TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *NUMBERS)}
 
 
 def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
     """Return the topics of a run with one vehicle in each namespace, such as ``/uav1``."""
-    own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in VEHICLE)
+    each = (*VEHICLE, *NUMBERS)
+    own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in each)
     return (*SHARED, *own)
 
 

@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.proof.certificate import Refutation, statement
 from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
 from orbimpc_ros.tool import bags, files
+from orbimpc_ros.tool.arguments import add_namespace
 from orbimpc_ros.tool.files import write_whole
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--problem', metavar='FILE', help='that the certificate is to be of, as given to solve'
     )
     parser.add_argument('--tick', type=int, metavar='K', help='of a bag: this tick alone')
-    parser.add_argument('--namespace', default='', metavar='NS', help='of the vehicle')
+    add_namespace(parser)
     parser.add_argument('--params', metavar='FILE', help='of a bag that has no notes of its own')
     parser.add_argument('--out', metavar='DIR', help="write the ticks' certificates there")
 

@@ -6,12 +6,15 @@ Without numba the functions are ordinary Python: right, and too slow to be used.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
+from fcntl import LOCK_EX, LOCK_UN, lockf
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 try:
     from numba import njit
@@ -28,15 +31,47 @@ else:
         def load_overload(self, signature: Any, context: Any) -> Any:
             """Return the code for a signature, or None: then it is compiled.
 
+            Of several processes that need it at the same time one compiles it, and the others wait.
             numba would refresh the context first, with all that it can compile: 0.3 s and 60 MB of
             every start. What code calls at run time is all that is needed to load it.
             """
             rtsys.initialize(context)
+            found = self._kept(signature, context)
+            if found is None:
+                for listener in LISTENERS:
+                    listener()
+                self._lock(LOCK_EX)
+                found = self._kept(signature, context)  # another process may just have compiled it
+                if found is not None:
+                    self._lock(LOCK_UN)
+            return found
+
+        def save_overload(self, signature: Any, data: Any) -> None:
+            """Keep what has been compiled."""
+            super().save_overload(signature, data)
+            self._lock(LOCK_UN)
+
+        def _kept(self, signature: Any, context: Any) -> Any:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(signature, context)
 
+        def _lock(self, what: int) -> None:
+            """Lock or unlock this function: a byte of a file, while it is being compiled."""
+            byte = crc32(f'{self._py_func.__module__}.{self._py_func.__qualname__}'.encode())
+            with suppress(OSError):  # such as a cache that others alone may write
+                lockf(_lock_file(Path(self.cache_path)), what, 1, byte)
+
 
 STAMP = 'orbimpc_ros.sha256'  # of the sources that the machine code beside it was compiled from
+LOCKS = 'orbimpc_ros.lock'
+LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
+
+
+@cache
+def _lock_file(folder: Path) -> int:
+    """Return the descriptor of a cache's lock file, open until the process ends."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return os.open(folder / LOCKS, os.O_RDWR | os.O_CREAT, 0o666)
 
 
 def compiled(function: Callable) -> Callable:

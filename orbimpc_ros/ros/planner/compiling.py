@@ -1,21 +1,19 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Compilation of machine code, for which a start takes a minute or more: said, and broken off."""
+"""Compilation of machine code at the first start: its progress, and signals in the meantime."""
 
 from __future__ import annotations
 
+import math
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from orbimpc_ros.install import command
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros.entry import leave_at_signals
 
-NOTICE = (
-    'compiling machine code, which takes a minute or more and is kept for later starts; '
-    'python -m orbimpc_ros.mpc.kernels does it beforehand'
-)
+COMPILING = 'compiling machine code, only once'
+PAUSE = 5.0  # [s] between two lines of progress
 MISSING = (
     'numba is not installed: plans take 6 to 60 times as long; to have it, '
     f'apt install python3-numba or {command("numba")}'
@@ -38,24 +36,23 @@ def leaving_at_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def report_compilation(say: Callable[[str], None]) -> None:
-    """From now on say so whenever machine code has to be compiled; say it now if it cannot be.
+def report_compilation(report: Callable[[str], None]) -> None:
+    """From now on report the progress whenever machine code has to be compiled.
 
     Args:
-        say: called with a line, often with the same one.
+        report: called with a line every few seconds.
     """
-    if not COMPILED:
-        say(MISSING)
-        return
-    from numba.core import event
+    from orbimpc_ros.mpc.kernels import LISTENERS  # whoever only reads the log needs no compiler
 
-    class Compilation(event.Listener):
-        """Hears of every function that is compiled instead of loaded."""
+    begun = said = -math.inf
+    count = 0
 
-        def on_start(self, _event: Any) -> None:
-            say(NOTICE)
+    def on_function() -> None:
+        nonlocal begun, said, count
+        now, count = time.monotonic(), count + 1
+        begun = now if count == 1 else begun
+        if now - said >= PAUSE:
+            said = now
+            report(f'{COMPILING}: function {count}, {now - begun:.0f} s')
 
-        def on_end(self, _event: Any) -> None:
-            pass
-
-    event.register('numba:compile', Compilation())
+    LISTENERS[:] = [on_function]

@@ -25,6 +25,7 @@ from visualization_msgs.msg import MarkerArray
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock, RosTime
 from orbimpc_ros.ros.lifecycle import Managed
@@ -32,7 +33,7 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
+from orbimpc_ros.ros.planner.compiling import MISSING, leaving_at_signals, report_compilation
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
@@ -90,7 +91,9 @@ class PlannerNode(Managed):
         super().__init__('planner')
         self._logged: dict[str, float] = {}  # when each line was logged last [s]
         self._introduced = ''  # the vehicle, as it was described last
-        report_compilation(self._warn)
+        report_compilation(self.get_logger().info)
+        if not COMPILED:
+            self._warn(MISSING)
         self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))

@@ -25,4 +25,4 @@ class NoStart(Exception):
         self.culprit = culprit
 
 
-os.environ.setdefault('MUJOCO_GL', 'egl')  # read when MuJoCo is imported: it needs no display
+os.environ.setdefault('MUJOCO_GL', 'disable')  # read when MuJoCo is imported: nothing is drawn

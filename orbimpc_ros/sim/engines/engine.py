@@ -118,14 +118,6 @@ class Guided(Protocol):
         """Have it fly to a waypoint, shape (n,) [m], from now on."""
 
 
-@runtime_checkable
-class Depicted(Protocol):
-    """An engine that can draw its bodies."""
-
-    def picture(self) -> NDArray[np.uint8]:
-        """Return what they look like now, shape (height, width, 3), red, green, blue."""
-
-
 def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:
     """Return motions that follow on a time ``before`` [s] and last a span [s].
 

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
@@ -39,7 +38,6 @@ FASTEST = 1.5  # [rad/s] turn on the way to a waypoint
 QUICKEST, SHARPEST = 3.0, 6.0  # the setpoint's speed and turn change no faster [m/s^2, rad/s^2]
 NOSE = np.array([0.45, 0.0, 0.0])  # [m] the middle of the hook, in the body
 MEMORY = 1.0  # [s] of gusts
-SIZE = 480, 720  # [px] height and width of pictures
 
 SCENE = Path(__file__).with_suffix('.xml').read_text()  # with what is computed in braces
 ROTOR = '<geom type="cylinder" size="{} 0.01" pos="{} {} 0.02" rgba="0.3 0.3 0.3 0.5"/>'
@@ -102,7 +100,6 @@ class Hummingbird:
         self._setpoint = _Setpoint(place, yaw, start.push, 0.0, 0.0)
         self._waypoint: Array | None = None
         self._caught = self._struck = False
-        self._renderer: mujoco.Renderer | None = None
         self._place(aside)
 
     def _place(self, aside: Array) -> None:
@@ -218,21 +215,6 @@ class Hummingbird:
             self._caught,
             self._struck,
         )
-
-    def picture(self) -> NDArray[np.uint8]:
-        """Return what MuJoCo renders, shape (height, width, 3).
-
-        Raises:
-            Exception: MuJoCo finds no OpenGL; of what kind depends on what is missing.
-        """
-        if self._renderer is None:
-            self._renderer = mujoco.Renderer(self._model, *SIZE)
-        camera = mujoco.MjvCamera()
-        camera.lookat[:] = 0.5 * (self._data.qpos[:3] + self._crossing()) + [0.0, 0.0, 0.3]
-        apart = float(np.linalg.norm(self._data.qpos[:3] - self._crossing()))
-        camera.distance, camera.azimuth, camera.elevation = 3.0 + 0.8 * apart, 60.0, -15.0
-        self._renderer.update_scene(self._data, camera)
-        return self._renderer.render().copy()
 
     def _crossing(self) -> Array:
         """Return where the rope crosses the plane of flight, or its end, shape (3,) [m]."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import argparse
 
+from orbimpc_ros.tool.arguments import add_namespace, add_set
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
@@ -12,19 +14,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--params', metavar='FILE', help='parameters; by default those that the bag was made with'
     )
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='override a parameter: what if? may be repeated',
-    )
+    add_set(parser, 'override a parameter: what if?')
     parser.add_argument(
         '--tick', type=int, metavar='K', help='show this tick alone, recorded and replayed'
     )
-    parser.add_argument(
-        '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
-    )
+    add_namespace(parser)
     parser.add_argument(
         '--update', action='store_true', help="accept: replace the bag's outputs by the new ones"
     )

@@ -198,12 +198,12 @@ def _turned(before: Any, now: Any) -> float:
     return math.inf if math.isnan(half) else 4.0 * math.asin(min(1.0, half))
 
 
-def shown(value: Any) -> str:
-    """Return a value as text, to compare it by eye."""
+def shown(value: Any, digits: int = 6) -> str:
+    """Return a value as text, to compare it by eye; arrays with so many digits."""
     if value is None:
         return 'none'
     if isinstance(value, str):
         return value or '-'
     if isinstance(value, float):
         return f'{value:.9g}'
-    return '(' + ', '.join(f'{each:.6g}' for each in value) + ')'
+    return '(' + ', '.join(f'{each:.{digits}g}' for each in value) + ')'

@@ -20,6 +20,7 @@ from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, show
 from orbimpc_ros.tool.replay.offline import resolved
 from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
 from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
+from orbimpc_ros.tool.summary import lines
 
 LINES = 20  # differences printed one by one
 SAME, DIFFERENT = 0, 1
@@ -28,16 +29,12 @@ SAME, DIFFERENT = 0, 1
 def run(args: argparse.Namespace) -> int:
     """Replay, print, and return the exit code."""
     begun = time.perf_counter()
-    path = Path(args.bag)
-    namespace = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
-    values = _values(path, namespace, args.params, args.set)
-    planner = planner_settings(values)
-    recording = recording_of(path, namespace, resolved(planner, namespace))
+    values = _values(Path(args.bag), args.namespace, args.params, args.set)
+    recording, planner = _opened(Path(args.bag), args.namespace, values)
     if args.tick is not None:
         wanted = _tick(args, len(recording.answers))
         recording = replace(recording, answers=recording.answers[: wanted + 1])
-    simulated = bool(values.get('use_sim_time', recording.simulated))
-    answers = list(replayed(recording, planner, simulated))
+    answers = list(_replayed(recording, planner, values))
     found = compared(answers, planner)
     if args.tick is not None:
         found = [each for each in found if each.tick == args.tick]
@@ -47,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     _print(recording, found, answers, whole, time.perf_counter() - begun)
     if args.update:
         accept(recording, answers, values)
-        print(f'accepted      {path}')
+        print(f'accepted      {recording.path}')
         return SAME
     lacking = whole.unanswered > _may_be_unanswered(recording, planner)
     differs = any(each.differs for each in found)
@@ -62,11 +59,21 @@ def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[Replaye
         params: a file of parameters, for a bag without notes of them.
         namespace: of the vehicle.
     """
-    namespace = f'/{namespace.strip("/")}' if namespace.strip('/') else ''
     values = _values(path, namespace, params, [])
+    yield from _replayed(*_opened(path, namespace, values), values)
+
+
+def _opened(
+    path: Path, namespace: str, values: settings.Values
+) -> tuple[Recording, PlannerSettings]:
     planner = planner_settings(values)
-    recording = recording_of(path, namespace, resolved(planner, namespace))
-    yield from replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
+    return recording_of(path, namespace, resolved(planner, namespace)), planner
+
+
+def _replayed(
+    recording: Recording, planner: PlannerSettings, values: settings.Values
+) -> Iterator[ReplayedTick]:
+    return replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
 
 
 def _may_be_unanswered(recording: Recording, planner: PlannerSettings) -> float:
@@ -117,13 +124,16 @@ def _print(
         print(each)
     if len(differences) > LINES:
         print(f'... and {len(differences) - LINES} more')
-    print(f'replayed      {len(answers)} ticks of {recording.path} in {elapsed:.2f} s')
     refused = sum(len(each.refusals) for each in answers)
-    print(f'inputs        {recording.received}, {refused} refused')
-    print(f'unanswered    {whole}')
     counts = Counter(each.quantity for each in found)
-    print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')
-    print(f'differences   {_summary(differences)}')
+    rows = {
+        'replayed': f'{len(answers)} ticks of {recording.path} in {elapsed:.2f} s',
+        'inputs': f'{recording.received}, {refused} refused',
+        'unanswered': str(whole),
+        'compared': ', '.join(f'{n} {quantity}' for quantity, n in counts.items()),
+        'differences': _summary(differences),
+    }
+    print(lines(rows))
 
 
 def _summary(differences: Sequence[Comparison]) -> str:
@@ -141,13 +151,13 @@ def _summary(differences: Sequence[Comparison]) -> str:
 def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
     """Print one tick, recorded and replayed side by side."""
     then, now = tick.recorded.answer, published(tick.messages)
-    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<22}{"recorded":<34}replayed')
+    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<20}{"recorded":<26}replayed')
     for each in found:
         unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
-        mark = '   differs' if each.differs else ''
-        row = f'{each.quantity + unit:<22}{shown(each.recorded):<34}{shown(each.replayed)}'
-        print(row + mark)
+        mark = '  differs' if each.differs else ''
+        values = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
+        print(f'{each.quantity + unit:<20}{values}{mark}')
     if then.reason or now.reason:
-        print(f'{"reason":<22}{shown(then.reason):<34}{shown(now.reason)}')
+        print(lines({'recorded': shown(then.reason), 'replayed': shown(now.reason)}))
     for refusal in tick.refusals:
         print(refusal)

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.ros.entry import PACKAGES
+from orbimpc_ros.ros.planner.compiling import COMPILING
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.files import shown
 from orbimpc_ros.tool.run import discovery, processes
 from orbimpc_ros.tool.run.pacer import Pacer
 from orbimpc_ros.tool.run.processes import Interruptions, Process
@@ -53,7 +55,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     simulated = values['clock'] != 'wall'
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
-    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {folder}')
+    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {shown(folder)}')
     with processes.Interruptions() as interruptions:
         with (
             _vehicles(namespaces, parameters, folder) as vehicles,
@@ -138,8 +140,14 @@ def _show(
     time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
     text = f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
     if not ticks:
-        text = 'the nodes start; the first time, machine code is compiled for a minute or more'
+        text = _starting([each.planner for each in vehicles])
     elif len(vehicles) > 1:
         done = sum(not each.sim.running for each in vehicles)
         text += f', {done} of {len(vehicles)} done'
     progress.show(ticks, text)
+
+
+def _starting(planners: list[Process]) -> str:
+    """Return what planners that have not answered yet are at: the last that they report of it."""
+    lines = [line for each in planners for line in each.output.splitlines() if COMPILING in line]
+    return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'the nodes start'

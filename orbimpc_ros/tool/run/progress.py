@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from typing import TextIO
 
-WIDTH = 30
+WIDTH = 20
 LINES = 5  # where there is no terminal
 
 
@@ -33,6 +34,7 @@ class ProgressLine:
         self._shown = (step, text if self._live else '')
         filled = int(share * WIDTH)
         line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
+        line = line[: shutil.get_terminal_size().columns - 1]  # a second line would stay
         self._stream.write(f'\r{line}\x1b[K' if self._live else f'{line}\n')
         self._stream.flush()
 

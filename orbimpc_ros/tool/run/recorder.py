@@ -25,8 +25,9 @@ from orbimpc_ros.tool.topics import Topic
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
 STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
+UNSTAMPED = ('std_msgs/msg/Bool', 'std_msgs/msg/Float64', 'std_msgs/msg/UInt8MultiArray')
 STAMP_ELSEWHERE = {
-    **dict.fromkeys(('std_msgs/msg/Bool', 'std_msgs/msg/UInt8MultiArray')),
+    **dict.fromkeys(UNSTAMPED),
     'visualization_msgs/msg/MarkerArray': 8,
 }
 AGAIN = 5.0  # [s] until a planner that has not answered is called again

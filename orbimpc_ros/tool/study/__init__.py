@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.arrays import whole
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.arguments import add_set
 from orbimpc_ros.tool.files import new_folder, writing_to
 
 if TYPE_CHECKING:
@@ -31,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--runs', type=int, default=RUNS, metavar='N', help=f'flights (default: {RUNS})')
     add('--seed', type=int, default=0, metavar='N', help='of everything drawn (default: 0)')
     add('--controllers', default='orbitope', metavar='LIST', help=whose)
-    change = 'a parameter that is not drawn; may be repeated'
-    add('--set', action='append', default=[], metavar='NAME=VALUE', help=change)
+    add_set(parser, 'a parameter that is not drawn')
     add('-o', '--out', metavar='DIR', help='takes the results (default: a new one in out/)')
     add('--resume', action='store_true', help='go on with the study in DIR')
     add('--cluster', metavar='ADDRESS', help='of a Dask scheduler (default: the cores here)')

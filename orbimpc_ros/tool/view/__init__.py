@@ -12,12 +12,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from orbimpc_ros.install import command_for_extra
-from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.files import require_writable, why
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.arguments import add_namespace
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -34,16 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag', nargs='?', metavar='BAG', help='a recorded flight (default: what is running now)'
     )
-    parser.add_argument(
-        '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
-    )
+    add_namespace(parser)
     parser.add_argument(
         '--port', type=int, metavar='N', help='of the page (default: 9090, or any that is free)'
     )
     parser.add_argument('--no-browser', action='store_true', help='only say where the page is')
-    parser.add_argument(
-        '--save', metavar='FILE.rrd', help='write a recording into a new file; no page'
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,49 +48,13 @@ def run(args: argparse.Namespace) -> int:
     from orbimpc_ros.tool.run.processes import Interruptions
 
     with Interruptions() as interruptions:
-        show = _save if args.save else _serve
-        show(args, lambda: not interruptions.requested)
+        _serve(args, lambda: not interruptions.requested)
     return 0
 
 
 def installed() -> bool:
     """Return whether the viewer is there: rerun's library, and its server in the same wheel."""
     return all(find_spec(name) is not None for name in ('rerun', 'rerun_cli'))
-
-
-def _save(args: argparse.Namespace, going: Going) -> None:
-    """Write the recording of a bag, or of what runs for as long as ``going()``.
-
-    Raises:
-        OrbimpcError: the disk is full; what was running is kept up to then, a bag can be read anew.
-    """
-    import rerun as rr
-
-    file = Path(args.save).resolve()
-    if file.exists() or not file.parent.is_dir():
-        raise BadInput('--save', str(file), 'a new file in a folder that exists')
-    require_writable('--save', file)
-    draw = _drawing(args)
-    recording = _recording()
-    stream = rr.binary_stream(recording)  # rerun's own writer does not report a full disk
-    try:
-        with file.open('xb') as output:
-            draw(lambda: recording, lambda: _wrote(stream, output) and going())
-            _wrote(stream, output)
-    except BaseException as error:
-        if args.bag is not None or not file.stat().st_size:
-            file.unlink()
-        if isinstance(error, OSError):
-            raise OrbimpcError(f'--save {file}: {why(error)}') from None
-        raise
-    print(f'recording     {file}')
-
-
-def _wrote(stream: rr.BinaryStream, output: BinaryIO) -> bool:
-    """Write what has been drawn since the last time."""
-    output.write(stream.read() or b'')
-    output.flush()
-    return True
 
 
 def _serve(args: argparse.Namespace, going: Going) -> None:
