@@ -458,7 +458,7 @@ def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
 
 def of_the_methods_word(report, bound):
     """Return a report whose bound nobody has counted."""
-    proof = replace(report.decision.plan.proof, lower_bound=bound, checked=False, grounds=None)
+    proof = replace(report.decision.plan.proof, lower_bound=bound, checked=False, tree=None)
     plan = replace(report.decision.plan, proof=proof)
     return replace(report, decision=replace(report.decision, plan=plan, status=plan.status))
 

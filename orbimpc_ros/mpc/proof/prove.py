@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.certificate import Refutation
 from orbimpc_ros.mpc.proof.document import Certificate
-from orbimpc_ros.mpc.proof.from_grounds import tree_from
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.tree import in_users_units
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed
@@ -99,8 +98,6 @@ def certificate_of(
     except (Infeasible, SolverFailure) as error:
         raise Unproved(f'no certificate: {error}') from None
     tree = found.proof
-    if tree is None and found.grounds is not None:
-        tree = tree_from(units.problem, *scaled, found.grounds)
     if tree is None:
         raise Unproved(f'no certificate: {found.nodes} relaxations prove nothing')
     return Certificate(problem, state, goals, bound, in_users_units(tree, units))

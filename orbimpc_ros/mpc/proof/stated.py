@@ -274,10 +274,11 @@ class Statement:
         problem = self.problem
         decided, start = self._begun(state)
         cones = self._cones(state, limits)
-        root, sets = self._rooted(state, limits, cones), self._set(cones)
+        root = self._rooted(state, limits, cones)
+        sets = self._set(cones) if cones else self._without_cones
         origin = self._rows(state.position)
         ends = self._ended(self._rows(goals) - origin, limits, radius)
-        bodies = self._beside(origin, limits.bodies, start)
+        bodies = self._beside(origin, limits.bodies, start) if limits.bodies else self._alone
         kinds = problem.dimension, self.width, problem.rotation_order, decided
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
@@ -344,6 +345,10 @@ class Statement:
         capped = 0.0 < problem.tilt <= STEEPEST_CAP
         return self._rows(np.concatenate([icosahedron(), *[cap(problem.tilt)] * capped]))
 
+    @cached_property
+    def _without_cones(self) -> Sets:
+        return self._set(())
+
     def _set(self, cones: Sequence[Cone]) -> Sets:
         problem, number, n = self.problem, self._number, self.problem.dimension
         floor = problem.floor
@@ -396,13 +401,16 @@ class Statement:
 
     def _exchanged(self, limits: Limits) -> int:
         """Return how many first steps the cost sees only the sum and the lengths of headings of."""
+        alone = not (limits.cones or limits.bodies or limits.glide_slope or limits.change < 2.0)
+        return self.problem.horizon - 1 if alone and self._alike else 0
+
+    @cached_property
+    def _alike(self) -> bool:
         problem, costs, move = self.problem, self._costs, self._motion
-        plain = not (limits.cones or limits.bodies or limits.glide_slope or problem.max_rate)
         costly = bool((costs.weights[0, 1:-1] != 0).any()) or costs.turned or problem.inertial
-        if costly or not plain or limits.change < 2.0 or problem.rotation_order == 2:
-            return 0
-        alike = problem.dimension == 2 and move.drift == 0 and problem.horizon > 1
-        return problem.horizon - 1 if alike else 0
+        if costly or problem.max_rate or problem.rotation_order == 2:
+            return False
+        return bool(problem.dimension == 2 and move.drift == 0 and problem.horizon > 1)
 
     # --- what couples steps
 
@@ -419,6 +427,11 @@ class Statement:
         arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
         begun = int(problem.first_turn_is_decided)
         return Ends(known, arrives, number(radius), chord, begun, *slope)
+
+    @cached_property
+    def _alone(self) -> Bodies:
+        width = self._rows(np.zeros((8, self.width)))
+        return self._beside(self._rows(np.zeros(self.problem.dimension)), (), width)
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
         n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree

@@ -44,9 +44,9 @@ from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weights
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.proof.convexity import arriving
-from orbimpc_ros.mpc.proof.grounds import Grounds, Left, Tangent, tangent
+from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.arc_search import ArcSearch
+from orbimpc_ros.mpc.solve.convexity import tangent
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
@@ -129,7 +129,7 @@ class AnnulusNewton:
         progress = begun(*q.shape)
         progress.proved[:] = q
         self._stationary(self._annulus, tick, progress)
-        self._grounds(tick, q, -q[:, 0], left)
+        self._tangent(tick, q, -q[:, 0], left)
         self._from_dual(tick, self._from_hull(tick, NOTHING))
         if self._arcs is not None:
             self._by_arcs(tick, replace(NOTHING, x=q))
@@ -219,22 +219,20 @@ class AnnulusNewton:
         ):
             if tick.late:
                 break
-        grounds = None
+        proof = None
         if progress.numbers[BOUND] > found.lower_bound - tick.constant:
-            grounds = self._stationary(annulus, tick, progress)
-        return _better(found, progress, tick.constant, grounds)
+            proof = self._stationary(annulus, tick, progress)
+        return _better(found, progress, tick.constant, proof)
 
-    def _stationary(self, annulus: Annulus, tick: _Tick, progress: Progress) -> Grounds | Tangent:
-        """Return what the bound of a stationary point rests on."""
+    def _stationary(self, annulus: Annulus, tick: _Tick, progress: Progress) -> ProofTree:
+        """Return the proof that the multipliers of a stationary point are."""
         known = tick.q, tick.left, progress.proved, progress.held
-        return self._grounds(tick, progress.proved, *multipliers_at(annulus, *known))
+        return self._tangent(tick, progress.proved, *multipliers_at(annulus, *known))
 
-    def _grounds(self, tick: _Tick, z: Array, theta: Array, nu: Array) -> Grounds | Tangent:
-        """Return what the bound of multipliers rests on, of moduli and of an arrival."""
-        if not self._arrives:
-            return tangent(z, theta)
-        arrival = self._annulus.arrival, tick.left
-        return arriving(self._annulus.hessian, arrival, z, theta, nu)
+    def _tangent(self, tick: _Tick, z: Array, theta: Array, nu: Array) -> ProofTree:
+        """Return the proof that multipliers are, of moduli and of an arrival."""
+        annulus = self._annulus
+        return tangent(annulus.hessian, annulus.arrival, tick.left, z, theta, nu).proof()
 
     def _from_hull(self, tick: _Tick, found: Found) -> Found:
         """Start from the optimum over the disks without lengths, of which a floor's are certain."""
@@ -242,7 +240,7 @@ class AnnulusNewton:
             relaxed, _ = self._hull.relaxed(tick.request)
             assert relaxed.x is not None
             bound = relaxed.lower_bound + first_length(self._problem, tick.request.state)
-            found = _raised(found, bound + self._least_length, grounds=relaxed.grounds)
+            found = _raised(found, bound + self._least_length, proof=relaxed.proof)
             return self._from(tick, found, relaxed.x[None])
         hull, progress = begun(*tick.q.shape), begun(*tick.q.shape)
         progress.numbers[BOUND] = found.lower_bound - tick.constant
@@ -255,8 +253,8 @@ class AnnulusNewton:
         if progress.numbers[BOUND] <= hull.numbers[BOUND] + self._least_length:
             at = (self._disks, tick, hull)
         better = progress.numbers[BOUND] > found.lower_bound - tick.constant
-        grounds = self._stationary(*at) if better else None
-        found = _better(found, progress, tick.constant, grounds)
+        proof = self._stationary(*at) if better else None
+        found = _better(found, progress, tick.constant, proof)
         # Where time ran out over the hull, that is still a start.
         return found if found.x is not None else self._from(tick, found, hull.best[None])
 
@@ -269,8 +267,8 @@ class AnnulusNewton:
             if tick.late:
                 break
         nu = pull_at(self._annulus, tick.q, tick.left, progress.theta, progress.z)
-        grounds = self._grounds(tick, progress.z, progress.theta, nu)
-        found = _raised(found, float(progress.numbers[RAISED]) + tick.constant, grounds=grounds)
+        proof = self._tangent(tick, progress.z, progress.theta, nu)
+        found = _raised(found, float(progress.numbers[RAISED]) + tick.constant, proof=proof)
         return found if self.settles(found) else self._from(tick, found, progress.z[None])
 
     def _from_around(self, tick: _Tick, found: Found) -> Found:
@@ -292,7 +290,7 @@ class AnnulusNewton:
             if not (ended or self.settles(found)) and (before <= YOUNG or before % EVERY == 0):
                 found = self._from(tick, found, search.last[None])
                 search.beat(found.cost - constant)
-        return found if found.grounds is not None else replace(found, grounds=search.grounds())
+        return found if found.proof is not None else replace(found, proof=search.proof())
 
     def _by_branches(self, tick: _Tick, found: Found) -> Found:
         """Return the better of what was found and where the general search leads."""
@@ -318,26 +316,24 @@ def _long_hull(problem: Problem, tolerance: float) -> HullRiccati | None:
     )
 
 
-def _raised(found: Found, bound: float, nodes: int = 0, grounds: Left | None = None) -> Found:
+def _raised(found: Found, bound: float, nodes: int = 0, proof: ProofTree | None = None) -> Found:
     """Return what was found with a bound that may be better, after so many more nodes."""
     nodes += found.nodes
     if bound > found.lower_bound:
-        return replace(found, lower_bound=bound, nodes=nodes, grounds=grounds, proof=None)
+        return replace(found, lower_bound=bound, nodes=nodes, proof=proof)
     return replace(found, nodes=nodes)
 
 
-def _better(
-    found: Found, progress: Progress, constant: float, grounds: Grounds | Tangent | None
-) -> Found:
+def _better(found: Found, progress: Progress, constant: float, proof: ProofTree | None) -> Found:
     """Return the cheaper of what was found and what a local search came to, with its bound.
 
     Args:
         found: before.
         progress: of the local search.
         constant: what its costs lack.
-        grounds: of its bound.
+        proof: of its bound.
     """
     cost, bound = progress.numbers[COST] + constant, progress.numbers[BOUND] + constant
     if cost < found.cost:
         found = replace(found, x=progress.best, cost=float(cost))
-    return _raised(found, float(bound), int(progress.counts[TRIED]), grounds)
+    return _raised(found, float(bound), int(progress.counts[TRIED]), proof)

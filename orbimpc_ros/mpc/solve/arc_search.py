@@ -26,8 +26,8 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.annulus import SLICE, Annulus
 from orbimpc_ros.mpc.kernels.dual import BOUND, MU, Ascent, Cuts, ascent, climb
-from orbimpc_ros.mpc.proof.convexity import arriving
-from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, NOTHING, ProofTree
+from orbimpc_ros.mpc.solve.convexity import Tangent, tangent
 
 PARTS = 5  # arcs that a whole circle is cut into
 MARGIN = 0.15  # of an arc: no part is narrower
@@ -65,24 +65,13 @@ class _Node(NamedTuple):
 
 
 class _Cut(NamedTuple):
-    """A node that was cut, by a step, at angles between its children, the first one's number."""
+    """A node that was cut by a step: from which angle on, into how many children, the first one."""
 
     node: int
     step: int
-    angles: list[float]
+    angle: float
+    parts: int
     first: int
-
-
-class _Tangent(NamedTuple):
-    """What a node's bound is of: where its Lagrangian is least, and how that is bent.
-
-    Shapes (N, 2) and (N,); then what pulls at the arrival, shape (2,) or (0,), and how stiffly.
-    """
-
-    point: Array
-    bends: Array
-    pull: Array
-    stiffness: float
 
 
 def cuts(low: Array, high: Array, floor: float) -> Cuts:
@@ -164,8 +153,7 @@ class ArcSearch:
         self._current: tuple[_Node, Cuts, Ascent] | None = None
         self._closed, self._made = np.inf, 1
         self._cuts: list[_Cut] = []
-        self._tangents = {0: _Tangent(np.zeros_like(q), circle, 0.0 * left, 0.0)}
-        self._origins: dict[int, float] = {}
+        self._tangents = {0: Tangent(np.zeros_like(q), circle, 0.0 * left)}
         self.nodes, self.last = 0, np.zeros_like(q)
 
     @property
@@ -220,37 +208,29 @@ class ArcSearch:
         if progress.numbers[BOUND] > node.bound:
             self._tangents[node.number] = self._tangent(rows, progress)
 
-    def _tangent(self, rows: Cuts, progress: Ascent) -> _Tangent:
+    def _tangent(self, rows: Cuts, progress: Ascent) -> Tangent:
         """Return what a node's bound is of: the multipliers of arcs turn and bend the cost."""
         z, bends = progress.z, progress.theta + _multipliers(progress, rows).held[0]
-        if not len(self._left):
-            return _Tangent(z, bends, self._left, 0.0)
-        a = self._annulus.arrival
-        forces = self._annulus.hessian @ z + self._q + bends[:, None] * z
-        np.subtract.at(forces, rows.steps, progress.weights[:, None] * rows.normals)
-        pull = -(a @ forces) / float(a @ a)
-        made = arriving(self._annulus.hessian, (a, self._left), z, bends, pull)
-        return _Tangent(made.point, made.bends, made.pull, made.stiffness)
+        a, pull = self._annulus.arrival, self._left
+        if len(pull):
+            forces = self._annulus.hessian @ z + self._q + bends[:, None] * z
+            np.subtract.at(forces, rows.steps, progress.weights[:, None] * rows.normals)
+            pull = -(a @ forces) / float(a @ a)
+        return tangent(self._annulus.hessian, a, self._left, z, bends, pull)
 
-    def grounds(self) -> Grounds:
-        """Return what the bound rests on; a node of several parts is cut from them one by one."""
-        splits, parts, angles, whose, place = [LEAF], [0], [np.nan], [0], {0: 0}
+    def proof(self) -> ProofTree:
+        """Return the tree that proves the bound."""
+        nodes, at = np.zeros((self._made, 5), np.int64), np.zeros(self._made)
         for cut in self._cuts:
-            at = place[cut.node]
-            for i, angle in enumerate(cut.angles):
-                splits[at], parts[at], angles[at] = cut.step, len(splits), angle
-                place[cut.first + i], at = len(splits), len(splits) + 1
-                splits += [LEAF, LEAF]
-                parts += [0, 0]
-                angles += [np.nan, np.nan]
-                whose += [cut.first + i, cut.first + i + 1]
-            place[cut.first + len(cut.angles)] = at
-        tangents, origins = [self._tangents[number] for number in whose], np.zeros(len(self._q))
-        for k, origin in self._origins.items():
-            origins[k] = origin
-        points, bends, pulls, stiffness = (np.array(each) for each in zip(*tangents, strict=True))
-        tree = np.array(splits), np.array(parts), np.array(angles), points, bends, origins
-        return Grounds(*tree, pulls, stiffness) if len(self._left) else Grounds(*tree)
+            kind = ARCS if cut.parts > 2 else CUT
+            nodes[cut.node], at[cut.node] = (kind, cut.step, cut.first, cut.parts, -1), cut.angle
+        leaves = np.flatnonzero(nodes[:, 3] == 0)
+        nodes[leaves, 4] = np.arange(len(leaves))
+        points, shor, pulls = zip(*[self._tangents[number] for number in leaves], strict=True)
+        pull = np.array(pulls)[:, None] if len(self._left) else NOTHING
+        ends, none = np.zeros(len(leaves), np.int64), np.zeros((0, 0))
+        made = nodes, at, np.array(points), np.array(shor), ends, ends[:0], at[:0]
+        return ProofTree(*made, pull, NOTHING, NOTHING, NOTHING, none)
 
     def _branch(self, node: _Node, rows: Cuts, progress: Ascent) -> None:
         """Open the children of a node that is solved, unless it needs none."""
@@ -261,7 +241,9 @@ class ArcSearch:
             return
         known = _multipliers(progress, rows)
         parts = self._parts(node, k, progress.z[k])
-        self._cuts.append(_Cut(node.number, k, [last for _, last in parts[:-1]], self._made))
+        whole = node.low[k] == node.high[k]
+        angle = parts[0][0] if whole else parts[0][1]
+        self._cuts.append(_Cut(node.number, k, angle, len(parts), self._made))
         for first, last in parts:
             low, high = node.low.copy(), node.high.copy()
             low[k], high[k] = first, last
@@ -284,13 +266,10 @@ class ArcSearch:
         return k if missed[k] >= 0.0 else -1
 
     def _parts(self, node: _Node, k: int, z: Array) -> list[tuple[float, float]]:
-        """Return the arcs that a step's is cut into, at the heading found.
-
-        A whole circle is cut where it was cut first, as a proof counts directions from there.
-        """
+        """Return the arcs that a step's is cut into, at the heading found."""
         low, high, angle = node.low[k], node.high[k], float(np.arctan2(z[1], z[0]))
         if low == high:
-            corners = self._origins.setdefault(k, angle) + np.linspace(0.0, 2.0 * np.pi, PARTS + 1)
+            corners = angle + np.linspace(0.0, 2.0 * np.pi, PARTS + 1)
             return list(itertools.pairwise(corners.tolist()))
         middle, margin = 0.5 * (low + high), MARGIN * (high - low)
         angle += 2.0 * np.pi * np.round((middle - angle) / (2.0 * np.pi))

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.model.cost import (
 )
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import tangent
+from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
 
@@ -110,5 +110,5 @@ class HullRiccati:
                 break
         spent = first_length(self._problem, state)
         bound = float(progress.numbers[BEST]) - CANCELLED * constant
-        grounds = tangent(lowest, np.zeros(len(goals)))
-        return Found(progress.x, cost + spent, bound + spent, 1, '', grounds), status == SETTLED
+        proof = one(lowest, np.zeros(len(goals)))
+        return Found(progress.x, cost + spent, bound + spent, 1, proof=proof), status == SETTLED

@@ -10,7 +10,6 @@ from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.proof.tree import ProofTree
 
 
@@ -106,7 +105,6 @@ class Found:
         lower_bound: no trajectory costs less.
         nodes: relaxations or local problems solved.
         reason: why there is no trajectory.
-        grounds: what the bound rests on, for it to be counted again; None where that is not known.
         proof: the tree that proves the bound, in the units of the request; None where there is
             none.
     """
@@ -116,7 +114,6 @@ class Found:
     lower_bound: float
     nodes: int
     reason: str = ''
-    grounds: Left | None = None
     proof: ProofTree | None = None
 
     @property

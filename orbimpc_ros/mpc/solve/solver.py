@@ -23,7 +23,6 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.from_grounds import tree_from
 from orbimpc_ros.mpc.proof.stated import SPEEDS
 from orbimpc_ros.mpc.proof.tree import ProofTree, in_users_units
 from orbimpc_ros.mpc.proof.verify import Verifier
@@ -264,13 +263,10 @@ class Solver:
 
     def _tree(self, query: _Query, found: Found) -> ProofTree | None:
         """Return what proves a bound, in the problem's own units, if there is time to verify it."""
-        units, tree, left = self._units, found.proof, found.grounds
-        if tree is None and left is not None:
-            known = units.problem, units.state(query.searched), units.lengths(query.goals)
-            tree = tree_from(*known, left)
+        tree = found.proof
         if tree is None or not countable(tree.shor.size, query.out_of_time):
             return None
-        return in_users_units(tree, units)
+        return in_users_units(tree, self._units)
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""

@@ -9,18 +9,21 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.annulus import mirror, reflect
 from orbimpc_ros.mpc.kernels.linear import solve_spd
-from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.tree import ProofTree, one
 
 LEAST = 1e-9  # of the largest curvature, on the null space: the weight grows as it falls
 SPARE = 2.0  # times the least weight that makes convex
 SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of another
 GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
+MARGIN = 1e-13  # of the largest curvature, for each step, that convexity is verified with
 
 
 @compiled
@@ -108,19 +111,44 @@ def stiffened(hessian, arrival, left, z, bends, pull):
     return stiffness
 
 
-def arriving(
-    hessian: Array, arrival: tuple[Array, Array], z: Array, bends: Array, pull: Array
+class Tangent(NamedTuple):
+    """A tangent to the cost with Shor multipliers, in natural units.
+
+    Attributes:
+        point: where it touches, shape (N, n).
+        shor: curvature of the cost that each step keeps for itself, shape (N,).
+        pull: multipliers of an arrival, shape (n,); (0,) without.
+    """
+
+    point: Array
+    shor: Array
+    pull: Array
+
+    def proof(self) -> ProofTree:
+        """Return the tree of a single leaf."""
+        pull = {'pull': self.pull[None]} if len(self.pull) else {}
+        return one(self.point, self.shor, **pull)
+
+
+def tangent(
+    hessian: Array, arrival: Array, left: Array, z: Array, bends: Array, pull: Array
 ) -> Tangent:
-    """Return the tangent of multipliers where headings have to arrive, in natural units.
+    """Return the tangent of multipliers, the cost being convex with what they add to it.
 
     Args:
         hessian: of the cost, shape (N, N).
-        arrival: a, shape (N,), and b, shape (n,): headings arrive where a z = b.
+        arrival: a, shape (N,): headings arrive where a z = b.
+        left: b, shape (n,); (0,) where they need not.
         z: where it touches, shape (N, n).
         bends: multipliers of the moduli, shape (N,).
         pull: multipliers of the arrival, shape (n,).
     """
-    z, bends, pull, stiffness = z.copy(), bends.copy(), pull.copy(), 0.0
-    if bends.min() < 0.0:
-        stiffness = float(stiffened(hessian, *arrival, z, bends, pull))
-    return Tangent(z, bends, pull, stiffness, np.zeros(len(z)), np.zeros(z.shape))
+    if not (bends < 0.0).any():
+        return Tangent(z.copy(), -bends, pull.copy())
+    z, bends, pull = z.copy(), bends.copy(), pull.copy()
+    if len(left):
+        stiffness = float(stiffened(hessian, arrival, left, z, bends, pull))
+        pull += stiffness * (arrival @ z - left)
+    else:
+        bends += lack(hessian, bends, 1.0)
+    return Tangent(z, -bends - MARGIN * len(z) * max(1.0, float(np.abs(bends).max())), pull)
