@@ -226,7 +226,7 @@ class ArcSearch:
             nodes[cut.node], at[cut.node] = (kind, cut.step, cut.first, cut.parts, -1), cut.angle
         leaves = np.flatnonzero(nodes[:, 3] == 0)
         nodes[leaves, 4] = np.arange(len(leaves))
-        points, shor, pulls = zip(*[self._tangents[number] for number in leaves], strict=True)
+        points, shor, pulls = zip(*[self._tangents[int(number)] for number in leaves], strict=True)
         pull = np.array(pulls)[:, None] if len(self._left) else NOTHING
         ends, none = np.zeros(len(leaves), np.int64), np.zeros((0, 0))
         made = nodes, at, np.array(points), np.array(shor), ends, ends[:0], at[:0]
