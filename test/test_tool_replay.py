@@ -566,14 +566,6 @@ def params(tmp_path_factory):
     return file
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_bag_of_ros2_bag_record_is_read(replay, tmp_path, params, storage):
-    path = ros2_bag(RETRIEVAL, tmp_path / 'bag', storage)
-    code, out, err = replay(path, '--params', params)
-    assert code == 0, out + err
-    assert '26 speed' in out
-
-
 def test_a_bag_without_notes_asks_for_parameters(replay, tmp_path):
     path = ros2_bag(RETRIEVAL, tmp_path / 'bag', 'sqlite3')
     code, out, err = replay(path)

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
 from orbimpc_ros.mpc.proof.kept import kept
-from orbimpc_ros.mpc.proof.prove import WORD
+from orbimpc_ros.mpc.proof.prove import WORD, Unproved
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.bags import BagWriter
@@ -28,6 +28,8 @@ TYPES = STORE.types
 PROOFS = (Topic('/certificate', 'std_msgs/msg/UInt8MultiArray'),)
 HERE = Path(__file__).parent
 CASES = json.loads((HERE / 'reference' / 'cases.json').read_text())
+
+FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 
 
 @pytest.fixture
@@ -58,25 +60,42 @@ def solved(tmp_path, run):
     return problem, made
 
 
-def test_a_certificate_holds(run, solved):
-    problem, made = solved
+@pytest.fixture
+def unsatisfied(tmp_path, run):
+    """Return a problem's file, and that of the certificate that nothing satisfies it."""
+    problem, made, (code, out, error) = solve(run, tmp_path, FAR)
+    assert (code, out) == (3, '')
+    assert 'beyond what' in error
+    assert error.count('\n') == 1
+    assert WORD not in error  # it is proved
+    return problem, made
+
+
+def too_high(known):
+    known['lower_bound'] *= 1.001
+
+
+def without_a_pull(known):
+    known['refuted']['trees'][0]['pull'] = [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ('kind', 'spoil', 'another'),
+    [('solved', too_high, {'step': 0.9}), ('unsatisfied', without_a_pull, {'goal': [61.0, 0.0]})],
+)
+def test_a_certificate_holds_for_its_problem_until_it_is_spoilt(run, request, kind, spoil, another):
+    problem, made = request.getfixturevalue(kind)
     code, out, _ = run('verify', made, '--problem', problem)
     assert code == 0
     assert '1 holds' in out
-
-
-def test_a_bound_that_is_too_high_fails(run, solved):
-    _, made = solved
+    assert out.count('inf') == (2 if kind == 'unsatisfied' else 0)
     known = json.loads(made.read_text())
-    made.write_text(json.dumps({**known, 'lower_bound': 1.001 * known['lower_bound']}))
+    spoil(known)
+    made.write_text(json.dumps(known))
     code, out, _ = run('verify', made)
     assert code == 1
     assert '1 DOES NOT HOLD' in out
-
-
-def test_a_certificate_of_another_problem_is_refused(run, solved):
-    problem, made = solved
-    problem.write_text(json.dumps({**CASES['uav_square_0'], 'step': 0.9}))
+    problem.write_text(json.dumps({**json.loads(problem.read_text()), **another}))
     code, _, error = run('verify', made, '--problem', problem)
     assert code == 2
     assert 'not of' in error
@@ -91,9 +110,13 @@ def test_what_is_no_certificate_is_bad_input(run, tmp_path, text):
     assert error.count('\n') == 1
 
 
-def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
+def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path, monkeypatch):
+    def unproved(*_):
+        raise Unproved('no certificate: one tangent proves 3')
+
+    monkeypatch.setattr('orbimpc_ros.tool.solve.certificate_for', unproved)
     problem = tmp_path / 'problem.json'
-    problem.write_text(json.dumps({**CASES['uav_square_0'], 'rotation_order': 2}))
+    problem.write_text(json.dumps(CASES['uav_square_0']))
     code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
@@ -274,19 +297,6 @@ def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):
     assert 'not of' in error
 
 
-def test_ticks_among_walls_hold(run):
-    code, out, _ = run('verify', HERE / 'golden' / 'obstacles')
-    assert code == 0
-    assert '30 holds' in out
-    assert out.count('inf') == 2 * 2  # claimed and proved of the two that nothing satisfied
-
-
-def test_a_tick_within_cones_holds(run):
-    code, out, _ = run('verify', HERE / 'golden' / 'lander', '--tick', 18)
-    assert code == 0
-    assert '1 holds' in out
-
-
 def test_ticks_of_a_bag_hold(run, tmp_path):
     bag = HERE / 'golden' / 'disturbed'
     code, out, _ = run('verify', bag, '--out', tmp_path / 'made')
@@ -296,12 +306,21 @@ def test_ticks_of_a_bag_hold(run, tmp_path):
     assert run('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
 
 
-@pytest.mark.parametrize(('bag', 'count'), [('dubins', 20), ('spacecraft', 19)])
-def test_every_tick_of_a_bag_holds(run, bag, count):
-    code, out, _ = run('verify', HERE / 'golden' / bag)
+@pytest.mark.parametrize(
+    ('bag', 'words', 'said'),
+    [
+        ('dubins', (), '\n20 holds, '),
+        ('spacecraft', (), '\n19 holds, '),
+        ('obstacles', (), '\n30 holds'),
+        ('lander', ('--tick', 18), '\n1 holds'),
+    ],
+)
+def test_every_tick_of_a_bag_holds(run, bag, words, said):
+    code, out, _ = run('verify', HERE / 'golden' / bag, *words)
     assert code == 0
-    assert f'\n{count} holds, ' in out
+    assert said in out
     assert 'no certificate' not in out
+    assert out.count('inf') == (2 * 2 if bag == 'obstacles' else 0)  # where nothing was feasible
 
 
 def test_ticks_of_a_wing_whose_speed_changes_slowly_hold_within_a_cone(run, tmp_path):
@@ -310,45 +329,6 @@ def test_ticks_of_a_wing_whose_speed_changes_slowly_hold_within_a_cone(run, tmp_
     assert '69 holds, 43 nothing claimed' in out
     known = json.loads((tmp_path / 'tick_00000_catch.json').read_text())
     assert known['limits']['speeds']['change'] == pytest.approx(0.012)
-
-
-FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
-
-
-@pytest.fixture
-def unsatisfied(tmp_path, run):
-    """Return a problem's file, and that of the certificate that nothing satisfies it."""
-    problem, made, (code, out, error) = solve(run, tmp_path, FAR)
-    assert code == 3
-    assert out == ''
-    assert 'beyond what' in error
-    return problem, made
-
-
-def test_what_nothing_satisfies_is_refuted_in_a_file(run, unsatisfied):
-    problem, made = unsatisfied
-    code, out, _ = run('verify', made, '--problem', problem)
-    assert code == 0
-    assert '1 holds' in out
-    assert out.count('inf') == 2
-
-
-def test_a_refutation_of_another_problem_is_refused(run, unsatisfied):
-    problem, made = unsatisfied
-    problem.write_text(json.dumps({**FAR, 'goal': [61.0, 0.0]}))
-    code, _, error = run('verify', made, '--problem', problem)
-    assert code == 2
-    assert 'not of' in error
-
-
-def test_a_refutation_that_does_not_refute_fails(run, unsatisfied):
-    _, made = unsatisfied
-    known = json.loads(made.read_text())
-    known['refuted']['trees'][0]['pull'] = [0.0, 0.0]
-    made.write_text(json.dumps(known))
-    code, out, _ = run('verify', made)
-    assert code == 1
-    assert '1 DOES NOT HOLD' in out
 
 
 def test_what_is_not_refuted_says_so_and_leaves_no_file(run, tmp_path, monkeypatch):
@@ -363,16 +343,6 @@ def test_what_is_not_refuted_says_so_and_leaves_no_file(run, tmp_path, monkeypat
     assert not made.exists()
     code, _, plainly = run('solve', problem)
     assert (code, plainly) == (3, error)
-
-
-def test_that_nothing_satisfies_a_problem_is_said_with_nobodys_word_where_it_is_proved(
-    run, unsatisfied
-):
-    problem, _ = unsatisfied
-    code, _, error = run('solve', problem)
-    assert code == 3
-    assert error.count('\n') == 1
-    assert WORD not in error
 
 
 WING = HERE / 'golden' / 'fixed_wing'

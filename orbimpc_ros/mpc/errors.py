@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Any
 
 from orbimpc_ros.install import command
-
-if TYPE_CHECKING:
-    from orbimpc_ros.mpc.proof.tree import ProofTree
 
 LISTED = 20  # names that an error lists at most
 
@@ -87,10 +84,10 @@ class Infeasible(OrbimpcError):
 
     Args:
         message: in one line.
-        proof: a tree whose leaves are all empty, where there is one.
+        proof: a ``ProofTree`` whose leaves are all empty, where there is one.
     """
 
-    def __init__(self, message: str, proof: ProofTree | None = None) -> None:
+    def __init__(self, message: str, proof: Any = None) -> None:
         super().__init__(message)
         self.proof = proof
 

@@ -21,23 +21,23 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import airframe
+import continuous
 import jobs
 import missions
 import numpy as np
-from airframe import Airframe, Motion
+from continuous import Craft, Motion
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.ros import messages
 from orbimpc_ros.tool.run.onboard import Onboard
 
 ROUNDING = 1e-6  # relative
+SUBSTEP = 0.02  # [s]
 STEPS = {0.05: 0.1, 0.1: 0.2, 0.2: 0.25, 0.5: 0.25, 1.0: 0.2}  # [s], and how often
 
 
@@ -47,7 +47,8 @@ class AirFlight:
 
     Attributes:
         parameters: of the planner, by name.
-        frame: the vehicle.
+        craft: the vehicle.
+        dead_band: commanded speeds below it do nothing [m/s].
         start: its motion.
         goal: where it should go, shape (2,) [m].
         circling: radius and angular speed of the goal about that [m], [rad/s].
@@ -56,7 +57,8 @@ class AirFlight:
     """
 
     parameters: dict[str, Any]
-    frame: Airframe
+    craft: Craft
+    dead_band: float
     start: Motion
     goal: np.ndarray
     circling: tuple[float, float]
@@ -123,19 +125,22 @@ def draw(seed: int, index: int) -> AirFlight:
     forward, least = parameters['forward'], parameters['forward'] * parameters['floor.fraction']
     duration = float(np.clip(600.0 * parameters['step'], 30.0, 60.0))
     blowing, coming = min(5.0, 0.5 * forward) * rng.uniform(0.0, 1.0), rng.uniform(-np.pi, np.pi)
-    frame = Airframe(
+    craft = Craft(
+        forward,
         speed_lag=float(rng.choice([0.0, rng.uniform(0.0, 1.5)])),
         rate_lag=float(rng.choice([0.0, rng.uniform(0.0, 0.5)])),
         gain=rng.uniform(0.85, 1.1),
-        wind=blowing * np.array([math.cos(coming), math.sin(coming)]),
-        dead_band=least * rng.uniform(0.0, 0.2),
-        turns=parameters['max_rate'] * rng.uniform(0.7, 1.5),
+        blown=blowing * np.array([math.cos(coming), math.sin(coming)]),
     )
+    dead_band = least * rng.uniform(0.0, 0.2)
+    craft = replace(craft, turns=parameters['max_rate'] * rng.uniform(0.7, 1.5))
     reach = forward * rng.uniform(2.0, 30.0)
+    heading, fraction = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 1.0)
     return AirFlight(
         parameters,
-        frame,
-        Motion(0.0, 0.0, rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 1.0) * forward, 0.0),
+        craft,
+        dead_band,
+        continuous.at_rest(heading=heading, fraction=fraction, plant=craft),
         goal=reach * rng.normal(size=2),
         circling=(reach * rng.choice([0.0, 0.5]), 0.5 * forward / reach),
         duration=duration,
@@ -177,16 +182,10 @@ def _faults(rng: np.random.Generator, duration: float) -> dict[str, tuple[float,
 # --- flying it
 
 
-def measurement(motion: Motion, velocity: np.ndarray) -> Odometry:
-    """What is measured of a motion, given its velocity in the body's axes [m/s]."""
-    c, s = math.cos(motion.heading), math.sin(motion.heading)
-    place, turned = np.array([motion.x, motion.y]), np.array([[c, -s], [s, c]])
-    return Odometry(0.0, place, turned, np.array(velocity), np.array([motion.rate]))
-
-
-def odometry_message(stamp: Any, motion: Motion, velocity: np.ndarray) -> Any:
-    """What odometry says of a motion, given its velocity in the body's axes [m/s]."""
-    return messages.odometry_message(stamp, measurement(motion, velocity))
+def measurement(motion: Motion) -> Odometry:
+    """What is measured of a motion."""
+    seen = motion.attitude.T @ motion.velocity
+    return Odometry(0.0, motion.position, motion.attitude, seen, motion.rate)
 
 
 def fly(flight: AirFlight) -> AirLog:
@@ -205,7 +204,10 @@ def fly(flight: AirFlight) -> AirLog:
         speed = command.speed_fraction * flight.parameters['forward']
         rate = float(command.body_rate[-1])
         log.note(flight, report.decision.fallback or 'plan', speed, rate)
-        motion = airframe.flown(flight.frame, motion, speed, rate, flight.step)
+        fraction = command.speed_fraction if speed >= flight.dead_band else 0.0
+        motion = continuous.flown(
+            flight.craft, motion, fraction, command.body_rate, flight.step, SUBSTEP
+        )
     log.seconds = time.perf_counter() - begun
     return log
 
@@ -216,8 +218,7 @@ def tell(planner: Onboard, flight: AirFlight, now: float, motion: Motion) -> Non
     if now == 0.0 or 'goal lost' not in present:
         planner.goal(now, goal_at(flight, now))
     if now == 0.0 or 'odometry lost' not in present:
-        velocity = airframe.over_ground(flight.frame, motion)
-        planner.odometry(now, measurement(*shown(flight, present, motion, velocity)))
+        planner.odometry(now, measurement(shown(flight, present, motion)))
 
 
 def goal_at(flight: AirFlight, now: float) -> np.ndarray:
@@ -225,19 +226,19 @@ def goal_at(flight: AirFlight, now: float) -> np.ndarray:
     return flight.goal + radius * np.array([math.cos(speed * now), math.sin(speed * now)])
 
 
-def shown(
-    flight: AirFlight, present: set[str], motion: Motion, velocity: np.ndarray
-) -> tuple[Motion, np.ndarray]:
+def shown(flight: AirFlight, present: set[str], motion: Motion) -> Motion:
     """What odometry says of a motion while faults are present."""
-    forward = flight.parameters['forward']
+    ahead = motion.attitude[:, 0]
     if 'too fast' in present:
-        velocity = np.array([velocity[0] + 1.5 * forward, velocity[1]])
+        faster = 1.5 * flight.parameters['forward'] * ahead
+        motion = replace(motion, velocity=motion.velocity + faster)
     if 'backwards' in present:
-        velocity = np.array([-velocity[0], velocity[1]])
+        back = 2.0 * (motion.velocity @ ahead) * ahead
+        motion = replace(motion, velocity=motion.velocity - back)
     if 'nonsense' in present:
-        motion = Motion(motion.x + 1e5, motion.y - 1e5, -motion.heading, 0.0, 50.0)
-        velocity = np.array([1e5, -1e5])
-    return motion, velocity
+        far, turned = np.array([1e5, -1e5]), motion.attitude.T
+        motion = Motion(motion.position + far, turned @ far, turned, np.array([50.0]), 0.0)
+    return motion
 
 
 # --- many of them
@@ -257,7 +258,7 @@ def row(seed: int, index: int) -> dict[str, Any]:
         'fastest': log.fastest,
         'seconds': log.seconds,
         'parameters': limits,
-        'vehicle': {**asdict(flight.frame), 'wind': flight.frame.wind.tolist()},
+        'vehicle': {**asdict(flight.craft), 'blown': flight.craft.blown.tolist()},
     }
 
 

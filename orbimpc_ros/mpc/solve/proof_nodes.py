@@ -14,7 +14,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, ProofTree
 
-SWEEPS = 3  # over the rows of a side, for multipliers of nodes that were not solved
+SWEEPS = 3  # over the rows of a side, the one that raises most first, of nodes not solved
 Span = tuple[float, float]  # least and greatest direction of a sector [rad]
 
 
@@ -58,20 +58,22 @@ class Held(NamedTuple):
     empty: bool = False
 
     def raised(self, rows: Sequence[Row], inverse: Array) -> Held:
-        """Return the tangent that is best for multipliers of a side's rows, those of others held.
+        """Return a tangent that is better for multipliers of a side's rows, those of others held.
 
         Args:
             rows: of the side.
             inverse: H^-1, shape (N, N).
         """
-        n, point, sizes = len(rows[0].normal), self.point.copy(), np.zeros(len(rows))
-        moved = [inverse @ row.shares for row in rows]
-        for _ in range(SWEEPS if len(rows) > 1 else 1):
-            for i, (row, way) in enumerate(zip(rows, moved, strict=True)):
-                short = row.offset - float(row.shares @ point[:, :n] @ row.normal)
-                step = max(-sizes[i], short / float(row.shares @ way))
-                sizes[i] += step
-                point[:, :n] += step * np.outer(way, row.normal)
+        n, point = len(rows[0].normal), self.point.copy()
+        sizes, moved = np.zeros(len(rows)), [inverse @ row.shares for row in rows]
+        steep = np.array([row.shares @ way for row, way in zip(rows, moved, strict=True)])
+        short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in rows]
+        for i in SWEEPS * np.argsort(-np.maximum(short, 0.0) ** 2 / steep).tolist():
+            row = rows[i]
+            missed = float(row.offset - row.shares @ point[:, :n] @ row.normal)
+            step = max(-sizes[i], missed / steep[i])
+            sizes[i] += step
+            point[:, :n] += step * np.outer(moved[i], row.normal)
         made = self._replace(point=point)
         for row, size in zip(rows, sizes.tolist(), strict=True):
             made = made.pressed(row, size) if size else made
