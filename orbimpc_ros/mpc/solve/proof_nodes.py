@@ -68,7 +68,7 @@ class Held(NamedTuple):
         sizes, moved = np.zeros(len(rows)), [inverse @ row.shares for row in rows]
         steep = np.array([row.shares @ way for row, way in zip(rows, moved, strict=True)])
         short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in rows]
-        for i in SWEEPS * np.argsort(-np.maximum(short, 0.0) ** 2 / steep).tolist():
+        for i in SWEEPS * np.argsort(-(np.maximum(short, 0.0) ** 2) / steep).tolist():
             row = rows[i]
             missed = float(row.offset - row.shares @ point[:, :n] @ row.normal)
             step = max(-sizes[i], missed / steep[i])
