@@ -17,6 +17,18 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.search.interior import (
+    BLOCKED,
+    CENTRED,
+    LIMITS,
+    LONG,
+    STEPS,
+    gap_inside,
+    move_inside,
+    set_inside,
+    set_multipliers,
+    set_system,
+)
 from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, extreme, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
@@ -26,6 +38,7 @@ KEY, TAKEN, BEFORE = range(3)  # of a node: its bound; rounds; its bound at the 
 FEW = 2  # rank of a Hessian up to which points are mixed
 MIXED = 2 * FEW + 1  # points
 PASSES, STILL = 50, 1e-9  # over their shares; and by how much less than this they do not move
+LONGEST = 4e6  # multiplications that are done without a look at the time
 ROUNDING = 1e-15  # of numbers that cancel
 HALVINGS, SHRINK = 6, 0.4
 
@@ -325,6 +338,37 @@ def cost_at(quad, z, slope):
     return cost
 
 
+@inlined
+def _pass_through(quad, curvatures, node, limits, room):
+    """Minimise through the interior of the hulls; return what becomes of the node."""
+    z, best, known = node
+    cutoff, gap = limits
+    inside = set_inside(room.shapes, z)
+    multipliers = np.zeros((len(z), LIMITS))
+    set_slope(quad.hessian, quad.q, z, room.slope)
+    cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
+    aim, share = (cost - least) / max(1, inside), 0.0
+    set_multipliers(room.shapes, z, aim, multipliers)
+    for _ in range(STEPS):
+        left, inside = gap_inside(room.shapes, z, multipliers)
+        aim = (CENTRED if share > LONG else BLOCKED) * left / max(1, inside)
+        set_system(quad, room.shapes, z, room.slope, multipliers, aim, room.system, room.right)
+        if not solve_spd(room.system, room.right, 2 * len(z)):
+            break
+        share = move_inside(room.shapes, z, room.right, multipliers, aim)
+        set_slope(quad.hessian, quad.q, z, room.slope)
+        cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
+        if least > known[KEY]:
+            known[KEY] = least
+            copy_to(best, z)
+        if known[KEY] >= cutoff:
+            return PRUNED
+        if cost - known[KEY] <= gap * max(abs(cost + quad.constant), 1e-9):
+            _sweep(quad, z, room)
+            return SOLVED
+    return STALLED
+
+
 @compiled
 def relax(quad, curvatures, node, limits, room, work):
     """Minimise over the hulls, on from a point.
@@ -364,7 +408,11 @@ def relax(quad, curvatures, node, limits, room, work):
         known[TAKEN] += 1.0
         if known[TAKEN] % PATIENCE == 0.0:  # as high as rounding lets it be, or nearly
             if known[TAKEN] >= ROUNDS or known[KEY] - known[BEFORE] < 0.1 * (cost - known[KEY]):
-                return STALLED, work
+                status, spent = STALLED, STEPS * 2.0 * count**3
+                if spent <= LONGEST:
+                    status = _pass_through(quad, curvatures, node, limits, room)
+                    work -= spent
+                return status, work
             known[BEFORE] = known[KEY]
         if work <= 0.0:
             return GOING, work

@@ -420,6 +420,15 @@ def _take(tree, cost, z):
 
 
 @compiled
+def _way(ring, turns):
+    """Return the last heading of turns, and the way round to the approach nearest to it [rad]."""
+    angle = ring.first
+    for k in range(len(turns)):
+        angle += turns[k]
+    return angle, ring.last + TURN * np.round((angle - ring.last) / TURN)
+
+
+@compiled
 def is_promising(quad, ring, tree, z, sector, share, room):
     """Round headings to a trajectory; return whether that is worth a descent.
 
@@ -441,7 +450,9 @@ def is_promising(quad, ring, tree, z, sector, share, room):
     set_slope(quad.hessian, quad.q, room.trial, room.slope)
     rounded = cost_at(quad, room.trial, room.slope)
     free = ring.faces > 0 and ring.widest >= HALF  # parts of a polygon need no descent
-    if ring.change < np.inf or ring.within < HALF or free:
+    angle, way = _way(ring, tree.turns)
+    aimed = ring.within >= HALF or abs(angle - way) <= ring.within + SATISFIED
+    if aimed and (ring.change < np.inf or ring.within < HALF or free):
         _take(tree, rounded, room.trial)
         if free:
             return False
@@ -459,10 +470,7 @@ def improve(quad, ring, tree, room):
     tree.counts[STARTS] += 1
     for attempt in range(len(PULLS)):
         cost = descend(pulled, ring, tree.speeds, tree.turns, z)
-        angle = ring.first
-        for k in range(end + 1):
-            angle += tree.turns[k]
-        way = ring.last + TURN * np.round((angle - ring.last) / TURN)
+        angle, way = _way(ring, tree.turns)
         if ring.within >= HALF or abs(angle - way) <= ring.within:
             break
         # The nearest heading that is allowed pulls the last one, ever harder.
