@@ -69,12 +69,13 @@ class Engine:
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return whether there are stage sets for all limits of a problem, and machine code."""
-        changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
-        straight = problem.floor.shape == 'polygon' and not problem.weights.length
+        floor, changes = problem.floor, problem.max_rate > 0.0 or problem.max_acceleration > 0.0
+        disks = not (floor.exists or changes or problem.approach.exists)
+        straight = (disks or floor.shape == 'polygon') and not problem.weights.length
         return (
             COMPILED
             and (problem.dimension, problem.rotation_order) == (2, 1)
-            and (straight or (problem.floor.shape == 'circle' and changes))
+            and (straight or (floor.shape == 'circle' and changes))
             and problem.terminal == 'penalty'
             and not problem.obstacles
             and problem.horizon <= LONGEST
