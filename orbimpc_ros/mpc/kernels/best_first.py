@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The order of a best-first search: a heap of the bounds of its open nodes.
 
-Mathematics: docs/mathematics.md, 4.5.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations

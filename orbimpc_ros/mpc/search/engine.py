@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The search as a method of the solver: a request in, a trajectory and the tree of its proof out.
 
-Mathematics: docs/mathematics.md, 4.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Where some curvatures of the cost are a million times others, as of a catch that
 next to nothing else, headings that are moved one by one, or taken back to their sets one by one,
 hardly move at all. Here all move at once, through the interior of the sets.
 
-Mathematics: docs/mathematics.md, 4.4.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ CENTRED, BLOCKED = 0.1, 0.5  # shares of the gap to aim for, after a long step a
 LONG = 0.9
 INSIDE = 0.99  # of the way to a limit
 THIN = 1e-9  # what a set measures at least, to have an interior
+SHORT = 1e-4  # a heading whose length is rounded off
 HELD = 1e12  # times the curvature, of a heading that has none
 TINIEST = 1e-300
 LIMITS = 4  # of a set: speed, both edges, chord
@@ -48,7 +49,7 @@ def set_inside(shapes, z):
     for k in range(len(z)):
         shape, nearest = shapes[k], 0.0
         if shape[KIND] < NARROW:
-            z[k, 0] = z[k, 1] = 0.0
+            z[k, 0], z[k, 1] = 0.5 * z[k, 0], 0.5 * z[k, 1]
             count += 1
             continue
         x, y = shape[LX] + shape[UX], shape[LY] + shape[UY]
@@ -85,7 +86,7 @@ def set_system(quad, shapes, z, slope, multipliers, aim, system, right):
         x, y, length = z[k, 0], z[k, 1], quad.lengths[k]
         right[2 * k], right[2 * k + 1] = -slope[k, 0], -slope[k, 1]
         if length > 0.0:
-            size = max(THIN, np.sqrt(x * x + y * y))
+            size = np.sqrt(x * x + y * y + SHORT * SHORT)
             right[2 * k] -= length * x / size
             right[2 * k + 1] -= length * y / size
             bent = length / size**3

@@ -10,7 +10,7 @@ pushes against are held, all others move, and steps are projected back into the 
 A limit of the change of speed couples the moduli of neighbours. Its multipliers and a penalty join
 the cost (an augmented Lagrangian), and what they leave is cut off: that, too, ends legal.
 
-Mathematics: docs/mathematics.md, 4.6.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations

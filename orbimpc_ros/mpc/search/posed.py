@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A problem as the search takes it: one quadratic of R_1 e1..R_N e1, and the limits of each step.
 
-Mathematics: docs/mathematics.md, 4.2.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations
@@ -36,8 +36,10 @@ class Posed:
     def __init__(self, problem: Problem) -> None:
         self._problem, self._condensed = problem, Condensed(problem)
         self.hessian, self._inverse, self.excess = regular(self._condensed.hessian)
-        self._rank = int(np.linalg.matrix_rank(self._condensed.hessian, rtol=RANK))
         self._lengths = length_weights(problem)[1:].astype(float)
+        self._rank = problem.horizon
+        if not self._lengths.any():
+            self._rank = int(np.linalg.matrix_rank(self._condensed.hessian, rtol=RANK))
         floor = problem.floor
         fraction = float(floor.fraction) if floor.exists else 0.0
         self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0

@@ -2,10 +2,12 @@
 """The relaxation of a node: a convex quadratic over the hulls of its stage sets.
 
 Block coordinate descent (each step in turn takes its proximal map) finds the faces, and one Newton
-step moves along all of them at once. Whatever point that leads to, the tangent of the cost there
-has its least over the sets themselves in closed form: a lower bound.
+step moves along all of them at once. Where the cost depends on few sums of headings, the point is
+mixed with corners of the sets instead; where neither leads on, an interior-point method does.
+Whatever point that leads to, the tangent of the cost there has its least over the sets themselves
+in closed form: a lower bound.
 
-Mathematics: docs/mathematics.md, 4.4.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ class Quadratic(NamedTuple):
         q: shape (N, 2).
         lengths: l >= 0, shape (N,).
         constant: what the cost lacks; it only scales tolerances.
-        rank: of H, as far as it is not there to be regular.
+        rank: of H, before it was made regular; N where lengths count.
     """
 
     hessian: Array

@@ -5,7 +5,7 @@ A node holds a sector of every step: headings, unwrapped, and speeds. It is spli
 the speed of one step; what that leaves of its neighbours follows from turn rate and acceleration.
 Each node keeps the point whose tangent its bound is of, so that the tree is the proof.
 
-Mathematics: docs/mathematics.md, 4.5.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations
