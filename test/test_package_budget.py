@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LINES = {
     'orbimpc_ros': 45_220,
-    'orbimpc_ros/mpc': 23_590,
+    'orbimpc_ros/mpc': 23_595,
     'orbimpc_ros/loop': 4_800,
     'orbimpc_ros/ros': 5_860,
     'orbimpc_ros/sim': 3_575,
