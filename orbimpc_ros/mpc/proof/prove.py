@@ -19,11 +19,10 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import document
-from orbimpc_ros.mpc.proof.certificate import Refutation
-from orbimpc_ros.mpc.proof.document import Certificate
+from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 from orbimpc_ros.mpc.proof.kept import kept
+from orbimpc_ros.mpc.proof.reading import Refused, parsed
 from orbimpc_ros.mpc.proof.tree import in_users_units
-from orbimpc_ros.mpc.proof.verifier import Refused, parsed
 from orbimpc_ros.mpc.solve.request import Enough, Request
 
 TOLERANCE = 1e-9  # relative gap at which a search for a proof ends without it
