@@ -37,6 +37,7 @@ from orbimpc_ros.mpc.solve import (
     annulus_newton,
     arc_search,
     cell_tree,
+    choice_tree,
     disjunctive_bnb,
     hull_riccati,
     request,
@@ -459,8 +460,7 @@ def test_of_a_search_among_bodies_too_large_to_count_the_first_nodes_are_counted
     start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([5.0, 0.0], (6, 1))
     solver, polls = Solver(problem), itertools.count()
     best = solver.solve(start, targets)
-    for module in (request, disjunctive_bnb):
-        monkeypatch.setattr(module, 'AFTERWARDS', 20 * 6 * 8)
+    monkeypatch.setattr(choice_tree, 'LATE_NODES', 8)
     plan = solver.solve(start, targets, out_of_time=lambda: next(polls) > 60)
     assert plan.nodes > 8
     assert len(plan.proof.tree.nodes) <= 8

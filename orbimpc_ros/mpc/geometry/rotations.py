@@ -150,9 +150,9 @@ def turned_onto(rotation: Array, axis: Array) -> Array:
     """
     if len(axis) == 2:
         return _from_heading_2(axis)
-    old = rotation[:, 0]
-    across = np.cross(old, axis)
-    sine, cosine = math.sqrt(across @ across), float(old @ axis)
+    (a, b, c), (u, v, w) = rotation[:, 0].tolist(), axis.tolist()
+    across = np.array([b * w - c * v, c * u - a * w, a * v - b * u])
+    sine, cosine = math.sqrt(across @ across), a * u + b * v + c * w
     if sine < HEADING_UNDEFINED:  # onto itself, or over: about any axis across, say the second
         across, sine = rotation[:, 1], 1.0 if cosine < 0.0 else 0.0
         return exp(math.pi * sine * across) @ rotation

@@ -105,11 +105,18 @@ def _bound_to_enter(problem: Problem, state: State, tracks: Tracks, depth: Array
     return found
 
 
-def _depths(problem: Problem, state: State, tracks: Tracks, ways: Array) -> Array:
-    """Return how far inside escapes along ways, shape (A, n), are, shape (A, J, N); 0 outside."""
+def _depths(
+    problem: Problem, state: State, tracks: Tracks, ways: Array, *, ends: bool = False
+) -> Array:
+    """Return how far inside escapes along ways, shape (A, n), are, shape (A, J, N); 0 outside.
+
+    Of all of each step, or only of where it ends.
+    """
     headings = escapes(problem, state, ways)[:, None]
     points = coasting_controls(problem, state) + control_maps(problem) @ headings
     weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
+    if ends:
+        points, weights = points[:, :, -1:], weights[-1:]
     begin, end = tracks.shifts[:, :-1, None], tracks.shifts[:, 1:, None]
     away = points - (begin + weights * (end - begin))[:, None]  # (J, A, N, m, n)
     outside = np.array([_outside(*each) for each in zip(tracks.bodies, away, strict=True)])
@@ -117,7 +124,7 @@ def _depths(problem: Problem, state: State, tracks: Tracks, ways: Array) -> Arra
 
 
 def ways_out(problem: Problem, state: State, tracks: Tracks) -> Array:
-    """Return escapes to all sides, shape (A, N + 1, n), those that meet the least first.
+    """Return escapes to all sides, shape (A, N + 1, n), those whose steps end farthest out first.
 
     Args:
         problem: gives the model and its limits.
@@ -125,7 +132,7 @@ def ways_out(problem: Problem, state: State, tracks: Tracks) -> Array:
         tracks: what is met.
     """
     ways = directions(problem.dimension)
-    met = _depths(problem, state, tracks, ways).sum(axis=(1, 2))
+    met = _depths(problem, state, tracks, ways, ends=True).sum(axis=(1, 2))
     return escapes(problem, state, ways)[np.argsort(met, kind='stable')]
 
 

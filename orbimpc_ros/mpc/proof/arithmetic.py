@@ -76,6 +76,11 @@ def root(x: Number) -> Number:
     return math.sqrt(x) if x > 0.0 else 0.0
 
 
+def roots(x: np.ndarray) -> np.ndarray:
+    """Return the square root of each; see :func:`root`."""
+    return np.sqrt(x) if x.dtype == float else np.frompyfunc(root, 1, 1)(x)
+
+
 def direction(angle: Number) -> tuple[Number, Number]:
     """Return the cosine and the sine."""
     if isinstance(angle, Fraction):

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP, cap, icosahedron
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root
+from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root, roots
 from orbimpc_ros.mpc.proof.limits import ENDS, STEP, Body, Cone, Limits
 from orbimpc_ros.mpc.proof.tree import POINTS
 
@@ -443,10 +443,11 @@ class Statement:
             extents[j, :n], extents[j, n : 2 * n] = -low, self._rows(body.high) - origin
             extents[j, -1], margins[0, j] = self._number(body.radius), self._rows(body.grown)
             still = low if body.radius else 0 * low
-            for k in range(count):
-                for i, share in enumerate(shares(body.of, k, degree)):
-                    moved = shifts[k] + (shifts[k + 1] - shifts[k]) * share / degree
-                    centres[j, k, i] = still + moved
+            moved = (shifts[1:] - shifts[:-1])[:, None]
+            for steps in (slice(1), slice(1, count)):
+                along = self._rows(shares(body.of, steps.start or 0, degree)) / degree
+                begun = (still + shifts[:-1])[steps, None]
+                centres[j, steps, : len(along)] = begun + moved[steps] * along[:, None]
         if any(each.radius and each.of == STEP for each in bodies):
             margins[1] = self._spread(bodies, centres, start)
         return Bodies(np.array([each.of for each in bodies], np.int64), extents, centres, margins)
@@ -460,21 +461,24 @@ class Statement:
         still = self._rows(np.zeros((count + 1, n)))
         still[0] = start[FIRST, :n]
         known = (start[row, :n] for row in (VELOCITY, BLOWN, HASTENED, WIND))
-        free = self._controls(still, *known)
-        none, units = self._rows(np.zeros(count)), self._rows(np.eye(count + 1)[:, 1:])
-        reach = self._controls(units, none, none, none, none)
+        free, (a, b) = self._controls(still, *known), np.triu_indices(m, 1)
         fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
-        apart = fastest * np.abs(reach[:, :, None] - reach[:, None]).sum(axis=-1)
         spread = self._rows(np.zeros((len(bodies), count)))
         for j, body in enumerate(bodies):
-            for k in range(count) if body.radius and body.of == STEP else ():
-                places = free[k] - centres[j, k, :m]
-                gaps = [
-                    apart[k, a, b] + root(((places[a] - places[b]) ** 2).sum())
-                    for a in range(m) for b in range(a)
-                ]  # fmt: skip
-                spread[j, k] = max(gaps)
+            if body.radius and body.of == STEP:
+                places = free - centres[j, :, :m]
+                gaps = roots(((places[:, a] - places[:, b]) ** 2).sum(axis=-1))
+                spread[j] = (fastest * self._apart + gaps).max(axis=1)
         return spread
+
+    @cached_property
+    def _apart(self) -> Rows:
+        """Return how far apart headings of length 1 take two control points, shape (N, pairs)."""
+        count = self.problem.horizon
+        none, units = self._rows(np.zeros(count)), self._rows(np.eye(count + 1)[:, 1:])
+        reach = self._controls(units, none, none, none, none)
+        a, b = np.triu_indices(self._motion.degree + 1, 1)
+        return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
 
     def _controls(self, z: Rows, velocity: Rows, blown: Rows, hastened: Rows, wind: Rows) -> Rows:
         """Return the control points of steps, less s_0, shape (N, degree + 1, c)."""

@@ -14,7 +14,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,7 @@ from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxed
 
 FULL = 2.0 * math.pi
 OUTWARD = 1.0 + 1e-12  # so that what is on the rim of a cone is not outside by rounding
+LATE_NODES = 40  # of a proof that is written once time is up: in 2 or 3 ms
 NARROWEST = 1e-9  # [rad] what is left of a sector is a part of it from here on
 
 
@@ -79,11 +80,8 @@ class ChoiceTree:
         self._made: list[tuple[int, int, Cell] | None] = [None]  # of what, and which part
         self._solved: dict[int, tuple[Choice, Multipliers, bool] | None] = {}
         self._worse: set[int] = set()
-
-    @property
-    def leaves(self) -> int:
-        """Return how many nodes are not split."""
-        return sum(node.kind in (LEAF, EMPTY) for node in self._nodes)
+        self._known: dict[int, Held | None] = {}  # what is best known of them
+        self._is_stiff = bool(np.isfinite(inverse).all())
 
     # --- the search
 
@@ -98,6 +96,7 @@ class ChoiceTree:
         """
         found = self._program.multipliers
         self._solved[t] = None if found is None else (choice, found, empty)
+        self._known.pop(t, None)
         if not better:
             self._worse.add(t)
 
@@ -424,6 +423,15 @@ class ChoiceTree:
 
     # --- the proof
 
+    def proof_in_time(self, out_of_time: Callable[[], bool] | None) -> ProofTree | None:
+        """Return the proof; that of its first nodes, which prove less, if time is up before."""
+        for node in self._nodes:
+            if out_of_time is not None and out_of_time():
+                return self.proof(LATE_NODES)
+            if node.kind in (LEAF, EMPTY) and not node.refuted:
+                self._best(node.of)
+        return self.proof()
+
     def proof(self, most: int | None = None) -> ProofTree | None:
         """Return the proof; None where the multipliers of something are not known.
 
@@ -479,13 +487,19 @@ class ChoiceTree:
 
     def _best(self, t: int) -> Held | None:
         """Return what is best known of a node of the search."""
+        if t not in self._known:
+            self._known[t] = self._raised(t)
+        return self._known[t]
+
+    def _raised(self, t: int) -> Held | None:
+        """Return what a node of the search proves by itself, or raised from what it is part of."""
         own, made = self._solved.get(t), self._made[t]
         if (own is not None and t not in self._worse) or made is None:
             return None if own is None else self._held(t, *own)
         before, j, cell = made
         known = self._best(before)
         rows = [self._row(j, i, cell)._replace(since=t) for i in self._free_rows(j)]
-        if known is None or not rows or not np.isfinite(self._inverse).all():
+        if known is None or not rows or not self._is_stiff:
             return known
         return known.raised(rows, self._inverse)
 

@@ -44,14 +44,13 @@ from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
-from orbimpc_ros.mpc.solve.request import AFTERWARDS, Found, Request
+from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a round floor missed by less is worth a dive
 NOTHING = 'no trajectory satisfies the constraints'
-TELLING = 20  # times as long as a leaf is verified it takes to write it down
 MAX_NODES = 20_000
 HALFWAY = (
     50.0  # times the tolerance, where many cells cost alike: half of the gap counted as proved
@@ -243,10 +242,7 @@ class _Run:
         root = self._root
         if root is not None and root.bound >= lower - self._tolerance * abs(lower) and root.proof:
             return root.proof
-        request, count = self._posed.request, len(self._posed.request.goals)
-        if request.leaves_time_for(TELLING * self._tree.leaves):
-            return self._tree.proof()
-        return self._tree.proof(AFTERWARDS // (TELLING * count))
+        return self._tree.proof_in_time(self._posed.request.out_of_time)
 
     @property
     def _limit(self) -> float:

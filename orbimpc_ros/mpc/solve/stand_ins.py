@@ -24,14 +24,14 @@ from orbimpc_ros.mpc.problem.leaving import Tracks, ways_out
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
-TURNS = (0.0, 0.5, -1.5, 1.5, 3.0, -4.0, 5.0, -6.3, 6.3)
+TURNS = (0.0, -1.5, 3.0, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
 WITHIN = 1.0 - 1e-9  # of ``max_rate``
 CORRECTIONS = 20
 LARGEST = 0.5  # of a heading, in one correction
 MET = 1e-10  # of a step's length
 AT_LIMIT = 1e-9  # of a speed
 SINGULAR = 1e-9
-LATE = 12  # ways that are tried once time is up: a millisecond or two each
+LATE = 3  # ways that are tried once time is up: a millisecond or two each
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
@@ -94,8 +94,9 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
         yield rotations
     least = min(1.0, problem.floor.least(ahead[:, 0]))
     arrives = problem.terminal == 'constraint'
-    for speed in dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0)):
-        for turn in _turns(problem):
+    speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
+    for turn in _turns(problem)[not arrives :]:  # straight on is tried before
+        for speed in speeds:
             towards = goals[-1] - adrift(problem, state)[-1]
             angles = turn * np.arange(1.0, problem.horizon + 1.0) / problem.horizon
             z = _headings(problem, speed, ahead[:, 0], towards, angles)
@@ -142,11 +143,11 @@ def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:
     return state.attitude, state.rotation + problem.step * state.rotation_rate
 
 
-def _turns(problem: Problem) -> Iterator[float]:
+def _turns(problem: Problem) -> list[float]:
     most = math.inf
     if problem.max_rate > 0.0:
         most = WITHIN * problem.max_rate * problem.step * problem.horizon
-    yield from dict.fromkeys(min(most, max(-most, turn)) for turn in TURNS)
+    return list(dict.fromkeys(min(most, max(-most, turn)) for turn in TURNS))
 
 
 def _wanted(problem: Problem, state: State, goals: Array) -> Array:
