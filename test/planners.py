@@ -77,9 +77,6 @@ class Bench:
         self.until(reports, 'the tick of a command')
         return reports()[0]
 
-    def tell(self, seconds):
-        """Tell the time, where it is this test's to tell."""
-
     def fly(self, seconds):
         """Return the command for odometry of that stamp, sent again where it was lost.
 
@@ -92,7 +89,6 @@ class Bench:
             nonlocal again
             if time.monotonic() > again:  # best effort: lost while they were connecting
                 again = time.monotonic() + LOST
-                self.tell(seconds)
                 self.goal.publish(sent[1])
                 self.odometry.publish(sent[0])
             later = self.commands[before:]

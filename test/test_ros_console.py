@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import Twist, TwistStamped
 from planners import QUICK, Bench, moving, told
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
@@ -54,6 +54,21 @@ def test_a_stop_is_said_once_and_so_is_its_end(launch, observer):
     assert said(bench, 'odometry is') == 1
     assert moving(bench.fly(2.0))
     assert said(bench, 'over: odometry is') == 1
+
+
+def test_who_else_is_there_is_said_when_it_comes_and_when_it_goes(launch, observer):
+    bench, node = Bench(launch, observer, QUICK), observer.node
+    rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    assert said(bench, '2 publishers on /cmd_vel: the vehicle hears them all') == 1
+    assert level(bench, '2 publishers on /cmd_vel') >= DiagnosticStatus.WARN
+    node.destroy_publisher(rival)
+    assert said(bench, 'over: 2 publishers on /cmd_vel') == 1
+    other = node.create_publisher(Twist, 'goal_path', qos())
+    mismatch = '/goal_path of /observer is a geometry_msgs/msg/Twist, not a nav_msgs/msg/Path'
+    assert said(bench, mismatch) == 1
+    assert level(bench, mismatch) == DiagnosticStatus.ERROR
+    node.destroy_publisher(other)
+    assert said(bench, 'over: /goal_path of /observer is a') == 1
 
 
 @pytest.mark.parametrize('trigger', ['odom', 'timer'])

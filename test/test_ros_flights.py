@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A continuous vehicle with a floor and a rate limit, flown by the planner: never beyond them."""
+"""A vehicle in continuous time with a floor and a rate limit: no command is beyond them."""
 
 import functools
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner as a process: what it says while it waits, what it refuses, how it stops."""
+"""The planner as a process: what it says while it waits, what it publishes, how it begins again."""
 
 import itertools
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulator as a process: faults on purpose, commands refused, and a stop in time."""
+"""The simulator as a process: faults on purpose, commands refused, and whom it waits for."""
 
 import contextlib
 import math

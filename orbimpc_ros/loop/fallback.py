@@ -22,7 +22,7 @@ from operator import attrgetter
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.command import Command, stop
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
@@ -67,7 +67,7 @@ def cheapest_clear(
     """
     known = problem, state, goals
     for each in sorted(plans, key=attrgetter('objective')):
-        if not violations(*known, each) and is_clear(*known, each):
+        if holds(*known, each) and is_clear(*known, each):
             return each
     return None
 
@@ -91,7 +91,7 @@ def clear_instead(
     found = cheapest_clear(*known, ways)
     if found is not None:
         return found
-    sound = [each for each in ways if not violations(*known, each)]
+    sound = [each for each in ways if holds(*known, each)]
     return max([*sound, plan], key=lambda each: _room(*known, each, SURE_STEPS))
 
 
@@ -121,7 +121,7 @@ def clearest(
     found = [
         (_room(*known, each, problem.horizon), each)
         for each in _ways(*known, guess, projection, UNPROVED, out_of_time)
-        if not violations(problem, alone, goals, each)
+        if holds(problem, alone, goals, each)
     ]
     if not found:
         return None, 0.0

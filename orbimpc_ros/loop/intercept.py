@@ -57,7 +57,7 @@ from orbimpc_ros.loop.compensation import defect
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.loop.task import Answer, Solvers, Task
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.outcome import Status
@@ -204,7 +204,7 @@ class _Search:
         """Return the rest of the previous plan for a target and its goals, if it still holds."""
         task = self._query.task.within(self._intercepts.problem(target), goals)
         plan = self._intercepts.shifted(task, self._query.previous)
-        if plan is None or violations(*task.known, plan):
+        if plan is None or not holds(*task.known, plan):
             return None
         answer = plan, plan.status, 'the catch planned before is flown on'
         self._tried.append((task, answer))

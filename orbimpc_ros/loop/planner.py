@@ -36,7 +36,7 @@ from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task, joined
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
-from orbimpc_ros.mpc.check import command_violations, violations
+from orbimpc_ros.mpc.check import command_violations, holds
 from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
@@ -632,7 +632,7 @@ class Planner:
         memory.fallbacks += 1
         if memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP:
             guess = task.guess or self._shifted(task)
-            if guess and not violations(*task.known, guess):
+            if guess and holds(*task.known, guess):
                 return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
         arriving = memory.arriving or task.problem.has_cones  # to wait is to fall
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
@@ -749,4 +749,4 @@ def _planned(problem: Problem) -> Problem:
 
 def _is_free(task: Task, plan: Plan) -> bool:
     """Return whether a plan that was made without hazards is clear of them, as it is flown."""
-    return not violations(*task.known, plan) and is_clear(*task.known, plan)
+    return holds(*task.known, plan) and is_clear(*task.known, plan)

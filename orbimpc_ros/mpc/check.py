@@ -12,6 +12,7 @@ Mathematics: docs/mathematics.md, 6.2.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,17 +45,26 @@ def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list
         goals: g_1..g_N, shape (N, n) [m].
         plan: to be checked.
     """
+    return list(_flaws(problem, state, goals, plan))
+
+
+def holds(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
+    """Return whether a plan may be published: whether it has no :func:`violations`."""
+    return next(_flaws(problem, state, goals, plan), None) is None
+
+
+def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
+    """Yield why a plan must not be published, what takes long to find out last."""
     arrays = (plan.positions, plan.velocities, plan.rotations, plan.inputs, plan.projected)
     numbers = np.concatenate([array.ravel() for array in arrays])
     if not (np.isfinite(numbers).all() and math.isfinite(plan.objective)):
-        return ['plan is not finite']
-    return [
-        *_dynamics_violations(problem, state, plan),
-        *_limit_violations(problem, state, goals, plan),
-        *_terminal_violations(problem, goals, plan),
-        *_proof_violations(problem, state, goals, plan),
-        *_rotation_violations(problem, state, plan),
-    ]
+        yield 'plan is not finite'
+        return
+    yield from _dynamics_violations(problem, state, plan)
+    yield from _terminal_violations(problem, goals, plan)
+    yield from _proof_violations(problem, state, goals, plan)
+    yield from _rotation_violations(problem, state, plan)
+    yield from _limit_violations(problem, state, goals, plan)
 
 
 # --- dynamics

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -239,7 +239,7 @@ class Solver:
         return Guess(coordinates(guess.rotations[1:]), guess.objective / self._units.cost)
 
     def _sound(self, query: _Query, plan: Plan) -> bool:
-        return not violations(self.problem, query.state, query.goals, plan)
+        return holds(self.problem, query.state, query.goals, plan)
 
     def _assembled(self, query: _Query, x: Array, proof: Proof) -> Plan:
         known = self.problem, query.state, query.goals
