@@ -87,9 +87,9 @@ class Floor:
         """Return by how much axes, shape (K, n), clear the floor, shape (K,); < 0 below it."""
         return SHAPES[self.shape].margin(self, axes)
 
-    def least(self, axis: Array) -> float:
-        """Return the least speed fraction allowed along a unit vector, shape (n,)."""
-        return SHAPES[self.shape].least(self, axis)
+    def least(self, axes: Array) -> Array:
+        """Return the least speed fraction allowed along unit vectors, shape (..., n): (...)."""
+        return SHAPES[self.shape].least(self, axes)
 
     def circling(self, dimension: int) -> float:
         """Return a speed fraction that is allowed in every heading: the least, or full speed."""
@@ -135,10 +135,14 @@ class Shape(ABC):
         outward = np.array([cell.normal for cell in cells])
         return (axes @ outward.T - [cell.offset for cell in cells]).max(axis=1)
 
-    def least(self, floor: Floor, axis: Array) -> float:
+    def least(self, floor: Floor, axes: Array) -> Array:
         """See :meth:`Floor.least`; full speed where no speed is allowed."""
-        slopes = [(float(cell.normal @ axis), cell.offset) for cell in self.cells(floor, len(axis))]
-        return min((offset / slope for slope, offset in slopes if slope > 0.0), default=1.0)
+        cells = self.cells(floor, axes.shape[-1])
+        slopes = axes @ np.array([cell.normal for cell in cells]).T
+        offsets = np.array([cell.offset for cell in cells])
+        least = np.where(slopes > 0.0, offsets / np.where(slopes > 0.0, slopes, 1.0), np.inf)
+        least = least.min(axis=-1)
+        return np.where(np.isfinite(least), least, 1.0)[()]
 
     def circling(self, floor: Floor, dimension: int) -> float:
         """See :meth:`Floor.circling`."""
@@ -175,9 +179,9 @@ class Free(Shape):
         """Return infinities."""
         return np.full(len(axes), np.inf)
 
-    def least(self, floor: Floor, axis: Array) -> float:
-        """Return zero."""
-        return 0.0
+    def least(self, floor: Floor, axes: Array) -> Array:
+        """Return zeros."""
+        return np.zeros(axes.shape[:-1])[()]
 
     def lines(self, floor: Floor, dimension: int) -> Lines:
         """Return none."""
@@ -206,9 +210,9 @@ class Polygon(Shape):
         """Return how far axes are beyond the face that they are farthest beyond."""
         return (axes @ normals(axes.shape[1], floor.faces).T).max(axis=1) - floor.fraction
 
-    def least(self, floor: Floor, axis: Array) -> float:
-        """Return where a ray meets the polygon."""
-        return floor.fraction / float((normals(len(axis), floor.faces) @ axis).max())
+    def least(self, floor: Floor, axes: Array) -> Array:
+        """Return where rays meet the polygon."""
+        return floor.fraction / (axes @ normals(axes.shape[-1], floor.faces).T).max(axis=-1)
 
     def circling(self, floor: Floor, dimension: int) -> float:
         """Return the distance of the corners, half-way between two faces: fraction / cos(pi/m)."""
@@ -238,9 +242,9 @@ class Circle(Shape):
         """Return |v| - fraction."""
         return np.linalg.norm(axes, axis=1) - floor.fraction
 
-    def least(self, floor: Floor, axis: Array) -> float:
+    def least(self, floor: Floor, axes: Array) -> Array:
         """Return the fraction."""
-        return floor.fraction
+        return np.full(axes.shape[:-1], floor.fraction)[()]
 
     def circling(self, floor: Floor, dimension: int) -> float:
         """Return the fraction."""

@@ -23,7 +23,7 @@ def entry_speed(problem: Problem, state: State) -> float:
     before = state.commanded
     if before is None:
         before = math.hypot(*state.rotation[:, 0].tolist())
-    least = problem.floor.least(state.attitude[:, 0]) if problem.floor.exists else 0.0
+    least = float(problem.floor.least(state.attitude[:, 0]))
     return min(1.0, max(before, least))
 
 

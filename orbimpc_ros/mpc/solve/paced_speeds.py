@@ -169,7 +169,7 @@ class PacedSpeeds:
     ) -> tuple[Array, Array, list[object]]:
         """Return rows A, right-hand sides b and cones: b - A sigma is in them."""
         problem, state, count = self._problem, request.state, len(axes)
-        least = [problem.floor.least(unit) if problem.floor.exists else 0.0 for unit in axes]
+        least = problem.floor.least(axes)
         if problem.approach.exists:
             least[-1] = max(least[-1], problem.least_heading)
         chain, eye = np.eye(count) - np.eye(count, k=-1), np.eye(count)

@@ -50,7 +50,7 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     if first is not None:
         firsts = [first]
     else:
-        least = problem.floor.least(ahead[:, 0])
+        least = float(problem.floor.least(ahead[:, 0]))
         present = float(np.linalg.norm(state.rotation[:, 0]))
         firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
     for each in firsts:
@@ -92,7 +92,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
         if first is not None:
             rotations[0] = first
         yield rotations
-    least = min(1.0, problem.floor.least(ahead[:, 0]))
+    least = min(1.0, float(problem.floor.least(ahead[:, 0])))
     arrives = problem.terminal == 'constraint'
     speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
     for turn in _turns(problem)[not arrives :]:  # straight on is tried before
@@ -166,9 +166,8 @@ def _headings(problem: Problem, speed: float, axis: Array, towards: Array, angle
         aside = other - axis * (axis @ other)
     aside = aside / np.linalg.norm(aside)
     units = np.outer(np.cos(angles), axis) + np.outer(np.sin(angles), aside)
-    least = [min(1.0, max(speed, problem.floor.least(unit))) for unit in units]
-    speeds: Array = np.array(least, dtype=float)
-    return speeds[:, None] * units
+    speeds = np.clip(problem.floor.least(units), speed, 1.0)
+    return np.asarray(speeds[:, None] * units)
 
 
 def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array | None:
@@ -189,7 +188,7 @@ def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array 
             return None
         sizes = np.linalg.norm(z, axis=1)
         units = z / np.maximum(sizes, HEADING_UNDEFINED)[:, None]
-        least = np.array([problem.floor.least(unit) for unit in units])
+        least = problem.floor.least(units)
         bound = (sizes >= 1.0 - AT_LIMIT) | (sizes <= least + AT_LIMIT)
         change = _least_change(rows[:, given:], missing, units[given:], bound[given:])
         z[given:] += change
