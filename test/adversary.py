@@ -10,6 +10,7 @@ part that the flight is in proves no more than the flight costs.
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import nearest
+from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import (
     Approach,
@@ -33,12 +35,15 @@ from orbimpc_ros.mpc.problem import (
 )
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Refutation
-from orbimpc_ros.mpc.proof.verifier import Refused, posed_by, refuted_by
-from orbimpc_ros.mpc.proof.verifier.bound import bound
-from orbimpc_ros.mpc.proof.verifier.regions import Region
-from orbimpc_ros.mpc.proof.verifier.splits import leaves, root
-from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
+from orbimpc_ros.mpc.proof import tree as trees
+from orbimpc_ros.mpc.proof.bound import leaf_bound
+from orbimpc_ros.mpc.proof.convex import set_hessian
+from orbimpc_ros.mpc.proof.document import Certificate, Posed, Refutation, refuted_by
+from orbimpc_ros.mpc.proof.limits import STEP, Body, limits_of
+from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
+from orbimpc_ros.mpc.proof.stated import Statement, shares
+from orbimpc_ros.mpc.proof.tree import ProofTree, one
+from orbimpc_ros.mpc.proof.verify import in_fractions, parts_of, region_of, work_of
 
 HAIR = 1e-7  # by which a flight keeps a limit, of what it limits
 FINE = 2.0**-30  # headings are multiples of it
@@ -54,11 +59,8 @@ class Flight(NamedTuple):
     radius: float
 
 
-Part = tuple[dict[str, Any], int, int]  # a split, which of its parts, and of how many
-
-
 class Judged(NamedTuple):
-    """What a part proves that a flight is in, and what the flight costs there."""
+    """What a part proves that a flight is in, what the flight costs there, and the certificate."""
 
     proved: float
     cost: float
@@ -267,216 +269,265 @@ def _body(rng: Rng, places: np.ndarray, n: int) -> Box | Ball:
 
 # --- certificates
 
+DEEP = 60  # splits at most
+
 
 def judged(drawn: Flight, rng: Rng) -> Judged | None:
-    """Return what the part of a random certificate that holds a flight proves; None if refused.
-
-    Raises:
-        AssertionError: no part of a split holds the flight.
-    """
-    planar = drawn.case.problem.dimension == 2
-    sectors = planar and not _turns(drawn.case.problem) and _sometimes(rng, 0.6)
-    origins = rng.uniform(-4.0, 4.0, drawn.case.problem.horizon) if sectors else None
+    """Return what the part of a random certificate that holds a flight proves; None if refused."""
+    case, count = drawn.case, drawn.case.problem.horizon
     refutes = drawn.radius > 0.0 or _sometimes(rng, 0.4)
+    sought = Sought(*case, radius=drawn.radius)
+    posed = Posed(*case, limits_of(*case))
     if refutes:
-        sought = Sought(*drawn.case, radius=drawn.radius)
-        known = Refutation(sought, (), origins).document()
-    else:
-        known = Certificate(*drawn.case, 0.0, Leaf(), origins).document()
-    count = drawn.case.problem.horizon if drawn.radius else 1
-    posed = refuted_by(known, count)[-1] if refutes else posed_by(known)
-    splits = _focused(drawn, known, rng) if planar and _sometimes(rng, 0.7) else []
-    splits += [each for _ in range(int(rng.integers(5))) for each in _split(drawn, known, rng)]
-    leaf: dict[str, Any] = {}
-    (tree, region), made = _held(posed, known, [], leaf), []
-    for each in splits:
-        try:
-            tree, region = _held(posed, known, [*made, each], leaf)
-        except Refused:  # of what it splits nothing is left on one side
-            continue
-        made.append(each)
-    leaf |= _leaf(drawn, posed, region, rng, refutes)
-    try:
-        proved = bound(posed, leaf, region)
-    except Refused:
+        known = Refutation(sought, ()).document()
+        posed = refuted_by(known, count if drawn.radius else 1)[-1]
+    part = Part(drawn, posed, rng)
+    if case.problem.dimension == 2 and _sometimes(rng, 0.7):
+        part.focus()
+    for _ in range(int(rng.integers(5))):
+        part.split()
+    leaf = part.leaf(refutes)
+    proved, sound = part.bound(leaf, refutes)
+    if not sound:
         return None
-    if refutes:
-        known['refuted']['trees'] = [*[{}] * (count - 1), tree]
-    else:
-        known['tree'] = tree
-    return Judged(float(proved), 0.0 if refutes else drawn.plan.objective, known)
+    tree = part.tree(leaf, refutes)
+    made = Refutation(sought, (tree,) * (count if drawn.radius else 1))
+    known = made.document() if refutes else Certificate(*case, 1.0, tree).document()
+    return Judged(proved, 0.0 if refutes else drawn.plan.objective, known)
 
 
-def _turns(problem: Problem) -> bool:
-    """Return whether directions are counted from the attitude's."""
-    turns = problem.rotation_order == 1 and problem.turns_are_angles
-    return turns and problem.dimension == 2
+class Part:
+    """The part of random splits that a flight is in, in fractions.
 
+    Args:
+        drawn: the flight.
+        posed: its problem, as the verifier reads it.
+        rng: of what is random.
+    """
 
-def _held(
-    posed: StatedProblem, known: dict[str, Any], splits: list[Part], leaf: dict[str, Any]
-) -> tuple[dict[str, Any], Region]:
-    """Return a tree of splits, and the region of its leaf that a flight is in."""
-    tree, everything = _tree(splits, leaf), root(posed, known.get('origins'))
-    found = [region for node, region in leaves(posed, tree, everything) if node is leaf]
-    assert len(found) == 1, 'the part that a flight is in is left out'
-    return tree, found[0]
+    def __init__(self, drawn: Flight, posed: Posed, rng: Rng) -> None:
+        self.drawn, self.posed, self.rng = drawn, posed, rng
+        problem = posed.problem
+        self.stated = Statement(problem, Fraction).of(*posed[1:])
+        self.n, self.count = problem.dimension, problem.horizon
+        self.choices = (2 + len(posed.limits.bodies)) * self.count
+        self.region = region_of(DEEP, self.choices, self.n, object)
+        self.work = work_of(problem, self.stated.width, object)
+        point = np.zeros((self.count, self.stated.width))
+        self.allowed, *_ = parts_of(self.stated, one(point, np.zeros(self.count)))
+        origins = np.zeros(0)
+        if self.n == 2 and self.stated.root.turn < 0 and _sometimes(rng, 0.5):
+            origins = rng.uniform(-4.0, 4.0, self.count)
+        self.order = Order(False, np.array([Fraction(each) for each in origins], object))
+        self.origins, self.depth, self.cuts = origins, 0, list[tuple[list[int], float, int]]()
+        known = self.region.part[0], self.region.span[0]
+        begun = begin(self.stated.root, self.stated.sets, self.allowed.is_free, self.order, *known)
+        assert begun == HELD, 'a flight is left out from the beginning'
 
+    def cut(self, kind: int, choice: int, parts: int, at: float, i: int) -> None:
+        """Split the part, if it may be split so, and go on with part i of it.
 
-def _tree(splits: list[Part], leaf: dict[str, Any]) -> dict[str, Any]:
-    """Return nested splits, of which one part each is split again, and the last is a leaf."""
-    made = leaf
-    for node, i, count in reversed(splits):
-        made = {**node, 'parts': [made if j == i else {} for j in range(count)]}
-    return made
+        Raises:
+            AssertionError: the part that a flight is in is left out.
+        """
+        if self.depth + 1 == DEEP:
+            return
+        node = [kind, choice, 0, parts, -1]
+        stated, radii = self.stated, self.stated.bodies.extents[:, 2 * self.n]
+        known = self.allowed, stated.root, stated.sets, radii, self.order, np.array(node)
+        made = part_of(*known, Fraction(at), i, self.depth + 1, self.region)
+        if made == WRONG:
+            return
+        assert made == HELD, 'the part that a flight is in is left out'
+        self.depth += 1
+        self.cuts.append((node, at, i))
 
+    def focus(self) -> None:
+        """Leave no more than the flight of all steps but one."""
+        free = int(self.rng.integers(self.count))
+        for k, heading in enumerate(self.drawn.plan.rotations[1:, :, 0]):
+            near, speed = 10.0 ** self.rng.uniform(-9, -4), float(np.linalg.norm(heading))
+            if k != free and speed > 1e-6:
+                self._turned(k, near, near)
+                for at, i in ((speed - near, 1), (speed + near, 0)):
+                    self.cut(trees.SPEED, self.count + k, 2, at, i)
 
-def _focused(drawn: Flight, known: dict[str, Any], rng: Rng) -> list[Part]:
-    """Return splits that leave no more than the flight of all steps but one."""
-    found, free = [], int(rng.integers(drawn.case.problem.horizon))
-    for k, heading in enumerate(drawn.plan.rotations[1:, :, 0]):
-        near, speed = 10.0 ** rng.uniform(-9, -4), float(np.linalg.norm(heading))
-        if k != free and speed > 1e-6:
-            found += _bracketed({'split': k + 1, 'at': _lifted(drawn, known)[k]}, near, near)
-            found += _bracketed({'split': k + 1, 'speed': speed}, near, near)
-    return found
+    def split(self) -> None:
+        """Split the part somehow, or not."""
+        rng, k = self.rng, int(self.rng.integers(self.count))
+        off = 10.0 ** rng.uniform(-6, 0.5) * rng.choice([-1, 1])
+        heading = self.drawn.plan.rotations[k + 1, :, 0]
+        speed, kind = float(np.linalg.norm(heading)), int(rng.choice(3, p=[0.5, 0.2, 0.3]))
+        if kind == 0 and self.n == 2 and speed > 1e-6:
+            self._turned(k, *rng.permutation([abs(off) * rng.uniform(), abs(off)]))
+        elif kind == 0 and len(self.stated.sets.faces):
+            faces = np.array(self.stated.sets.faces, float)
+            inside = np.flatnonzero(faces @ heading >= self.posed.problem.floor.fraction)
+            if len(inside):
+                self.cut(trees.FACES, k, len(faces), 0.0, int(rng.choice(inside)))
+        elif kind == 0 and speed > 1e-6:
+            self._patched(k, heading)
+        elif kind == 1:
+            at = min(1.0, max(0.0, speed + 0.1 * off))
+            self.cut(trees.SPEED, self.count + k, 2, at, int(at < speed))
+        elif self.posed.limits.bodies:
+            self._beside(k, off)
 
+    def _turned(self, k: int, below: float, above: float) -> None:
+        """Split a heading in the plane on either side of the flight's."""
+        angle = self._lifted()[k]
+        self._directed(k, angle, below, above)
 
-def _bracketed(node: dict[str, Any], below: float, above: float) -> list[Part]:
-    """Return two splits, between which a flight is."""
-    name = 'at' if 'at' in node else 'speed'
-    return [({**node, name: float(node[name] + off)}, i, 2) for i, off in ((1, -below), (0, above))]
+    def _lifted(self) -> np.ndarray:
+        """Return the directions of R_1 e1..R_N e1 as they are counted where turns are limited."""
+        z, state = self.drawn.plan.rotations[:, :, 0], self.posed.state
+        angles = np.arctan2(z[1:, 1], z[1:, 0])
+        if self.stated.root.turn < 0:
+            return angles
+        decided = self.posed.problem.rotation_order == 2 and state.coasted is not None
+        ahead = (state.coasted if decided else state.attitude)[:, 0]
+        begun = math.atan2(ahead[1], ahead[0])
+        turns = np.diff(np.concatenate([[begun], angles]))
+        return np.asarray(begun + np.cumsum((turns + np.pi) % (2 * np.pi) - np.pi))
 
+    def _directed(self, choice: int, angle: float, below: float, above: float) -> None:
+        """Split directions in the plane on either side of one; into arcs if all are allowed."""
+        if self.region.part[self.depth, choice] == WHOLE:
+            parts, at = int(self.rng.integers(2, 6)), float(self.rng.normal())
+            share = float(self.stated.sets.full) / parts
+            i, left = divmod((angle - at) % (2.0 * np.pi), share)
+            if 1e-9 < left < share - 1e-9:
+                self.cut(trees.ARCS, choice, parts, at, int(i))
+            return
+        low = float(self.region.span[self.depth, choice, 0])
+        if choice >= self.count or self.stated.root.turn < 0:
+            angle = low + (angle - low) % (2.0 * np.pi)
+        self.cut(trees.CUT, choice, 2, float(angle - below), 1)
+        self.cut(trees.CUT, choice, 2, float(angle + above), 0)
 
-def _split(drawn: Flight, known: dict[str, Any], rng: Rng) -> list[Part]:
-    """Return a split, with which of its parts a flight is in, and how many there are; or none."""
-    problem = drawn.case.problem
-    k, off = int(rng.integers(problem.horizon)), 10.0 ** rng.uniform(-6, 0.5) * rng.choice([-1, 1])
-    heading, node = drawn.plan.rotations[k + 1, :, 0], {'split': k + 1}
-    speed, kind = float(np.linalg.norm(heading)), int(rng.choice(4, p=[0.4, 0.2, 0.2, 0.2]))
-    if kind == 0 and problem.dimension == 2 and speed > 1e-6:
-        both = abs(off) * rng.uniform(), abs(off)
-        return _bracketed({**node, 'at': _lifted(drawn, known)[k]}, *rng.permutation(both))
-    if kind == 1:
-        return [({**node, 'speed': float(speed + 0.1 * off)}, int(off < 0), 2)]
-    if kind == 2 and problem.floor.shape == 'polygon' and problem.dimension == 2:
-        ways = normals(2, problem.floor.faces) @ heading
-        inside = np.flatnonzero(ways >= problem.floor.fraction)
-        return [(node, int(rng.choice(inside)), problem.floor.faces)] if len(inside) else []
-    walls = known.get('limits', {}).get('walls', [])
-    return _beside(drawn, walls, k, off, rng) if kind == 3 and walls else []
+    def _patched(self, choice: int, way: np.ndarray) -> None:
+        """Split directions in space, where one is surely inside of a triangle."""
+        whole = self.region.part[self.depth, choice] == WHOLE
+        kind, parts = (trees.PATCHES, 20) if whole else (trees.QUARTERS, 4)
+        triangles = self.stated.root.patches[:20]
+        if not whole:
+            a, b, c = self.region.corners[self.depth, choice]
+            ab, bc, ca = a + b, b + c, c + a
+            triangles = [(2 * a, ab, ca), (ab, 2 * b, bc), (ca, bc, 2 * c), (ab, bc, ca)]
+        for i, each in enumerate(triangles):
+            if np.linalg.solve(np.array(each, float).T, way).min() > 1e-9:
+                self.cut(kind, choice, parts, 0.0, i)
+                return
 
+    def _beside(self, k: int, off: float) -> None:
+        """Split by the sides of a body, where a flight is on one."""
+        j = int(self.rng.integers(len(self.posed.limits.bodies)))
+        body, choice = self.posed.limits.bodies[j], (2 + j) * self.count + k
+        points = self._points(body, k)
+        if not body.radius:
+            low, high = body.low - body.grown[k], body.high + body.grown[k]
+            outside = np.concatenate([low - points, points - high], axis=1).min(axis=0)
+            sides = np.flatnonzero(outside > 1e-12)
+            if len(sides):
+                self.cut(trees.SIDES, choice, 2 * self.n, 0.0, int(self.rng.choice(sides)))
+            return
+        way, away = separation(points - body.low)
+        if away < body.radius + body.grown[k] + 1e-12:
+            return
+        if self.n == 3:
+            self._patched(choice, way)
+            return
+        below, above = self.rng.permutation([abs(off), abs(off) * self.rng.uniform()])
+        self._directed(choice, math.atan2(way[1], way[0]), below, above)
 
-def _lifted(drawn: Flight, known: dict[str, Any]) -> np.ndarray:
-    """Return the directions of R_1 e1..R_N e1 as they are counted."""
-    z = drawn.plan.rotations[:, :, 0]
-    angles = np.arctan2(z[1:, 1], z[1:, 0])
-    if 'origins' in known:
-        origins = np.array(known['origins'])
-        return np.asarray(origins + (angles - origins) % (2.0 * np.pi))
-    ahead = drawn.case.state.attitude[:, 0]
-    turns = np.diff(np.concatenate([[math.atan2(ahead[1], ahead[0])], angles]))
-    return np.asarray(
-        math.atan2(ahead[1], ahead[0]) + np.cumsum((turns + np.pi) % (2 * np.pi) - np.pi)
-    )
-
-
-def _beside(drawn: Flight, walls: list[dict[str, Any]], k: int, off: float, rng: Rng) -> list[Part]:
-    """Return a split by the sides of a body, where a flight is on one."""
-    j, n = int(rng.integers(len(walls))), drawn.case.problem.dimension
-    wall, node = walls[j], {'split': k + 1, 'wall': j}
-    points = _points(drawn, wall, k)
-    grown = wall['grown'][k] if 'grown' in wall else 0.0
-    if 'min' in wall:
-        low, high = np.array(wall['min']) - grown, np.array(wall['max']) + grown
-        outside = np.concatenate([low - points, points - high], axis=1).min(axis=0)
-        sides = np.flatnonzero(outside > 1e-12)
-        return [(node, int(rng.choice(sides)), 2 * n)] if len(sides) else []
-    if n == 3:
-        return []
-    nearest_one = _nearest(points - np.array(wall['centre']))
-    if np.linalg.norm(nearest_one) < wall['radius'] + grown + 1e-12:
-        return []
-    angle = math.atan2(nearest_one[1], nearest_one[0]) % (2.0 * np.pi)
-    return [({**node, 'at': float(angle + off)}, int(off < 0), 2)]
-
-
-def _points(drawn: Flight, wall: dict[str, Any], k: int) -> np.ndarray:
-    """Return the places of a step that are on one side of a wall, as seen from it."""
-    plan, problem = drawn.plan, drawn.case.problem
-    degree = problem.translation.degree
-    (begin, end), (out, back) = plan.positions[k : k + 2], plan.velocities[k : k + 2]
-    lead = problem.step / degree
-    inner = [[], [begin + lead * out], [begin + lead * out, end - lead * back]][degree - 1]
-    points = np.array([begin, *inner, end])
-    if 'shifts' in wall:
-        first, last = np.array(wall['shifts'])[k : k + 2]
+    def _points(self, body: Body, k: int) -> np.ndarray:
+        """Return the control points of a step that are on one side of a body, as it sees them."""
+        plan, problem = self.drawn.plan, self.posed.problem
+        degree = problem.translation.degree
+        (start, end), (out, back) = plan.positions[k : k + 2], plan.velocities[k : k + 2]
+        lead = problem.step / degree
+        inner = [[], [start + lead * out], [start + lead * out, end - lead * back]][degree - 1]
+        points = np.array([start, *inner, end])
+        first, last = body.shifts[k : k + 2]
         points = points - first - np.linspace(0.0, 1.0, len(points))[:, None] * (last - first)
-    return {'end': points[-1:], 'ends': points[[0, -1]] if k else points[-1:], 'step': points}[
-        wall['of']
-    ]
+        return points[shares(body.of, k, degree)]
 
+    def leaf(self, refutes: bool) -> ProofTree:
+        """Return a leaf with some multipliers, each of any size."""
+        rng, count, n = self.rng, self.count, self.n
+        stated, ends = self.stated, self.stated.ends
+        point, shor = np.zeros((count, stated.width)), np.zeros(count)
 
-def _nearest(points: np.ndarray) -> np.ndarray:
-    """Return the point of a hull in the plane that is nearest to 0, which is outside of it."""
-    found = []
-    for a in points:
-        for b in points:
-            way = b - a
-            share = np.clip(-(a @ way) / max(way @ way, 1e-300), 0.0, 1.0)
-            found.append(a + share * way)
-    return min(found, key=lambda each: float(each @ each))
+        def some(*shape: int) -> np.ndarray:
+            few = rng.random(shape[:1] + (1,) * (len(shape) - 1)) < 0.6
+            return np.asarray(10.0 ** rng.uniform(-3, 3) * few * rng.normal(size=shape))
 
+        if not refutes and _sometimes(rng, 0.8):
+            x = [coordinates(each)[: stated.width] for each in self.drawn.plan.rotations[1:]]
+            off = rng.choice([0.0, 1e-4, 1e-2, 1.0]) * rng.normal(size=point.shape)
+            point = np.array(x) + off if not _sometimes(rng, 0.1) else off
+        if not refutes and _sometimes(rng, 0.3):
+            shor = some(count)
+        made: dict[str, np.ndarray] = {}
+        if ends.arrives and _sometimes(rng, 0.7):
+            made['pull'] = some(ends.arrives, n)
+        if _sometimes(rng, 0.4):
+            made['share'] = some(count, n)
+        if ends.sine > 0 and _sometimes(rng, 0.8):
+            made['slide'] = self._slides()
+        if ends.chord >= 0 and _sometimes(rng, 0.5):
+            made['tether'] = some(count, n)
+            made['tether'][: ends.begun] = 0.0
+        if ends.radius >= 0 and _sometimes(rng, 0.5):
+            made['meet'] = some(n)
+        rows = self._rows() if _sometimes(rng, 0.7) else np.zeros(0, np.int64)
+        press = np.abs(some(len(rows))) if len(rows) else np.zeros(0)
+        leaf = one(point, shor, **made)
+        return leaf._replace(press=press, press_row=rows, press_end=np.array([len(rows)]))
 
-def _leaf(
-    drawn: Flight,
-    posed: StatedProblem,
-    region: Region,
-    rng: Rng,
-    refutes: bool,
-) -> dict[str, Any]:
-    """Return a leaf with some multipliers, each of any size."""
-    horizon, n, width, made = posed.horizon, posed.n, posed.width, {}
+    def _rows(self) -> np.ndarray:
+        """Return rows of what is known beside bodies."""
+        found, degree = list[int](), self.posed.problem.translation.degree
+        for depth, ((_, choice, *_), _, _) in enumerate(self.cuts, 1):
+            j, k = choice // self.count - 2, choice % self.count
+            if j < 0:
+                continue
+            body, levels = self.posed.limits.bodies[j], self.depth - depth
+            if body.radius and self.n == 2:
+                low, high = self.region.span[depth, choice]
+                if high - low > 3:
+                    continue
+            last = degree if body.of == STEP else len(shares(body.of, k, degree)) - 1
+            number = 4 * (choice - 2 * self.count) + int(self.rng.integers(last + 1))
+            found.append(number + 4 * self.count * len(self.posed.limits.bodies) * levels)
+        return np.array(found, np.int64)
 
-    def some(*shape: int) -> np.ndarray:
-        few = rng.random(shape[:1] + (1,) * (len(shape) - 1)) < 0.6
-        return np.asarray(10.0 ** rng.uniform(-3, 3) * few * rng.normal(size=shape))
+    def _slides(self) -> np.ndarray:
+        """Return vectors that are as steep as a glide slope asks for, or by any factor less so."""
+        rng, count = self.rng, self.count
+        down, way = 10.0 ** rng.uniform(-3, 3, (count, 1)), rng.normal(size=(count, 2))
+        if _sometimes(rng, 0.5):  # to where a flight is from the goal
+            way = (self.drawn.plan.positions[1:] - self.drawn.case.goals)[:count, :2] + 1e-12
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        steep = math.tan(self.drawn.case.problem.glide_slope)
+        steep *= rng.choice([1.0 - HAIR, 10.0 ** rng.uniform(-3, 5)])
+        return np.asarray(down * np.concatenate([steep * way, -np.ones((count, 1))], axis=1))
 
-    if not refutes and _sometimes(rng, 0.8):
-        x = np.array([coordinates(each)[:width] for each in drawn.plan.rotations[1:]])
-        off = rng.choice([0.0, 1e-4, 1e-2, 1.0]) * rng.normal(size=x.shape)
-        made['point'] = (x + off) if not _sometimes(rng, 0.1) else off
-    if _sometimes(rng, 0.3):
-        made['bends'] = some(horizon)
-    if posed.arrives and _sometimes(rng, 0.7):
-        made['pull'] = some(n * (1 + posed.model.inertial))
-    if posed.arrives and _sometimes(rng, 0.2):
-        made['stiffness'] = abs(some(1)[0])
-    if width == 9:
-        made['tops'] = np.abs(some(horizon))
-    if _sometimes(rng, 0.4):
-        held = [
-            bool(posed.limits.cones[k]) or region.faces[k] is not None or width == 9
-            for k in range(horizon)
-        ]
-        made['shares'] = np.array(held)[:, None] * some(horizon, n)
-    if region.rows and _sometimes(rng, 0.7):
-        made['presses'] = np.abs(some(len(region.rows)))
-    if posed.limits.slope and _sometimes(rng, 0.8):
-        made['slides'] = _slides(rng, drawn, horizon)
-    if posed.limits.tether and _sometimes(rng, 0.5):
-        made['tethers'] = some(horizon, n)
-    if posed.radius is not None and _sometimes(rng, 0.5):
-        made['meets'] = some(n)
-    return {name: np.asarray(each).tolist() for name, each in made.items()}
+    def bound(self, leaf: ProofTree, refutes: bool) -> tuple[float, bool]:
+        """Return what a leaf proves of the part, and whether it is sound."""
+        *_, leaves, sections = parts_of(self.stated, in_fractions(leaf))
+        set_hessian(self.stated.order, self.stated.motion, self.stated.costs, self.work.squares)
+        known = self.stated, self.region, self.depth, leaves, sections, 0, refutes, self.work
+        value, sound = leaf_bound(*known)
+        return float(value), sound
 
-
-def _slides(rng: Rng, drawn: Flight, horizon: int) -> np.ndarray:
-    """Return vectors that are as steep as a glide slope asks for, or by any factor less so."""
-    down, way = 10.0 ** rng.uniform(-3, 3, (horizon, 1)), rng.normal(size=(horizon, 2))
-    if _sometimes(rng, 0.5):  # to where a flight is from the goal
-        way = (drawn.plan.positions[1:] - drawn.case.goals)[:horizon, :2] + 1e-12
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    steep = math.tan(drawn.case.problem.glide_slope)
-    steep *= rng.choice([1.0 - HAIR, 10.0 ** rng.uniform(-3, 5)])
-    return down * np.concatenate([steep * way, -np.ones((horizon, 1))], axis=1)
+    def tree(self, leaf: ProofTree, refutes: bool) -> ProofTree:
+        """Return the tree of the splits, whose every leaf is the same."""
+        kind = trees.EMPTY if refutes else trees.LEAF
+        nodes, at, place = [[kind, 0, 0, 0, 0]], [0.0], 0
+        for (split, choice, _, parts, row), angle, i in self.cuts:
+            nodes[place], at[place] = [split, choice, len(nodes), parts, row], angle
+            place = len(nodes) + i
+            nodes += [[kind, 0, 0, 0, 0] for _ in range(parts)]
+            at += parts * [0.0]
+        return leaf._replace(nodes=np.array(nodes), at=np.array(at), origins=self.origins)

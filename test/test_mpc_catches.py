@@ -18,9 +18,10 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem
+from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.reach import Reach
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.proof.refute import catches_refuted
-from orbimpc_ros.mpc.proof.verifier import parsed, verified
 
 RADIUS = 0.4
 FREE = Problem(horizon=6)

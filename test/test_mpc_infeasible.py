@@ -10,9 +10,10 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import held
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.proof.refute import refutation_of
-from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
 FACES = 48  # of what holds a disk, or is held by it

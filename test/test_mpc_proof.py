@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import certificate_for, certificate_of
-from orbimpc_ros.mpc.proof.verifier import Refused, parsed
+from orbimpc_ros.mpc.proof.reading import Refused, parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 SEEDS = (0, 1)

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
-from orbimpc_ros.mpc.proof.verifier import parsed
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp

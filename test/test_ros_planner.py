@@ -16,7 +16,7 @@ from std_msgs.msg import Bool, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.verifier import parsed
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros.process import qos
 
 

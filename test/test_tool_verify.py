@@ -13,9 +13,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
+from orbimpc_ros.mpc.proof.document import Certificate
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.prove import WORD, Unproved
+from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.bags import BagWriter
@@ -77,7 +78,7 @@ def too_high(known):
 
 
 def without_a_pull(known):
-    known['refuted']['trees'][0]['pull'] = [0.0, 0.0]
+    known['refuted']['trees'][0]['pull'] = [[[0.0, 0.0]]]
 
 
 @pytest.mark.parametrize(
@@ -217,7 +218,7 @@ def published(request, run, tmp_path, monkeypatch):
     (bag, tick), name = PUBLISHED[request.param]
     asked = 'verify', HERE / 'golden' / bag, '--tick', tick
     assert run(*asked, '--out', tmp_path)[0] == 0
-    most = 'orbimpc_ros.mpc.proof.refute.RefutationProof.most'
+    most = 'orbimpc_ros.mpc.proof.refute.RefutationSearch.most'
     monkeypatch.setattr(most, 0)  # from here on none is made
 
     def keep(known):
@@ -241,8 +242,10 @@ def test_a_published_refutation_is_gone_through(run, published):
 
 def test_a_published_refutation_that_does_not_refute_fails(run, published):
     asked, known, keep = published
-    count = 1 if 'radius' in known['refuted'] else len(known['goals'])
-    known['refuted']['trees'][0] = {'point': [[0.0, 0.0]] * count}
+    tree = known['refuted']['trees'][0]
+    for name in {'pull', 'meet', 'tether', 'share', 'slide'} & set(tree):
+        tree[name] = np.zeros_like(tree[name]).tolist()
+    tree['press'] = [0.0 for _ in tree['press']]
     keep(known)
     code, out, _ = run(*asked)
     assert code == 1
@@ -251,7 +254,7 @@ def test_a_published_refutation_that_does_not_refute_fails(run, published):
 
 def test_a_published_refutation_that_is_none_fails_in_words(run, published):
     asked, known, keep = published
-    known['refuted']['trees'][0] = {'point': []}
+    known['refuted']['trees'][0]['point'] = None
     keep(known)
     code, out, _ = run(*asked)
     assert code == 1
@@ -276,7 +279,7 @@ def test_where_what_a_method_left_proves_less_a_proof_is_worked_out(run, monkeyp
     """Be it that it is weaker, or that it is refused."""
 
     def poor(problem, state, goals, proof):
-        leaf = Leaf(np.zeros((rows, 2)))
+        leaf = one(np.zeros((rows, 2)), np.zeros(rows))
         return Certificate(problem, state, goals, proof.lower_bound, leaf)
 
     monkeypatch.setattr('orbimpc_ros.mpc.proof.prove.kept', poor)
@@ -336,7 +339,7 @@ def test_ticks_of_a_wing_whose_speed_changes_slowly_hold_within_a_cone(run, tmp_
 def test_what_is_not_refuted_says_so_and_leaves_no_file(run, tmp_path, monkeypatch):
     problem, made = tmp_path / 'problem.json', tmp_path / 'none.json'
     problem.write_text(json.dumps(FAR))
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationProof.most', 0)
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
     code, _, error = run('solve', problem, '--certificate', made)
     assert code == 3
     assert 'beyond what' in error
@@ -396,7 +399,7 @@ def test_a_published_bound_on_what_is_flown_without_a_catch_is_gone_through(run,
 
 
 def test_a_time_without_a_proof_is_no_failure(run, monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationProof.most', 0)
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
     code, out, _ = run('verify', WING, '--tick', 9)
     assert code == 0
     assert 'no refutation of a catch at step 1 was found' in out

@@ -50,8 +50,7 @@ from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
-    from orbimpc_ros.mpc.proof.certificate import Refutation
-    from orbimpc_ros.mpc.proof.document import Certificate
+    from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
 CATCHES_AMONG = 16  # plans of a catch that are tried among hazards

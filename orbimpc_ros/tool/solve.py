@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_for
+from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_for, holds
 from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files
@@ -96,6 +96,8 @@ def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> N
     """
     try:
         made = refutation_of(Sought(*case), late)
+        if not holds(made):
+            raise Unproved('the proof found does not hold in exact arithmetic')
     except (Unproved, BadInput) as error:  # the latter without Clarabel
         raise Infeasible(f'{why}; {WORD}; {error}') from None
     if path:

@@ -27,10 +27,10 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof import document, verifier
-from orbimpc_ros.mpc.proof.certificate import Refutation, statement
+from orbimpc_ros.mpc.proof import document, reading
+from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
-from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
+from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.arguments import add_namespace
 from orbimpc_ros.tool.files import write_whole
@@ -113,9 +113,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
     try:
-        known = verifier.read(path)
+        known = reading.read(path)
         row = _verified(None, known)
-    except verifier.Refused as error:
+    except reading.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
     if args.problem:
         case = case_of(files.read(args.problem))
@@ -126,12 +126,10 @@ def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
 
 def _is_of(known: Any, case: Case) -> bool:
     """Return whether a certificate is of a problem, a state and goals."""
-    written = document.statement if known.get('format') == document.FORMAT else statement
-    made = written(*case)
+    made = document.statement(*case)
     if 'refuted' in known:
         known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
-        made = stated(Sought(*case, radius=known['refuted'].get('radius', 0.0))).document()
-        made.pop('origins', None)  # which are the certificate's choice
+        made = Refutation(Sought(*case, radius=known['refuted'].get('radius', 0.0)), ()).document()
     unlimited: dict[str, Any] = {'limits': {}}
     return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 
@@ -166,7 +164,9 @@ def _recorded(path: Path, namespace: str) -> Recorded:
         if each.topic != f'{namespace}/certificate':
             continue
         try:
-            known = verifier.parsed(bytes(each.content.data))
+            known = reading.parsed(bytes(each.content.data))
+            if known['format'] == document.OLD:
+                continue  # what it was about is proved again
             if 'refuted' in known:
                 found.refutations[_claim(known)] = known
             else:
@@ -179,7 +179,7 @@ def _recorded(path: Path, namespace: str) -> Recorded:
 def _claim(known: dict[str, Any], trees: int | None = None) -> str:
     """Return what a refutation is of, as text; with another number of trees on demand."""
     count = len(known['refuted']['trees']) if trees is None else trees
-    bare = {**known, 'refuted': {**known['refuted'], 'trees': count}, 'origins': None}
+    bare = {**known, 'refuted': {**known['refuted'], 'trees': count}}
     return json.dumps(bare, sort_keys=True)
 
 
@@ -242,7 +242,7 @@ def _infeasible(
     row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
     if sought is None:
         return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
-    known = recorded.refutations.get(_claim(stated(sought).document(), 1))
+    known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), 1))
     if known is not None:
         return _as_published(row, known)
     return _certified(row, args, lambda: [refutation_of(sought)])
@@ -265,7 +265,7 @@ def _catch(
         words = f'{FAILS}: a plan catches it at {catch.time!r}'
         yield row._replace(outcome=FAILS, words=words)
     elif count:
-        known = recorded.refutations.get(_claim(stated(sought).document(), count))
+        known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), count))
         if known is not None:
             yield _as_published(row, known)
         else:
@@ -276,7 +276,7 @@ def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
     """Return what becomes of a claim whose certificate was published with it."""
     try:
         return _verified(row.tick, known)
-    except verifier.Refused as error:
+    except reading.Refused as error:
         return row._replace(outcome=FAILS, words=f'{FAILS}: {error}')
 
 
@@ -290,8 +290,8 @@ def _certified(
     try:
         for made in make():
             try:
-                found = _verified(row.tick, verifier.parsed(made.text().encode()))
-            except verifier.Refused as error:
+                found = _verified(row.tick, reading.parsed(made.text().encode()))
+            except reading.Refused as error:
                 found = row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
             if found.outcome == HOLDS:
                 break

@@ -24,7 +24,7 @@ import certified
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
-from orbimpc_ros.mpc.proof.verifier import Refused, parsed
+from orbimpc_ros.mpc.proof.reading import Refused, parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 PATIENCE = 5.0  # [s] of computing, of a solve

@@ -27,8 +27,8 @@ from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import Unproved
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.proof.refute import refutation_of
-from orbimpc_ros.mpc.proof.verifier import parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 PATIENCE = 10.0  # [s] of a method

@@ -298,7 +298,8 @@ def tree_bound(stated, allowed, order, nodes, at, leaves, sections, depth, regio
     known = begin(root, sets, allowed.is_free, order, region.part[0], region.span[0])
     if known != HELD:
         return least, 0, REFUTED if known == GONE else UNSOUND
-    set_hessian(stated.order, stated.motion, stated.costs, work.squares)
+    if np.any(leaves.shor > 0):  # else no leaf's curvature has to be weighed against it
+        set_hessian(stated.order, stated.motion, stated.costs, work.squares)
     number, waiting = 1, np.zeros(len(nodes), np.int64)
     parent = np.zeros(len(nodes), np.int64)
     while number > 0:

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Certificates of bounds: a problem with its limits, a bound, and the tree that proves it, in JSON.
+"""Certificates: a problem with its limits, what is claimed of it, and trees that prove it, in JSON.
 
+That is a bound; that nothing is feasible; or that nothing catches a goal at the first steps.
 Numbers are written so that they are read back as they were.
 
 Format: docs/proofs.md.
@@ -10,33 +11,36 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
-from orbimpc_ros.mpc.proof import verifier
+from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.proof import reading as strict
 from orbimpc_ros.mpc.proof.limits import END, ENDS, STEP, Body, Cone, Limits, limits_of
-from orbimpc_ros.mpc.proof.tree import LEAF, MULTIPLIERS, NOTHING, NOWHERE, ProofTree
-from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, Verdict
-from orbimpc_ros.mpc.proof.verifier import reading as strict
-from orbimpc_ros.mpc.proof.verify import exact_bound
+from orbimpc_ros.mpc.proof.reading import Refused
+from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, MULTIPLIERS, NOTHING, NOWHERE, ProofTree
+from orbimpc_ros.mpc.proof.verify import exact_bound, rounded_down
 
-FORMAT = 'orbimpc certificate 2'
+FORMAT, OLD = 'orbimpc certificate 2', 'orbimpc certificate 1'
+RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
 OF = {'end': END, 'ends': ENDS, 'step': STEP}
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
          'forward', 'terminal', 'max_rate')  # fmt: skip
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
-STATE = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'disturbance')
-MAYBE = ('coasted', 'wanted')
+VECTORS, MAYBE = ('position', 'velocity', 'disturbance'), ('coasted', 'wanted')
+STATE = (*VECTORS, 'rotation', 'rotation_rate', 'attitude', *MAYBE)
+SOUGHT = ('problem', 'state', 'goals', 'radius')
 ARRAYS = ('nodes', 'at', 'point', 'shor', 'press_end', 'press_row', 'press')
 INTEGERS = ('nodes', 'press_end', 'press_row')
 MOST_NODES = 1_000_000
-EACH = 12  # microseconds that a number of a leaf takes, about
+EACH, TERM = 100, 12  # microseconds that a number of a leaf takes, and a term of a Hessian
 LEAST_WORK, WORK = 2_000_000, 40  # microseconds, and for each character of a document
 
 
@@ -66,7 +70,76 @@ class Certificate:
 
     def text(self) -> str:
         """Return the certificate as JSON on one line."""
-        return json.dumps(self.document(), allow_nan=False, separators=(',', ':'))
+        return _line(self.document())
+
+
+@dataclass(frozen=True, eq=False)
+class Refutation:
+    """What proves that no trajectory of a problem is feasible, or that none catches its goal.
+
+    Attributes:
+        sought: in what.
+        trees: one; of catches one for each step from the first on at whose end there is none.
+    """
+
+    sought: Sought
+    trees: tuple[ProofTree, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the refutation as the plain values of its format."""
+        problem, state, goals, radius = (getattr(self.sought, name) for name in SOUGHT)
+        refuted: dict[str, Any] = {'trees': [_plain_tree(each) for each in self.trees]}
+        if radius:
+            refuted['radius'] = radius
+            if problem.approach.exists:
+                last = limits_of(problem, state, goals).cones[-1]
+                refuted['cone'] = {
+                    'axis': list(last.axis),
+                    'angle': last.angle,
+                    'least': last.least,
+                }
+            problem = replace(problem, approach=Approach())
+        return {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
+
+    def text(self) -> str:
+        """Return the refutation as JSON on one line."""
+        return _line(self.document())
+
+
+class Posed(NamedTuple):
+    """A problem that trajectories are looked for in, from a state to goals.
+
+    Attributes:
+        problem: what a document has of it.
+        state: where trajectories start.
+        goals: g_1..g_N, shape (N, n) [m].
+        limits: beside the problem's own.
+        radius: within which s_N is of g_N [m]; negative where it may be anywhere.
+    """
+
+    problem: Problem
+    state: State
+    goals: Array
+    limits: Limits
+    radius: float = -1.0
+
+
+class Verdict(NamedTuple):
+    """What a certificate comes to.
+
+    Attributes:
+        claimed: the bound that was published; of refutations infinity, where nothing is feasible,
+            or else the end of the first step that may have a catch [s].
+        proved: the bound that holds, rounded down.
+        leaves: how many bounds it is the least of.
+        holds: whether what was published exceeds what holds by no more than 1e-9 of it; of
+            refutations, whether each does refute.
+    """
+
+    claimed: float
+    proved: float
+    leaves: int
+    holds: bool
 
 
 def verified(document: Any) -> Verdict:
@@ -75,36 +148,114 @@ def verified(document: Any) -> Verdict:
     Raises:
         Refused: it is malformed, or too much work for its length.
     """
-    if isinstance(document, dict) and document.get('format') == verifier.FORMAT:
-        return verifier.verified(document)
+    if isinstance(document, dict) and document.get('format') == OLD:
+        raise Refused(f'format is {OLD!r}, which is read no more: {FORMAT!r} is')
+    refutes = isinstance(document, dict) and 'refuted' in document
+    claim = ('refuted',) if refutes else ('lower_bound', 'tree')
     strict.fields(
-        document, 'certificate',
-        ('format', 'problem', 'state', 'goals', 'lower_bound', 'tree'), ('limits',),
-    )  # fmt: skip
+        document, 'certificate', ('format', 'problem', 'state', 'goals', *claim), ('limits',)
+    )
     if document['format'] != FORMAT:
         raise Refused(f'format is not {FORMAT!r}')
-    problem, state, goals = _case(document)
-    limits = _limits(document.get('limits', {}), problem)
-    tree, claimed = _tree(document['tree']), float(strict.number(document['lower_bound'], 'bound'))
-    _spend(document, tree, problem)
+    if refutes:
+        return _refuting(document)
+    posed, tree = _posed(document), _tree(document['tree'])
+    claimed = strict.number(document['lower_bound'], 'bound')
+    (proved,) = _proved([posed], [tree], document['tree'])
+    holds = claimed <= 0.0 or Fraction(claimed) * (1 - RELATIVE) <= proved
+    return Verdict(claimed, proved, _leaves(tree, LEAF), holds)
+
+
+def _refuting(document: Any) -> Verdict:
+    claim = document['refuted']
+    strict.fields(claim, 'refuted', ('trees',), ('radius', 'cone'))
+    trees = [_tree(each) for each in strict.items(claim['trees'], 'trees')]
+    problems = refuted_by(document, len(trees))
+    proved = _proved(problems, trees, claim['trees'])
+    whole = next((k for k, each in enumerate(proved) if each < math.inf), len(trees))
+    leaves, holds = sum(_leaves(tree, EMPTY) for tree in trees), whole == len(trees)
+    if 'radius' not in claim:
+        return Verdict(math.inf, math.inf if holds else 0.0, leaves, holds)
+    step = Fraction(problems[0].problem.step)
+    ends = [rounded_down((k + 1) * step) for k in (len(trees), whole)]
+    return Verdict(ends[0], ends[1], leaves, holds)
+
+
+def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) -> list[float]:
+    """Return what trees prove, unless that is too much work for their length as JSON has them.
+
+    Raises:
+        Refused: it is, or a problem is none that can be stated in fractions.
+    """
+    work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
+    if work > LEAST_WORK + WORK * len(json.dumps(stated)):
+        raise Refused('it takes more work than a document of its length may')
     try:
-        proved = exact_bound(problem, state, goals, tree, limits)
+        return [
+            exact_bound(posed.problem, posed.state, posed.goals, tree, *posed[3:])
+            for posed, tree in zip(problems, trees, strict=True)
+        ]
     except BadInput as error:
         raise Refused(str(error)) from None
-    leaves = int((tree.nodes[:, 0] == LEAF).sum())
-    holds = claimed <= 0.0 or Fraction(claimed) * (1 - RELATIVE) <= proved
-    return Verdict(claimed, proved, leaves, holds)
 
 
-def _spend(document: Any, tree: ProofTree, problem: Problem) -> None:
-    """Refuse what takes more work than a document of its length may."""
-    leaves, count = tree.shor.shape
-    own = tree.point[0].size if leaves else 0
-    bent = int((tree.shor > 0.0).any(axis=1).sum()) if leaves else 0
-    work = EACH * (leaves * (own + tree.press.size // max(1, leaves)) + bent * count**3 // 6)
-    work += len(tree.nodes) * problem.horizon
-    if work > LEAST_WORK + WORK * len(json.dumps(document['tree'])):
-        raise Refused('it takes more work than a document of its length may')
+def _leaves(tree: ProofTree, kind: int) -> int:
+    return int((tree.nodes[:, 0] == kind).sum())
+
+
+def _work(tree: ProofTree, problem: Problem) -> int:
+    """Return how long it takes to go through a tree, at most [us]; whose arrays may not fit."""
+    if tree.shor.ndim != 2 or tree.press_end.shape != tree.shor.shape[:1]:
+        return 0  # it proves nothing
+    rows = tree.nodes[(tree.nodes[:, 0] == LEAF) | (tree.nodes[:, 0] == EMPTY), -1]
+    rows = rows[(rows >= 0) & (rows < len(tree.shor))]  # which leaves may share
+    pressed = np.clip(np.diff(tree.press_end, prepend=0), 0, tree.press.size)
+    numbers = len(rows) * math.prod(tree.point.shape[1:]) + int(pressed[rows].sum())
+    bent = int(np.count_nonzero(np.any(tree.shor[rows] > 0.0, axis=1)))
+    work = EACH * numbers + TERM * (bent + (bent > 0)) * problem.horizon**3 // 6
+    return work + len(tree.nodes) * problem.horizon + TERM * problem.horizon**2
+
+
+# --- what is refuted
+
+
+def refuted_by(document: Any, count: int) -> list[Posed]:
+    """Return what nothing is feasible of: catches at so many steps from the first on, or all.
+
+    Nothing costs anything there, so that rotations are no more than their axes.
+
+    Raises:
+        Refused: it is malformed.
+    """
+    claim, posed = document['refuted'], _posed(document)
+    weights = replace(posed.problem.weights, input=0.0, attitude=0.0)
+    posed = posed._replace(problem=replace(posed.problem, weights=weights))
+    if 'radius' not in claim:
+        if 'cone' in claim or count != 1:
+            raise Refused('there is a cone, or not one tree, but nothing to catch')
+        return [posed]
+    strict.whole(count, 'the number of trees', 1, posed.problem.horizon)
+    radius = _number(claim['radius'])
+    if radius < 0.0:
+        raise Refused('radius is negative')
+    last = claim.get('cone')
+    if last is not None:
+        strict.fields(last, 'cone', ('axis', 'angle', 'least'))
+    return [_catch(posed, k, radius, last) for k in range(1, count + 1)]
+
+
+def _catch(posed: Posed, k: int, radius: float, last: Any) -> Posed:
+    """Return the problem of a catch at step k, in the first k steps, with its last cone."""
+    limits = posed.limits
+    cones = [each._replace(steps=tuple(i for i in each.steps if i <= k)) for each in limits.cones]
+    if last is not None:
+        cones.append(_cone({**last, 'steps': [k]}, posed.problem.dimension, k))
+    bodies = [
+        each._replace(shifts=each.shifts[: k + 1], grown=each.grown[:k]) for each in limits.bodies
+    ]
+    fewer = limits._replace(cones=tuple(cones), bodies=tuple(bodies), eased=limits.eased[:k])
+    problem = replace(posed.problem, horizon=k, terminal='penalty')
+    return Posed(problem, posed.state, posed.goals[:k], fewer, radius)
 
 
 # --- what was solved
@@ -118,10 +269,8 @@ def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     made['weights']['arrival'] = float(problem.arrival_weight)
     told = {name: getattr(floor, name) for name in floor.parameters}
     made['floor'] = {'shape': floor.shape, **told}
-    known: dict[str, Any] = {name: getattr(state, name).tolist() for name in STATE}
-    for name in MAYBE:
-        value = getattr(state, name)
-        known[name] = None if value is None else value.tolist()
+    values = {name: getattr(state, name) for name in STATE}
+    known = {name: None if value is None else value.tolist() for name, value in values.items()}
     limits = _plain_limits(limits_of(problem, state, goals))
     found = {'problem': made, 'state': known, 'goals': goals.tolist()}
     return {**found, 'limits': limits} if limits else found
@@ -153,8 +302,12 @@ def _plain_body(body: Body) -> dict[str, Any]:
     return made
 
 
-def _case(document: Any) -> tuple[Problem, State, Array]:
-    """Return the problem that is stated, the state and goals.
+def _line(document: dict[str, Any]) -> str:
+    return json.dumps(document, allow_nan=False, separators=(',', ':'))
+
+
+def _posed(document: Any) -> Posed:
+    """Return the problem that is stated, the state, goals and limits.
 
     Raises:
         Refused: it is none.
@@ -163,22 +316,32 @@ def _case(document: Any) -> tuple[Problem, State, Array]:
     strict.fields(stated, 'problem', (*MODEL, 'weights', 'floor'))
     strict.fields(stated['weights'], 'weights', (*WEIGHTS, 'arrival'))
     strict.fields(stated['floor'], 'floor', ('shape',), ('faces', 'fraction'))
-    strict.fields(document['state'], 'state', (*STATE, *MAYBE))
-    known, state = {name: stated[name] for name in MODEL}, dict(document['state'])
+    strict.fields(document['state'], 'state', STATE)
+    known = {name: stated[name] for name in MODEL}
     weights = {name: stated['weights'][name] for name in WEIGHTS}
     more = {'arrival_weight': stated['weights']['arrival']}
     try:
         floor = Floor(**stated['floor'])
         problem = Problem(**known, weights=Weights(**weights), floor=floor, **more)
         goals = _array(document['goals'], 'goals', (problem.horizon, problem.dimension))
-        made = State.at(state.pop('position'), state.pop('rotation'), **state)
+        made = State.at(**_state(document['state'], problem.dimension))
     except (BadInput, TypeError, OverflowError) as error:
         raise Refused(str(error)) from None
-    if made.dimension != problem.dimension:
-        raise Refused('state is of another dimension')
     if made.wanted is None and problem.weights.attitude:
         raise Refused('state.wanted is missing')
-    return problem, made, goals
+    return Posed(problem, made, goals, _limits(document.get('limits', {}), problem))
+
+
+def _state(stated: Any, n: int) -> dict[str, Any]:
+    """Return what is known of a state: vectors and matrices, some of which may be none."""
+    known: dict[str, Any] = {
+        name: stated[name] for name in STATE if name in MAYBE and stated[name] is None
+    }
+    for name in STATE:
+        if name not in known:
+            shape = (n,) if name in VECTORS else (n, n)
+            known[name] = _array(stated[name], f'state.{name}', shape)
+    return known
 
 
 def _limits(stated: Any, problem: Problem) -> Limits:
@@ -238,7 +401,7 @@ def _body(stated: Any, n: int, count: int) -> Body:
 
 
 def _number(value: Any) -> float:
-    return float(strict.number(value, 'a limit'))
+    return strict.number(value, 'a limit')
 
 
 def _array(value: Any, name: str, shape: tuple[int, ...], kind: type = float) -> Array:
@@ -248,7 +411,7 @@ def _array(value: Any, name: str, shape: tuple[int, ...], kind: type = float) ->
         if not sizes:
             if kind is int:
                 return strict.whole(part, name, -1, 1 << 40)
-            return float(strict.number(part, name))
+            return strict.number(part, name)
         within = strict.items(part, name, None if sizes[0] < 0 else sizes[0])
         return [checked(each, sizes[1:]) for each in within]
 

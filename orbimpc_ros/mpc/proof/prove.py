@@ -19,11 +19,10 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import document
-from orbimpc_ros.mpc.proof.certificate import Refutation
-from orbimpc_ros.mpc.proof.document import Certificate
+from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 from orbimpc_ros.mpc.proof.kept import kept
+from orbimpc_ros.mpc.proof.reading import Refused, parsed
 from orbimpc_ros.mpc.proof.tree import in_users_units
-from orbimpc_ros.mpc.proof.verifier import Refused, parsed
 from orbimpc_ros.mpc.solve.request import Enough, Request
 
 TOLERANCE = 1e-9  # relative gap at which a search for a proof ends without it
@@ -45,7 +44,7 @@ def patient() -> bool:
 def held(make: Callable[[], Iterable[Made]]) -> Made | None:
     """Return the first of some certificates that holds, in exact arithmetic; None without one."""
     try:
-        return next((each for each in make() if _holds(each)), None)
+        return next((each for each in make() if holds(each)), None)
     except (Unproved, Refused, BadInput):  # of what is no model there; without Clarabel
         return None
 
@@ -141,13 +140,13 @@ def certificate_for(
     """Return the first of :func:`certificates_for` that proves as much, or else the last."""
     made = None
     for made in certificates_for(problem, state, goals, plan, bound, out_of_time):
-        if _holds(made):
+        if holds(made):
             break
     assert made is not None
     return made
 
 
-def _holds(made: Certificate | Refutation) -> bool:
+def holds(made: Certificate | Refutation) -> bool:
     """Return whether a certificate holds, read as anyone would read it."""
     try:
         return document.verified(parsed(made.text().encode())).holds

@@ -3,7 +3,7 @@
 
 Nothing of a method is used: all trajectories are split, depth first, by the sides of bodies and by
 directions, until what is asked of each part is missed. Nothing of this has to be believed: see
-:mod:`orbimpc_ros.mpc.proof.verifier`.
+:mod:`orbimpc_ros.mpc.proof.verify`.
 
 Mathematics: docs/proofs.md.
 """
@@ -11,25 +11,49 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from fractions import Fraction
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
-from orbimpc_ros.mpc.proof.fewer_limits import with_statable_limits
+from orbimpc_ros.mpc.proof.bound import leaf_bound
+from orbimpc_ros.mpc.proof.document import Posed, Refutation, refuted_by
+from orbimpc_ros.mpc.proof.missed import Missed, MissedProgram, Side
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
-from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
-from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
-from orbimpc_ros.mpc.proof.verifier.bound import bound
-from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
-from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root
-from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
-from orbimpc_ros.mpc.proof.walls import WallSplits
+from orbimpc_ros.mpc.proof.reading import Refused
+from orbimpc_ros.mpc.proof.rows import about
+from orbimpc_ros.mpc.proof.splits import GONE, HELD, ICOSAHEDRON, begin, part_of
+from orbimpc_ros.mpc.proof.stated import FREE, Statement
+from orbimpc_ros.mpc.proof.tree import (
+    ARCS,
+    CUT,
+    EMPTY,
+    FACES,
+    MULTIPLIERS,
+    PATCHES,
+    QUARTERS,
+    SIDES,
+    ProofTree,
+)
+from orbimpc_ros.mpc.proof.verify import parts_of, region_of, work_of
 
 NARROWEST = 1e-6  # [rad] of a sector that is split
+SATISFIED = 1e-9  # of a step's length: a body that is entered by less is not split
+LEAST = 1e-9  # of a curvature
+MARGIN = 0.15  # of a sector, to either end
+AROUND = 4  # arcs of all directions
+DEEPEST = 200  # nodes above a leaf
+
+
+class Cut(NamedTuple):
+    """A split of a node: its kind, the choice, how many parts, and where they meet."""
+
+    kind: int
+    choice: int
+    parts: int
+    at: float = 0.0
 
 
 def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
@@ -42,7 +66,7 @@ def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutatio
     Raises:
         Unproved: none was found.
     """
-    return _refuting(stated(sought), 1, out_of_time)
+    return _refuting(Refutation(sought, ()), 1, out_of_time)
 
 
 def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient) -> Refutation:
@@ -56,16 +80,7 @@ def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient
     Raises:
         Unproved: for one of them none was found.
     """
-    return _refuting(stated(sought), count, out_of_time)
-
-
-def stated(sought: Sought) -> Refutation:
-    """Return a refutation without its trees, of as much of a problem as certificates can state."""
-    problem, state = with_statable_limits(sought.problem, sought.state)
-    split = problem.dimension == 2 and problem.floor.exists and not problem.max_rate
-    origins = np.zeros(problem.horizon) if split else None
-    posed = replace(sought, problem=problem, state=state)
-    return Refutation(posed, (), origins)
+    return _refuting(Refutation(sought, ()), count, out_of_time)
 
 
 def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutation:
@@ -74,121 +89,214 @@ def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutatio
     Raises:
         Unproved: for one of them none was found.
     """
-    motion = Motion.of(made.sought.problem, made.sought.state, made.sought.goals)
     try:
-        problems = refuted_by(made.document(), count)
+        trees = [_tree(each, out_of_time) for each in refuted_by(made.document(), count)]
     except Refused as error:
         raise Unproved(f'no certificate: {error}') from None
-    trees = (_tree(made, posed, motion, out_of_time) for posed in problems)
     return replace(made, trees=tuple(trees))
 
 
-def _tree(made: Refutation, posed: StatedProblem, motion: Motion, out_of_time: OutOfTime) -> Tree:
+def _tree(posed: Posed, out_of_time: OutOfTime) -> ProofTree:
     """Return the tree that refutes a problem.
 
     Raises:
         Unproved: none was found.
     """
-    k, what = posed.horizon, 'all that there is'
-    if posed.radius is not None:
-        motion, what = motion.begun(k), f'a catch at step {k}'
-    origins = None if made.origins is None else made.origins[:k].tolist()
-    program = RefutationProgram(motion, posed)
-    tree = RefutationProof(program, posed, motion.unit, origins, out_of_time).tree()
+    tree = RefutationSearch(posed, out_of_time).tree()
     if tree is None:
+        what = (
+            f'a catch at step {posed.problem.horizon}'
+            if posed.radius >= 0.0
+            else 'all that there is'
+        )
         raise Unproved(f'no certificate: no refutation of {what} was found')
     return tree
 
 
-class RefutationProof:
+class RefutationSearch:
     """Depth first over sides of bodies and directions, until each part misses what is asked of it.
 
     Args:
-        program: of parts.
-        posed: the problem, which says what a leaf proves.
-        unit: of lengths [m].
-        origins: from where directions are counted; None where an attitude says so.
+        posed: the problem, as the verifier reads it.
         out_of_time: polled before each part.
     """
 
     most = 2000  # leaves
 
-    def __init__(
-        self,
-        program: RefutationProgram,
-        posed: StatedProblem,
-        unit: float,
-        origins: list | None,
-        out_of_time: OutOfTime,
-    ) -> None:
-        self._program, self._posed, self._out_of_time = program, posed, out_of_time
-        self._walls = WallSplits(posed, program.curvatures, unit)
-        self._origins, self._leaves = origins, 0
+    def __init__(self, posed: Posed, out_of_time: OutOfTime) -> None:
+        problem, self._out_of_time = posed.problem, out_of_time
+        stated = self._stated = Statement(problem).of(*posed[1:])
+        self._unit, self._count = problem.length_unit, problem.horizon
+        self._program = MissedProgram(stated, self._unit, problem.step)
+        self._curvatures = np.maximum(np.sum(self._program.places.steered[0, 1:] ** 2, 1), LEAST)
+        choices = (2 + len(stated.bodies.of)) * self._count
+        self._region = region_of(DEEPEST, choices, stated.n, float)
+        self._work = work_of(problem, stated.width, float)
+        self._allowed, self._order, *_ = parts_of(stated, self._program.nowhere)
+        self._nodes, self._at, self._leaves = list[list[int]](), list[float](), list[ProofTree]()
 
-    def tree(self) -> Tree | None:
+    def tree(self) -> ProofTree | None:
         """Return splits and leaves that refute all; None where that takes too many.
 
         Raises:
             Unproved: it takes too long.
         """
-        everything, beyond = root(self._posed, self._origins), self._program.beyond
-        if beyond is None:
-            return self._refuted(everything)
-        self._poll()
-        held = self._refutes(beyond, everything)
-        return self._counted(beyond) if held else self._refuted(everything)
+        if self.begin():
+            self._poll()
+            beyond = self._program.beyond
+            held = beyond is not None and self._refutes(0, 0, beyond)
+            if not held and not self._refuted(0, 0, ()):
+                return None
+        return self._made()
 
-    def _counted(self, leaf: Leaf) -> Leaf | None:
-        """Return a leaf, if it is not one too many."""
-        self._leaves += 1
-        return leaf if self._leaves <= self.most else None
+    def begin(self) -> bool:
+        """Begin with all trajectories; return whether anything is left of them."""
+        self._add(1)
+        stated, known = self._stated, (self._region.part[0], self._region.span[0])
+        free = self._allowed.is_free
+        return bool(begin(stated.root, stated.sets, free, self._order, *known) == HELD)
+
+    def answer(self, depth: int, sides: tuple[Side, ...]) -> Missed | None:
+        """Return what is missed at the node that the search is at: see :class:`MissedProgram`."""
+        return self._program.answer(self._region, depth, sides)
+
+    def proved(self, depth: int, leaf: ProofTree) -> float:
+        """Return what a leaf proves of the node that the search is at; -inf of nothing."""
+        *_, leaves, sections = parts_of(self._stated, leaf)
+        known = self._stated, self._region, depth, leaves, sections, 0, True, self._work
+        value, sound = leaf_bound(*known)
+        return float(value) if sound else -math.inf
 
     def _poll(self) -> None:
         if self._out_of_time():
             raise Unproved('no certificate: no refutation was found in time')
 
-    def _refutes(self, leaf: Leaf, region: Region) -> bool:
-        """Return whether nothing is in a region, as whoever reads its leaf will find."""
-        return bound(self._posed, plain(leaf), region) > 0
+    def _add(self, count: int) -> int:
+        """Add nodes that nothing is left of; return the number of the first."""
+        self._nodes += [[EMPTY, 0, 0, 0, -1] for _ in range(count)]
+        self._at += count * [0.0]
+        return len(self._nodes) - count
 
-    def _refuted(self, region: Region | None) -> Tree | None:
-        if region is None:
-            return self._program.nothing
-        self._poll()
-        answer = self._program.answer(region)
-        if answer is None:
-            return None
-        if not answer.feasible and self._refutes(answer.leaf, region):
-            return self._counted(answer.leaf)
-        return self._beside(region, answer) or self._turned(region)
+    def _refutes(self, place: int, depth: int, leaf: ProofTree) -> bool:
+        """Return whether a leaf proves that nothing is at a node, which then keeps it."""
+        if len(self._leaves) == self.most:
+            return False
+        if not self.proved(depth, leaf) > 0.0:
+            return False
+        self._nodes[place][4] = len(self._leaves)
+        self._leaves.append(leaf)
+        return True
 
-    def _beside(self, region: Region, answer: Missed) -> Tree | None:
-        """Return what refutes a region, split beside the wall that its best trajectory enters."""
-        if not answer.feasible:
-            return None
-        found = self._walls.best(region, answer.x)
-        if found is None:
-            return None
-        _, wall, k, at = found
-        return self._split(beside(self._posed, region, k, wall, at), k, at, wall)
+    def _refuted(self, place: int, depth: int, sides: tuple[Side, ...]) -> bool:
+        """Return whether nothing is at a node, which then is the root of what proves it."""
+        if depth:
+            self._poll()
+        missed = self.answer(depth, sides)
+        if missed is None:
+            return False
+        if not missed.feasible and self._refutes(place, depth, missed.leaf):
+            return True
+        cut = self._beside(depth, missed.x) if missed.feasible else None
+        cut = cut or self._turned(depth)
+        return cut is not None and self._split(place, depth, sides, cut)
 
-    def _turned(self, region: Region) -> Tree | None:
-        """Return what refutes a region, split where directions say the least."""
-        gains = [self._gain(k, sector) for k, sector in enumerate(region.sectors)]
+    def _split(self, place: int, depth: int, sides: tuple[Side, ...], cut: Cut) -> bool:
+        """Return whether nothing is in any part of a node that is split."""
+        if depth + 1 == DEEPEST:
+            return False
+        stated, first = self._stated, self._add(cut.parts)
+        self._nodes[place] = [cut.kind, cut.choice, first, cut.parts, -1]
+        self._at[place] = cut.at
+        if cut.choice >= 2 * self._count:
+            sides = (*sides, (depth + 1, cut.choice))
+        node, radii = np.array(self._nodes[place]), stated.bodies.extents[:, 2 * stated.n]
+        known = self._allowed, stated.root, stated.sets, radii, self._order, node, cut.at
+        for i in range(cut.parts):
+            part = part_of(*known, i, depth + 1, self._region)
+            if part == GONE:
+                continue
+            if part != HELD or not self._refuted(first + i, depth + 1, sides):
+                return False
+        return True
+
+    # --- where to split
+
+    def _beside(self, depth: int, x: Array) -> Cut | None:
+        """Return the split beside the body that a trajectory enters whose sides promise most."""
+        short, ways = self._program.places.entered(x)
+        promises = np.where(short > SATISFIED * self._unit, short, 0.0) ** 2 / self._curvatures
+        for i in np.argsort(-promises, axis=None).tolist():
+            j, k = divmod(i, self._count)
+            if promises[j, k] <= 0.0:
+                return None
+            choice = 2 * self._count + i
+            if self._stated.bodies.extents[j, -1] > 0.0:
+                cut = self._directed(depth, choice, ways[j, k])
+            elif self._region.part[depth, choice] < 0:
+                cut = Cut(SIDES, choice, 2 * self._stated.n)
+            else:
+                cut = None
+            if cut is not None:
+                return cut
+        return None
+
+    def _turned(self, depth: int) -> Cut | None:
+        """Return the split of the heading of which hulls hold most beside what they are of."""
+        gains = [self._gain(depth, k) for k in range(self._count)]
         k = int(np.argmax(gains))
-        sector = region.sectors[k]
-        if sector is None or not gains[k]:
+        if not gains[k] > 0.0:
             return None
-        at = middle_of(sector)
-        return self._split(halves(self._posed, region, k, Fraction(at)), k, at)
+        if len(self._stated.sets.faces):
+            return Cut(FACES, k, len(self._stated.sets.faces))
+        return self._directed(depth, k, None)
 
-    def _gain(self, k: int, sector: Sector | None) -> float:
-        """Return by how much more the hull of a sector holds than its ends, as R_k e1 leads [m]."""
-        width = 0.0 if sector is None else float(sector.high - sector.low)
-        deep = 1.0 - math.cos(min(0.5 * width, math.pi))
-        return float(self._program.reach[k] * deep) if width > NARROWEST else 0.0
+    def _gain(self, depth: int, k: int) -> float:
+        """Return by how much more the hull of directions holds, as R_k e1 leads [m]."""
+        stated, known = self._stated, self._region.part[depth, k] >= 0
+        if (k == 0 and stated.decided != FREE) or not (known or stated.sets.least > 0.0):
+            return 0.0
+        if known and len(stated.sets.faces):
+            return 0.0
+        low, high = self._region.span[depth, k]
+        deep = 2.0
+        if known and stated.n == 2:
+            deep = 1.0 - math.cos(min(0.5 * (high - low), math.pi))
+            deep *= high - low > NARROWEST
+        elif known:
+            deep = 1.0 - about(self._region.corners[depth, k], np.zeros(3))[0]
+            deep *= deep > NARROWEST**2
+        return float(abs(self._program.reach[k]) * deep)
 
-    def _split(
-        self, regions: Sequence[Region | None], k: int, at: float | None, wall: int | None = None
-    ) -> Tree | None:
-        return split_into(map(self._refuted, regions), k + 1, at, wall)
+    def _directed(self, depth: int, choice: int, way: Array | None) -> Cut | None:
+        """Return the split of directions, in the plane at one of them, or in the middle."""
+        part, (low, high) = self._region.part[depth, choice], self._region.span[depth, choice]
+        if self._stated.n == 3:
+            known = part >= 0
+            return Cut(QUARTERS, choice, 4) if known else Cut(PATCHES, choice, ICOSAHEDRON)
+        angle = 0.0 if way is None else math.atan2(way[1], way[0])
+        if part < 0:
+            return Cut(ARCS, choice, AROUND, angle)
+        if high - low < NARROWEST:
+            return None
+        middle, margin = 0.5 * (low + high), MARGIN * (high - low)
+        angle += 2.0 * math.pi * round((middle - angle) / (2.0 * math.pi))
+        at = middle if way is None else min(high - margin, max(low + margin, angle))
+        return Cut(CUT, choice, 2, at)
+
+    # --- the tree
+
+    def _made(self) -> ProofTree:
+        """Return the tree of all nodes, and of what their leaves have."""
+        leaves = self._leaves or [self._program.nowhere]
+        sizes = np.cumsum([len(each.press) for each in leaves])
+        stacked: dict[str, Any] = {
+            name: np.concatenate([getattr(each, name) for each in leaves])
+            for name in ('point', 'shor', 'press', 'press_row')
+        }
+        for name in (*MULTIPLIERS, 'meet'):
+            every = [getattr(each, name) for each in leaves]
+            shape = max((each.shape for each in every if each.size), default=every[0].shape)
+            filled = [each if each.size else np.zeros(shape) for each in every]
+            stacked[name] = np.concatenate(filled) if any(shape) else every[0]
+        nodes = np.array(self._nodes, np.int64)
+        return ProofTree(nodes, np.array(self._at), press_end=sizes, **stacked)

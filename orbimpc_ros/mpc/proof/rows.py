@@ -32,7 +32,7 @@ def _around(low, high, sets, normal):
 
 
 @generic
-def _about(corners, normal):
+def about(corners, normal):
     """Set the middle of a patch; return the least of its directions along it, the most across.
 
     That is as far from all three corners, whose lengths do not count.
@@ -85,7 +85,7 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
     if n == 2:
         least, aside = _around(span[choice, 0], span[choice, 1], sets, normal)
     else:
-        least, aside = _about(corners[choice], normal)
+        least, aside = about(corners[choice], normal)
     if least <= 0:
         return zero, zero, zero - 1
     off = aside * bodies.margins[1, j, k]

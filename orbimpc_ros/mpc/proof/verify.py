@@ -39,8 +39,8 @@ class Verifier:
 
     def __init__(self, problem: Problem) -> None:
         self._statement = Statement(problem)
-        self._work = _work(problem, self._statement.width, float)
-        self._region = _region(1, 2 * problem.horizon, problem.dimension, float)
+        self._work = work_of(problem, self._statement.width, float)
+        self._region = region_of(1, 2 * problem.horizon, problem.dimension, float)
         if COMPILED:  # the first call loads machine code: at start-up, not in a tick
             n, count = problem.dimension, problem.horizon
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
@@ -70,9 +70,9 @@ class Verifier:
         if most < 0 or (most + 1) * choices > MOST:
             return -math.inf
         if self._region.part.shape[0] <= most or self._region.part.shape[1] != choices:
-            self._region = _region(2 * most + 1, choices, problem.dimension, float)
+            self._region = region_of(2 * most + 1, choices, problem.dimension, float)
         try:
-            found = _bound(stated, *_parts(stated, tree), depth, self._region, self._work)
+            found = _bound(stated, *parts_of(stated, tree), depth, self._region, self._work)
         except HOSTILE:
             return -math.inf
         return _verdict(*found)
@@ -107,16 +107,16 @@ def exact_bound(
     most, choices = depths_of(tree.nodes, depth), choices * problem.horizon
     if most < 0 or (most + 1) * choices > MOST:
         return -math.inf
-    region = _region(most + 1, choices, problem.dimension, object)
-    work = _work(problem, statement.width, object)
+    region = region_of(most + 1, choices, problem.dimension, object)
+    work = work_of(problem, statement.width, object)
     try:
-        parts = _parts(stated, _in_fractions(tree))
+        parts = parts_of(stated, in_fractions(tree))
         return _verdict(*tree_bound(stated, *parts, depth, region, work))
     except HOSTILE:
         return -math.inf
 
 
-def _parts(stated: Stated, tree: Any) -> tuple:
+def parts_of(stated: Stated, tree: Any) -> tuple:
     """Return a tree as its bound takes it."""
     capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
     solid = len(stated.sets.faces)
@@ -143,7 +143,8 @@ def _parts(stated: Stated, tree: Any) -> tuple:
     )
 
 
-def _in_fractions(tree: ProofTree) -> Any:
+def in_fractions(tree: ProofTree) -> Any:
+    """Return a tree whose numbers are fractions."""
     numbers: dict[str, Any] = {}
     for name, value in tree._asdict().items():
         if isinstance(value, np.ndarray) and value.dtype == float:
@@ -167,13 +168,15 @@ def rounded_down(x: Any) -> float:
     return nearest if nearest <= x else math.nextafter(nearest, -math.inf)
 
 
-def _region(depths: int, choices: int, n: int, kind: Any) -> Region:
+def region_of(depths: int, choices: int, n: int, kind: Any) -> Region:
+    """Return arrays for what is known of choices at so many depths."""
     shape = depths, choices
     corners = np.zeros((depths, choices if n == 3 else 1, 3, 3), kind)
     return Region(np.zeros(shape, np.int64), np.zeros((*shape, 2), kind), corners)
 
 
-def _work(problem: Problem, width: int, kind: Any) -> Work:
+def work_of(problem: Problem, width: int, kind: Any) -> Work:
+    """Return arrays for the bounds of leaves to be worked out in."""
     count, n = problem.horizon, problem.dimension
     flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
     squares = np.zeros((2 * count + 2, count), kind)

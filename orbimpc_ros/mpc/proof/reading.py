@@ -5,43 +5,14 @@ from __future__ import annotations
 
 import json
 import math
-import re
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from .exact import Vector
-
 LARGEST = 64 << 20  # bytes of a file
-WIDE = re.compile(r'e[+-]?([4-9]\d|\d{3})|\d{40}')  # numbers so small or large, in text, that
-DEAR = 8  # times as much work are products of them
-LEAST_WORK, WORK = 600_000, 18  # allowed for any document, and for each of its characters
 
 
 class Refused(ValueError):
     """What is no certificate, or none that is sound: with the reason, in one line."""
-
-
-class Work:
-    """How much work a document is worth, in about a microsecond each: what is long may take long.
-
-    Args:
-        document: as JSON has it.
-    """
-
-    def __init__(self, document: Any) -> None:
-        try:
-            text = json.dumps(document)
-        except RecursionError:
-            raise Refused('it is nested too deeply') from None
-        self._left = LEAST_WORK + WORK * len(text)
-        self._each = DEAR if WIDE.search(text) else 1
-
-    def spend(self, work: int) -> None:
-        """Refuse what takes more than is left."""
-        self._left -= self._each * work
-        if self._left < 0:
-            raise Refused('it takes more work than a document of its length may')
 
 
 def read(path: str | Path) -> Any:
@@ -92,12 +63,8 @@ def fields(value: Any, name: str, needed: tuple[str, ...], optional: tuple[str, 
             raise Refused(f'{name} has an unknown {each!r}')
 
 
-def number(value: Any, name: str) -> Fraction:
-    """Return the double that a number stands for."""
-    return Fraction(_double(value, name))
-
-
-def _double(value: Any, name: str) -> float:
+def number(value: Any, name: str) -> float:
+    """Return a number that is a double."""
     try:
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             found = float(value)
@@ -106,14 +73,6 @@ def _double(value: Any, name: str) -> float:
     except OverflowError:
         pass
     raise Refused(f'{name} is not a finite number')
-
-
-def weight(value: Any, name: str) -> Fraction:
-    """Return a number that is not negative."""
-    found = number(value, name)
-    if found < 0:
-        raise Refused(f'{name} is negative')
-    return found
 
 
 def whole(value: Any, name: str, low: int, high: int) -> int:
@@ -135,14 +94,3 @@ def items(value: Any, name: str, count: int | None = None) -> list[Any]:
     if not isinstance(value, list) or count not in (None, len(value)):
         raise Refused(f'{name} is not a list' + ('' if count is None else f' of {count}'))
     return value
-
-
-def vector(value: Any, name: str, length: int) -> Vector:
-    """Return a list of numbers."""
-    return Vector.of([_double(each, name) for each in items(value, name, length)])
-
-
-def rows(value: Any, name: str, count: int, length: int) -> list[Vector]:
-    """Return a list of lists of numbers."""
-    lists = [items(each, name, length) for each in items(value, name, count)]
-    return vector([each for row in lists for each in row], name, count * length).pieces(length)
