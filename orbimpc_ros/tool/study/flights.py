@@ -17,9 +17,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import planner_of
-from orbimpc_ros.sim.engine_vehicle import EngineVehicle
-from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.engines.engine import Guided
+from orbimpc_ros.sim.engines import EngineFailure, Guided
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
@@ -178,7 +176,7 @@ def _end(flight: Flight, log: _Log) -> Row:
     row: Row = {}
     if flight.scenario.finish == 'arrival':
         row |= {'missed': flight.distance, 'speed': flight.speed}
-    if isinstance(flight.vehicle, EngineVehicle):
+    if flight.vehicle.engine is not None:
         row |= {'airspeed': log.airspeeds.least, 'height': log.height} | log.facts
     return row
 
@@ -186,6 +184,6 @@ def _end(flight: Flight, log: _Log) -> Row:
 def _aim(flight: Flight) -> None:
     """Have the engine's own guidance fly to where the goal is now."""
     vehicle = flight.vehicle
-    if not isinstance(vehicle, EngineVehicle) or not isinstance(vehicle.engine, Guided):
+    if not isinstance(vehicle.engine, Guided):
         raise BadInput('--controllers', WAYPOINT, 'an engine with a guidance of its own')
     vehicle.engine.steer_to(flight.goal)
