@@ -52,7 +52,6 @@ setup(
     python_requires='>=3.10',
     install_requires=[
         'clarabel>=0.9',
-        'lz4>=3.1',
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
@@ -61,7 +60,6 @@ setup(
         'pyyaml>=6.0',
         'rosbags>=0.11',
         'scipy>=1.11',
-        'zstandard>=0.18',
     ],
     extras_require={
         # Apart from the others: 250 MB, and it wants a Matplotlib and a Pillow of its own.

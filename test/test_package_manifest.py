@@ -19,7 +19,6 @@ STANDARD = sys.stdlib_module_names
 PROVIDERS = {
     'PIL': ('python3-pil', 'pillow'),
     'clarabel': ('python3-cvxpy-pip', 'clarabel'),
-    'lz4': (None, 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': (None, 'mcap'),
     'mpl_toolkits': ('python3-matplotlib', 'matplotlib'),
@@ -29,7 +28,6 @@ PROVIDERS = {
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'),
     'yaml': ('python3-yaml', 'pyyaml'),
-    'zstandard': (None, 'zstandard'),
 }
 BAGS = 'rosbag2_storage_mcap'  # of ros2 bag record, which launch files start
 # Of what is not named as its module is.
@@ -127,8 +125,7 @@ def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
     by_pip = {key for key in depends() if key.endswith('-pip')}
     assert by_pip | {'python3-numba'} == set(skipped.split()) <= depends()
     for module, (key, _) in PROVIDERS.items():
-        # MCAP brings its two compressors.
-        if (key is None or key in skipped) and module not in ('lz4', 'zstandard'):
+        if key is None or key in skipped:
             assert module in given
     assert given <= set(PROVIDERS)
 

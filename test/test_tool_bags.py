@@ -5,13 +5,10 @@ import itertools
 import os
 import random
 import shutil
-import struct
 
 import pytest
 import yaml
-import zstandard
 from bags import GOLDEN, rewritten, ros2_bag
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -153,7 +150,7 @@ def test_a_damaged_mcap_file_is_read_right_or_refused(small, tmp_path, damage):
     path, draw, refused = tmp_path / 'bag', random.Random(1), 0
     shutil.copytree(small, path)
     before, intact = bags.raw(path), (path / 'bag.mcap').read_bytes()
-    for _ in range(60):
+    for _ in range(90):
         (path / 'bag.mcap').write_bytes(damage(intact, draw))
         line = refusal(path)
         assert line or bags.raw(path) == before
@@ -205,21 +202,10 @@ def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):
 # --- too large, or no bag at all
 
 
-@pytest.mark.parametrize('name', ['LARGEST_FILE', 'LARGEST_CHUNK', 'LARGEST_CONTENT'])
+@pytest.mark.parametrize('name', ['LARGEST_FILE', 'LARGEST_RECORD', 'LARGEST_CONTENT'])
 def test_sizes_are_capped(small, monkeypatch, name):
     monkeypatch.setattr(bags, name, 10)
     assert_refused(small)
-
-
-@pytest.mark.parametrize(('claimed', 'held'), [(8, 100), (8, 1 << 28), (1 << 33, 1 << 28)])
-def test_a_chunk_that_misstates_its_size_is_refused(tmp_path, claimed, held):
-    bomb = zstandard.ZstdCompressor().compress(bytes(held))
-    body = struct.pack('<QQQI', 0, 0, claimed, 0) + struct.pack('<I', 4) + b'zstd'
-    body += struct.pack('<Q', len(bomb)) + bomb
-    record = b'\x06' + struct.pack('<Q', len(body)) + body
-    header = b'\x01' + struct.pack('<Q', 8) + bytes(8)
-    (tmp_path / 'bag.mcap').write_bytes(b'\x89MCAP0\r\n' + header + record)
-    assert_refused(tmp_path)
 
 
 METADATA = {
@@ -259,53 +245,9 @@ def test_what_is_no_bag_is_refused(tmp_path):
     assert_refused(tmp_path / 'bag.db3')
 
 
-# --- types
-
-
-def mcap_of(folder, definition, data, encoding='cdr', kind=BOOL, topic='/captured', **about):
-    with (folder / 'bag.mcap').open('wb') as stream:
-        writer = McapWriter(stream)
-        writer.start(profile='ros2', library='test')
-        schema = writer.register_schema(kind, 'ros2msg', definition.encode())
-        channel = writer.register_channel(topic, encoding, schema, about)
-        writer.add_message(channel, 1, data, 1)
-        writer.finish()
-    return folder
-
-
-TRUE = b'\x00\x01\x00\x00\x01'
-
-
-@pytest.mark.parametrize(
-    ('definition', 'about'),
-    [
-        ('bool data\nfloat64 certainty\n', {}),
-        ('bool data', {'topic_type_hash': 'RIHS01_' + 64 * '0'}),
-        ('bool data\n' + '=' * 80 + '\nMSG: std_msgs/Odd\nint32[[ x', {}),
-        ('\x00', {}),
-    ],
-)
-def test_a_type_of_another_version_is_refused(tmp_path, definition, about):
-    """A field more: its bytes would be read as something else."""
-    with pytest.raises(BadInput, match=r'another version|unreadable'):
-        bags.raw(mcap_of(tmp_path, definition, TRUE, **about))
-
-
-def test_definitions_as_ros_writes_them_are_accepted(tmp_path):
-    """With comments, constants and other spaces, as a hash, or not at all."""
-    text = 'uint8 LOW=1  # a constant\n\n# a comment\nbool   data # true or false\n'
-    for definition, about in ((text, {}), ('', {}), (text, {'h': store().hash_rihs01(BOOL)})):
-        (found,) = bags.read(mcap_of(tmp_path, definition, TRUE, **about))
-        assert found.content.data is True
-
-
 @pytest.mark.parametrize('data', [b'', b'\x00\x01\x00\x00', b'\x00\x09\x00\x00\x01'])
 def test_a_message_that_does_not_decode_is_refused(tmp_path, data):
-    kind = 'geometry_msgs/msg/PoseStamped'
-    text, _ = store().generate_msgdef(kind, ros_version=2)
-    assert_refused(mcap_of(tmp_path, text, data, kind=kind, topic='/goal'), 'unreadable')
-
-
-def test_another_encoding_is_refused(tmp_path):
-    with pytest.raises(BadInput, match='cdr'):
-        bags.raw(mcap_of(tmp_path, 'bool data', TRUE, encoding='json'))
+    goal = Topic('/goal', 'geometry_msgs/msg/PoseStamped')
+    with BagWriter(tmp_path / 'run', (goal,), {}) as writer:
+        writer.write('/goal', 1, data)
+    assert_refused(tmp_path / 'run', 'unreadable')

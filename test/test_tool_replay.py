@@ -2,7 +2,6 @@
 """Golden bags as regression tests, and what the replay must notice, tell and accept."""
 
 import importlib
-import json
 import math
 import os
 import subprocess
@@ -383,7 +382,7 @@ def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
     """What it had taken in is forgotten, so that the next answer finds no odometry."""
     recording, values = recording_of(RETRIEVAL), settings.of_bag(RETRIEVAL)
     first = recording.answers[0]
-    forgotten, kept = (Cause.AFRESH, Cause.RESET), (Cause.DISABLED, None)
+    forgotten, kept = (Cause.AFRESH, Cause.RESET), (Cause.DISABLED, 'sabotage', None)
     for cause in (*forgotten, *kept):
         fallback = 'safe command' if cause in forgotten else ''
         said = Published(cause=cause, reason='starting afresh or not', solve_time_ms=0.0)
@@ -391,15 +390,6 @@ def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
         ticks = replayed(replace(recording, answers=answers), planner_settings(values), True)
         *_, last = (published(each.messages) for each in ticks)
         assert last.fallback == fallback
-
-
-@pytest.mark.parametrize('word', ['afresh', 'sabotage', 7, ['afresh']])
-def test_a_cause_that_is_none_of_ours_is_not_known(word):
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
-    status = DiagnosticStatus(values=[KeyValue(key='cause', value=json.dumps(word))])
-    found = published({'tick': DiagnosticArray(status=[status])}).cause
-    assert found == (Cause.AFRESH if word == 'afresh' else None)
 
 
 def distances(recorded, replayed, **tolerances):
@@ -542,13 +532,7 @@ def test_update_accepts_with_the_same_inputs(replay, tmp_path):
 
 def test_what_cannot_be_replaced_stays(replay, tmp_path):
     path = rewritten(RETRIEVAL, tmp_path / 'bag')
-    link = tmp_path / 'link'
-    link.symlink_to(path)
     intact = (path / 'bag.mcap').read_bytes()
-    code, _, err = replay(link, '--update')
-    assert code == 2
-    assert 'a link' in err
-    assert (path / 'bag.mcap').read_bytes() == intact
     code, _, err = replay(path / 'bag.mcap', '--update')
     assert code == 2
     assert 'not a bag of orbimpc' in err

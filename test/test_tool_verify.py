@@ -127,7 +127,12 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path, monk
 
 
 def test_a_bound_above_what_a_trajectory_costs_fails(run, monkeypatch):
-    monkeypatch.setitem(recording.READERS, 'lower_bound', lambda value: 1.01 * float(value))
+    read = recording.fields
+    monkeypatch.setattr(
+        recording,
+        'fields',
+        lambda tick: (f := read(tick)) | {'lower_bound': 1.01 * f['lower_bound']},
+    )
     code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
     assert code == 1
     assert 'DOES NOT HOLD: a trajectory costs' in out
@@ -363,7 +368,8 @@ def test_before_which_time_nothing_catches_is_proved(run, tmp_path):
 
 
 def claiming(monkeypatch, name, value):
-    monkeypatch.setitem(recording.READERS, name, lambda _: value)
+    read = recording.fields
+    monkeypatch.setattr(recording, 'fields', lambda tick: read(tick) | {name: value})
 
 
 def test_a_time_before_which_a_plan_catches_fails(run, monkeypatch):

@@ -11,24 +11,17 @@ import json
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, NamedTuple, cast
 
-import lz4.frame
 import numpy as np
-import yaml
-import zstandard
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Chunk, McapRecord, Metadata, Schema
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
@@ -40,10 +33,9 @@ from orbimpc_ros.tool.topics import Topic
 METADATA = 'metadata.yaml'
 METADATA_VERSION = 9
 NOTES = 'orbimpc_ros'  # the MCAP record with the recorder's notes
-HASH = 'topic_type_hash'
 WRITTEN_CHUNK = 1 << 16  # [bytes]: what a recorder that is killed may lose
 LARGEST_FILE = 1 << 30  # [bytes]
-LARGEST_CHUNK = 1 << 25  # [bytes] of a chunk, decompressed, and of any other record
+LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
 LARGEST_CONTENT = 1 << 28  # [bytes] of the messages that are read
 LATEST = 2**63  # [ns]: stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
@@ -70,21 +62,13 @@ class Raw(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A decoded message.
-
-    Attributes:
-        topic: it came on.
-        stamp: under which it was recorded [ns].
-        type: of the message.
-        content: decoded.
-        sent: when it was sent; the stamp if that is not known [ns].
-    """
+    """A decoded message: a :class:`Raw` with its content instead of its bytes."""
 
     topic: str
-    stamp: int
     type: str
-    content: Any
+    stamp: int
     sent: int
+    content: Any
 
 
 # --- the content of messages, from bags and from DDS alike
@@ -140,7 +124,7 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
         if not names or each.topic.rpartition('/')[2] in names:
             with _reading(path):
                 content = store().deserialize_cdr(each.data, each.type)
-            yield Message(each.topic, each.stamp, each.type, content, each.sent)
+            yield Message(*each[:-1], content)
 
 
 def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
@@ -166,7 +150,7 @@ def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[
 def raw(path: Path) -> list[Raw]:
     """Return the messages on the topics that we know, in the order of their stamps, as bytes.
 
-    A bag whose recorder was killed is read up to its last complete chunk, and a line says so.
+    A bag whose recorder was killed is read up to its last complete chunk, and a line reports that.
 
     Raises:
         BadInput: missing, damaged, too large, of another version, or not a bag.
@@ -174,8 +158,7 @@ def raw(path: Path) -> list[Raw]:
     files, closed = _files(path)
     found, size = list[Raw](), 0
     with _reading(path):
-        plain_mcap = files and files[0].suffix == '.mcap' and not _compression(path)
-        for each in _of_mcap(files, closed) if plain_mcap else _of_rosbags(path):
+        for each in _of_mcap(files, closed) if _is_mcap(path, files) else _of_rosbags(path):
             size += len(each.data)
             if size > LARGEST_CONTENT:
                 raise BadInput.stating(str(path), f'{size} bytes of messages', ALLOWED)
@@ -194,12 +177,11 @@ def notes(path: Path) -> dict[str, str]:
     """
     files, closed = _files(path)
     with _reading(path):
-        if files and files[0].suffix == '.mcap':
-            for record in _records(files[0], closed):
-                if isinstance(record, Metadata) and record.name == NOTES:
-                    return record.metadata
-                if isinstance(record, McapMessage):
-                    break
+        if _is_mcap(path, files):
+            with _mcap(files[0], closed) as reader:
+                for record in reader.iter_metadata():
+                    if record.name == NOTES:
+                        return record.metadata
         found = _information(path).get('custom_data') if (path / METADATA).exists() else None
         return {str(name): str(text) for name, text in (found or {}).items()}
 
@@ -242,18 +224,16 @@ def _information(path: Path) -> dict[str, Any]:
     return cast(dict[str, Any], found)
 
 
-def _compression(path: Path) -> bool:
-    """Return whether rosbag2 has compressed a bag's files or messages, outside of the storage."""
+def _is_mcap(path: Path, files: Sequence[Path]) -> bool:
+    """Return whether a bag is of MCAP, and not compressed outside of that by rosbag2."""
     described = path.is_dir() and (path / METADATA).exists()
     mode = _information(path).get('compression_mode') if described else None
-    return (mode or 'none').lower() != 'none'
+    return files[0].suffix == '.mcap' and (mode or 'none').lower() == 'none'
 
 
 def _of_rosbags(path: Path) -> Iterator[Raw]:
     with Reader(path) as reader:
-        wanted = [c for c in reader.connections if topics.known(c.topic, c.msgtype)]
-        for each in wanted:
-            _require_type(each.topic, each.msgtype, each.digest or each.msgdef.data)
+        wanted = [each for each in reader.connections if topics.known(each.topic, each.msgtype)]
         for each, stamp, data in reader.messages(wanted) if wanted else ():
             yield Raw(each.topic, each.msgtype, stamp, stamp, bytes(data))
 
@@ -261,75 +241,23 @@ def _of_rosbags(path: Path) -> Iterator[Raw]:
 def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Raw]:
     """Yield the known messages of MCAP files in the order in which they were written."""
     for file in files:
-        schemas: dict[int, Schema] = {}
-        known: dict[int, tuple[str, str]] = {}
-        for record in _records(file, closed):
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                schema = schemas[record.schema_id]
-                if topics.known(record.topic, schema.name):
-                    if record.message_encoding != 'cdr':
-                        raise BadInput(
-                            f'encoding of {record.topic}', record.message_encoding, 'cdr'
-                        )
-                    text = schema.data.decode() if schema.encoding == 'ros2msg' else ''
-                    _require_type(record.topic, schema.name, record.metadata.get(HASH) or text)
-                    known[record.id] = record.topic, schema.name
-            elif isinstance(record, McapMessage) and record.channel_id in known:
-                stamp, sent = record.log_time, record.publish_time or record.log_time
-                yield Raw(*known[record.channel_id], stamp, sent, record.data)
+        with _mcap(file, closed) as reader:
+            for schema, channel, each in reader.iter_messages(log_time_order=False):
+                if schema is not None and topics.known(channel.topic, schema.name):
+                    sent = each.publish_time or each.log_time
+                    yield Raw(channel.topic, schema.name, each.log_time, sent, each.data)
 
 
-def _records(file: Path, closed: bool) -> Iterator[McapRecord]:
-    """Yield the records of an MCAP file; one that was not closed may end anywhere."""
+@contextmanager
+def _mcap(file: Path, closed: bool) -> Iterator[NonSeekingReader]:
+    """Open an MCAP file; one that was not closed may end anywhere."""
     with opened(file, LARGEST_FILE) as stream:
-        reader = StreamReader(
-            cast(IO[bytes], stream),
-            emit_chunks=True,
-            validate_crcs=True,
-            record_size_limit=LARGEST_CHUNK,
-        )
+        content, limit = cast(IO[bytes], stream), LARGEST_RECORD
         try:
-            for record in reader.records:
-                if isinstance(record, Chunk):
-                    yield from breakup_chunk(_decompressed(record), validate_crc=True)
-                else:
-                    yield record
+            yield NonSeekingReader(content, validate_crcs=True, record_size_limit=limit)
         except EndOfFile:
             if closed:
                 raise BadInput.stating(str(file), 'damaged (cut off)', ALLOWED) from None
-
-
-def _decompressed(chunk: Chunk) -> Chunk:
-    """Return a chunk decompressed, unless it is of another size than it claims, or too large."""
-    size, data = chunk.uncompressed_size, chunk.data
-    largest = min(size, LARGEST_CHUNK) + 1
-    if chunk.compression == 'zstd':
-        data = zstandard.ZstdDecompressor().stream_reader(data).read(largest)
-    elif chunk.compression == 'lz4':
-        data = lz4.frame.LZ4FrameDecompressor().decompress(data, largest)
-    if len(data) != size:
-        raise ValueError(f'a chunk of {size} bytes, {LARGEST_CHUNK} allowed, has {len(data)}')
-    return replace(chunk, compression='', data=data)
-
-
-@lru_cache(maxsize=256)
-def _require_type(topic: str, kind: str, definition: str) -> None:
-    """Refuse a message type, by its text or its hash, that is not ours; an unknown one is trusted.
-
-    Raises:
-        BadInput: its bytes would be read as something else.
-    """
-    if definition.startswith('RIHS01_'):
-        same = definition == store().hash_rihs01(kind)
-    else:
-        found = get_types_from_msg(definition, kind) if definition else {}
-        ours = store().fielddefs  # of each type constants, which are not sent, and fields
-        same = all(name in ours and found[name][1] == ours[name][1] for name in found)
-    if not same:
-        hint = "ROS 2 Jazzy's is needed"
-        raise BadInput.stating(topic, f'another version of {kind}', hint)
 
 
 # --- writing
@@ -362,8 +290,8 @@ class BagWriter:
         text, _ = store().generate_msgdef(topic.type, ros_version=2)
         schema = self._writer.register_schema(topic.type, 'ros2msg', text.encode())
         about = {
-            'offered_qos_profiles': yaml.safe_dump([_qos(topic)]),
-            HASH: store().hash_rihs01(topic.type),
+            'offered_qos_profiles': json.dumps([_qos(topic)]),
+            'topic_type_hash': store().hash_rihs01(topic.type),
         }
         return self._writer.register_channel(topic.name, 'cdr', schema, about)
 
@@ -388,50 +316,47 @@ class BagWriter:
             return
         self._writer.finish()
         self._stream.close()
-        text = yaml.safe_dump({'rosbag2_bagfile_information': self._metadata()}, sort_keys=False)
-        (self.folder / METADATA).write_text(text)
+        content = {'rosbag2_bagfile_information': self._metadata()}
+        (self.folder / METADATA).write_text(json.dumps(content, indent=1))  # which is YAML, too
 
     def _metadata(self) -> dict[str, Any]:
         file, begin = f'{self.folder.name}.mcap', min(self._first, self._last)
-        start, duration = {'nanoseconds_since_epoch': begin}, {'nanoseconds': self._last - begin}
-        count = sum(self._counts.values())
+        span = {
+            'starting_time': {'nanoseconds_since_epoch': begin},
+            'duration': {'nanoseconds': self._last - begin},
+            'message_count': sum(self._counts.values()),
+        }
         return {
             'version': METADATA_VERSION,
             'storage_identifier': 'mcap',
-            'starting_time': dict(start),
-            'duration': dict(duration),
-            'message_count': count,
-            'topics_with_message_count': [self._topic_metadata(topic) for topic in self._topics],
+            **span,
+            'topics_with_message_count': [
+                {'topic_metadata': _about(topic), 'message_count': self._counts[topic.name]}
+                for topic in self._topics
+            ],
             'compression_format': '',
             'compression_mode': '',
             'relative_file_paths': [file],
-            'files': [
-                {'path': file, 'starting_time': start, 'duration': duration, 'message_count': count}
-            ],
+            'files': [{'path': file, **span}],
             'custom_data': self._notes or None,
             'ros_distro': 'jazzy',
         }
 
-    def _topic_metadata(self, topic: Topic) -> dict[str, Any]:
-        about = {
-            'name': topic.name,
-            'type': topic.type,
-            'serialization_format': 'cdr',
-            'offered_qos_profiles': [_qos(topic)],
-            'type_description_hash': store().hash_rihs01(topic.type),
-        }
-        return {'topic_metadata': about, 'message_count': self._counts[topic.name]}
-
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _about(topic: Topic) -> dict[str, Any]:
+    return {
+        'name': topic.name,
+        'type': topic.type,
+        'serialization_format': 'cdr',
+        'offered_qos_profiles': [_qos(topic)],
+        'type_description_hash': store().hash_rihs01(topic.type),
+    }
 
 
 def _qos(topic: Topic) -> dict[str, Any]:
@@ -441,9 +366,9 @@ def _qos(topic: Topic) -> dict[str, Any]:
         'depth': 1,
         'reliability': 'reliable',
         'durability': 'transient_local' if topic.latched else 'volatile',
-        'deadline': dict(FOREVER),
-        'lifespan': dict(FOREVER),
+        'deadline': FOREVER,
+        'lifespan': FOREVER,
         'liveliness': 'automatic',
-        'liveliness_lease_duration': dict(FOREVER),
+        'liveliness_lease_duration': FOREVER,
         'avoid_ros_namespace_conventions': False,
     }

@@ -17,9 +17,7 @@ import yaml
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
-LARGEST = 1 << 20  # [bytes] of a document
-MOST_VALUES = 30_000  # of a YAML document, which is slow to parse
-LONGEST = 4096  # characters of an unquoted word; converting numbers takes their length squared
+LARGEST = 1 << 18  # [bytes] of a document
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
 ALLOWED = 'a JSON or YAML mapping is needed'
 WRITABLE = 'a folder to write to is needed'
@@ -64,25 +62,11 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
 class StrictLoader(yaml.SafeLoader):
     """YAML's safe subset without aliases, which can blow up, and without duplicate keys."""
 
-    def __init__(self, stream: str) -> None:
-        super().__init__(stream)
-        self._count = 0
-
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node, unless it is an alias or there are too many."""
+        """Compose a node, unless it is an alias."""
         if self.check_event(yaml.AliasEvent):
             raise yaml.composer.ComposerError(None, None, 'aliases are not accepted')
-        self._count += 1
-        if self._count > MOST_VALUES:
-            raise yaml.composer.ComposerError(None, None, f'more than {MOST_VALUES} values')
         return super().compose_node(parent, index)
-
-    def compose_scalar_node(self, anchor: Any) -> Any:
-        """Compose a word, a number or a text, unless it is an absurdly long number."""
-        node = super().compose_scalar_node(anchor)
-        if node.style is None and len(node.value) > LONGEST:
-            raise yaml.composer.ComposerError(None, None, f'a word longer than {LONGEST}')
-        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
         """Construct a mapping, unless a key comes twice."""
@@ -106,7 +90,7 @@ def read(source: str, largest: float = MAX_NUMBER) -> Any:
         largest: magnitude allowed of numbers.
 
     Raises:
-        BadInput: not readable, larger than 1 MiB, malformed.
+        BadInput: not readable, larger than 256 KiB, malformed.
     """
     name = 'standard input' if source == '-' else source
     try:
@@ -257,29 +241,3 @@ def write_whole(file: Path, write: Callable[[Path], object]) -> None:
         new.replace(file)
     finally:
         new.unlink(missing_ok=True)
-
-
-@contextmanager
-def replacing(folder: Path) -> Iterator[Path]:
-    """Give a new folder to fill, which takes the place of ``folder`` when all went well.
-
-    Until then nothing has changed; at no moment are both gone.
-
-    Raises:
-        BadInput: ``folder`` is a link, or cannot be replaced.
-    """
-    if folder.is_symlink():
-        raise BadInput.stating(str(folder), 'a link', 'give the folder itself')
-    try:
-        with tempfile.TemporaryDirectory(prefix=f'.{folder.name}-', dir=folder.parent) as place:
-            new, old = Path(place) / 'new' / folder.name, Path(place) / 'old'
-            new.parent.mkdir()
-            yield new
-            folder.rename(old)
-            try:
-                new.rename(folder)
-            except BaseException:
-                old.rename(folder)
-                raise
-    except OSError as error:
-        raise BadInput.stating(str(folder), why(error), WRITABLE) from None

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The parameters of a run: defaults, then the scenario's file, then ``--set``, checked.
 
-A value is for both nodes. Where the simulator has another one than the planner, such as a wind that
-the planner is not told of, it stands beside that under a name of its own: ``sim.wind``.
+A value is for both nodes. A value that the simulator alone has, such as a wind unknown to the
+planner, has a name of its own: ``sim.wind``.
 """
 
 from __future__ import annotations
@@ -195,23 +195,15 @@ def _change(given: str) -> tuple[str, Any]:
 
 def _typed(row: ParameterSpec, value: Any) -> Any:
     """Return a value as the parameter's type; a whole number may stand for a float."""
-    kind = type(row.default)
+    kind: type = type(row.default)
     if kind is tuple and isinstance(value, list):
-        return tuple(_word(row, each) if row.words else _float(row, each) for each in value)
-    if kind is float:
-        return _float(row, value)
+        return tuple(_of_kind(row, str if row.words else float, each) for each in value)
+    return _of_kind(row, kind, value)
+
+
+def _of_kind(row: ParameterSpec, kind: type, value: Any) -> Any:
+    if kind is float and type(value) is int:
+        return float(value)
     if type(value) is not kind:
         raise BadInput(row.name, value, row.allowed)
     return value
-
-
-def _word(row: ParameterSpec, value: Any) -> str:
-    if not isinstance(value, str):
-        raise BadInput(row.name, value, row.allowed)
-    return value
-
-
-def _float(row: ParameterSpec, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise BadInput(row.name, value, row.allowed)
-    return float(value)

@@ -21,15 +21,19 @@ from orbimpc_ros.tool.replay.resolving import ReplayedTick
 # flat there: it agrees better than the command that reaches it.
 SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
 OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
+UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
+PLANNED = Status.OPTIMAL, Status.FEASIBLE
+PROVED = 'status', 'gap'
+WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
+QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
 
 
 @dataclass(frozen=True)
 class Tolerances:
     """What two answers may differ by; words must be the same.
 
-    But a bound that cannot be counted again is proved as far as there is time after the command,
-    and not published without: where it was not, gaps and ``optimal`` or ``feasible`` are not
-    compared.
+    But an exact proof is searched as long as there is time after the command, and no bound is
+    published without: where there was none, gaps and ``optimal`` or ``feasible`` are not compared.
 
     A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
     points, and the less exactly that is known: what a turn may differ by is divided by its share.
@@ -37,10 +41,6 @@ class Tolerances:
     Attributes:
         speed: [m/s].
         force: [N].
-        body_rate: at full thrust [rad/s].
-        rotation: at full thrust [rad].
-        objective: relative; more where more than that is left unproved, but no more than ``gap``:
-            two searches may end at any plans within what they leave open.
         gap: absolute; what counts as proved. Two that are both left open are not compared: where a
             search ends before its proof does, rounding decides which nodes came last.
         step: for which a body rate is commanded [s].
@@ -49,9 +49,6 @@ class Tolerances:
 
     speed: float = SPEED
     force: float = SPEED
-    body_rate: float = RATE
-    rotation: float = ANGLE
-    objective: float = OBJECTIVE
     gap: float = 1e-4
     step: float = 1.0
     order: int = 1
@@ -69,31 +66,22 @@ class Tolerances:
         )
 
     def of(self, quantity: str, *answers: Published) -> float:
-        """Return what a quantity of some answers may differ by; words by nothing."""
-        allowed = getattr(self, quantity, 0.0)
-        if quantity == 'gap' and all(_is_open(each.gap, self.gap) for each in answers):
+        """Return what a quantity of some answers may differ by."""
+        gaps = [each.gap for each in answers if each.gap is not None]
+        unproved = any(each.bound_checked is False for each in answers)
+        if quantity in PROVED and unproved and all(each.status in PLANNED for each in answers):
             return math.inf
-        if quantity in PROVED and any(each.bound_checked is False for each in answers):
-            return math.inf if all(each.status in PLANNED for each in answers) else allowed
-        if quantity == 'objective':
-            left = max((each.gap for each in answers if each.gap is not None), default=0.0)
-            return max(allowed, min(left, self.gap))
-        if quantity not in TURNS:
-            return allowed
-        shares = [share for each in answers for share in each.speed_fraction[1 : self.order + 1]]
-        least = min([1.0, *shares])
-        return allowed / least if least > 0.0 else math.inf
-
-
-def _is_open(gap: float | None, proved: float) -> bool:
-    return gap is not None and proved < gap < math.inf
-
-
-UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
-PLANNED = Status.OPTIMAL, Status.FEASIBLE
-PROVED = 'status', 'gap'
-WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
-QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
+        if quantity == 'gap':
+            open_ = len(gaps) == len(answers) and all(self.gap < gap < math.inf for gap in gaps)
+            return math.inf if open_ else self.gap
+        if quantity == 'objective':  # two searches may end at any plans within what they leave open
+            return max(OBJECTIVE, min(max(gaps, default=0.0), self.gap))
+        if quantity in TURNS:
+            shares = [s for each in answers for s in each.speed_fraction[1 : self.order + 1]]
+            least = min([1.0, *shares])
+            allowed = RATE if quantity == 'body_rate' else ANGLE
+            return allowed / least if least > 0.0 else math.inf
+        return float(getattr(self, quantity, 0.0))
 
 
 @dataclass(frozen=True)
@@ -133,18 +121,11 @@ class Comparison:
 
 def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> list[Comparison]:
     """Return the comparisons of all ticks."""
-    tolerances = Tolerances.under(settings)
-    return [
-        comparison
-        for tick, each in enumerate(replayed)
-        for comparison in comparisons(
-            tick,
-            each.recorded.stamp / SECOND,
-            each.recorded.answer,
-            published(each.messages),
-            tolerances,
-        )
-    ]
+    tolerances, found = Tolerances.under(settings), list[Comparison]()
+    for tick, each in enumerate(replayed):
+        then, now = each.recorded, published(each.messages)
+        found += comparisons(tick, then.stamp / SECOND, then.answer, now, tolerances)
+    return found
 
 
 def comparisons(
@@ -175,20 +156,11 @@ def _apart(quantity: str, before: Any, now: Any, step: float) -> float:
     if quantity == 'body_rate':
         # As turns: half a turn to the left is one to the right.
         return _turned(*(to_quaternion(exp(step * rate)) for rate in (before, now))) / step
-    return _relative(before, now) if quantity == 'objective' else _absolute(before, now)
-
-
-def _absolute(before: float, now: float) -> float:
-    """Return the difference; two unknown numbers (NaN) are the same."""
-    if before == now or (math.isnan(before) and math.isnan(now)):
+    if before == now or (math.isnan(before) and math.isnan(now)):  # both infinite, or unknown
         return 0.0
-    apart = abs(before - now)
+    scale = max(abs(before), ROUNDING / OBJECTIVE) if quantity == 'objective' else 1.0
+    apart = abs(before - now) / scale
     return math.inf if math.isnan(apart) else apart
-
-
-def _relative(before: float, now: float) -> float:
-    apart = _absolute(before, now)
-    return apart if apart in (0.0, math.inf) else apart / max(abs(before), ROUNDING / OBJECTIVE)
 
 
 def _turned(before: Any, now: Any) -> float:
@@ -204,6 +176,6 @@ def shown(value: Any, digits: int = 6) -> str:
         return 'none'
     if isinstance(value, str):
         return value or '-'
-    if isinstance(value, float):
+    if isinstance(value, (int, float)):
         return f'{value:.9g}'
     return '(' + ', '.join(f'{each:.{digits}g}' for each in value) + ')'

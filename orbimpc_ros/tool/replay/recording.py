@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.obstacles import stamp_of as stamp_of_markers
 from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwistSynchronizer
@@ -55,7 +53,7 @@ class Published:
     Attributes:
         status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
         reason: why it is not ``optimal``.
-        cause: what kept it from being planned; None too for a word that is none of ours.
+        cause: what kept it from being planned, one of :class:`orbimpc_ros.mpc.outcome.Cause`.
         fallback: what stood in for a plan; empty for a plan.
         speed: commanded [m/s].
         body_rate: commanded, shape (3,) [rad/s].
@@ -63,6 +61,7 @@ class Published:
         rotation: commanded, as a quaternion, shape (4,).
         speed_fraction: share of full speed or thrust along the plan, shape (N + 1,); empty without.
         objective: of the plan; NaN without one.
+        lower_bound: of the objective.
         gap: of the plan; NaN without one.
         bound_checked: whether its bound was more than the method's word.
         earliest_catch: when the plan catches the goal; NaN where it does not [s].
@@ -76,13 +75,13 @@ class Published:
 
     status: str | None = None
     reason: str | None = None
-    cause: Cause | None = None
+    cause: str | None = None
     fallback: str | None = None
     speed: float | None = None
     body_rate: Array | None = None
     force: float | None = None
     rotation: Array | None = None
-    speed_fraction: tuple[float, ...] = ()
+    speed_fraction: Sequence[float] = ()
     objective: float | None = None
     lower_bound: float | None = None
     gap: float | None = None
@@ -110,8 +109,19 @@ class Published:
         return self.solved or bool(self.goal_stamps)
 
 
+NUMBER = (int, float)
+KINDS: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), str),
+    **dict.fromkeys(('objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'), NUMBER),
+    **dict.fromkeys(('advanced', 'solve_time_ms'), NUMBER),
+    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), dict),
+    'bound_checked': bool,
+    'speed_fraction': list,
+}  # of the values on ``tick``; those of another kind are not known
+
+
 def published(messages: Messages) -> Published:
-    """Return what messages by topic say."""
+    """Return what messages by topic hold."""
     found: dict[str, Any] = {}
     if 'cmd_vel' in messages:
         twist = messages['cmd_vel'].twist
@@ -123,42 +133,8 @@ def published(messages: Messages) -> Published:
         found['rotation'] = np.array([q.w, q.x, q.y, q.z])
     if 'tick' in messages and messages['tick'].status:
         values = fields(messages['tick'])
-        found |= {name: read(values[name]) for name, read in READERS.items() if name in values}
+        found |= {n: values[n] for n, kind in KINDS.items() if isinstance(values.get(n), kind)}
     return Published(**found)
-
-
-def _cause(value: Any) -> Cause | None:
-    return Cause(value) if value in list(Cause) else None
-
-
-def _number(value: Any) -> float | None:
-    good = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if good else None
-
-
-def _numbers(value: Any) -> tuple[float, ...]:
-    found = [_number(each) for each in value] if isinstance(value, list) else []
-    return tuple(math.nan if each is None else each for each in found)
-
-
-def _truth(value: Any) -> bool | None:
-    return value if isinstance(value, bool) else None
-
-
-def _integers(value: Any) -> Mapping[str, int]:
-    good = isinstance(value, dict) and all(isinstance(each, int) for each in value.values())
-    return value if good else {}
-
-
-NUMBERS = 'objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'
-READERS: dict[str, Callable[[Any], Any]] = {
-    **dict.fromkeys(('status', 'reason', 'fallback'), str),
-    **dict.fromkeys((*NUMBERS, 'advanced', 'solve_time_ms'), _number),
-    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), _integers),
-    'bound_checked': _truth,
-    'cause': _cause,
-    'speed_fraction': _numbers,
-}  # of the keys on ``tick``
 
 
 @dataclass(frozen=True)
@@ -169,7 +145,7 @@ class RecordedTick:
         stamp: of the odometry that it answers [ns].
         sent: when its first message was sent, by the clock of the inputs [ns].
         messages: by topic.
-        answer: what they say.
+        answer: what they hold.
     """
 
     stamp: int
@@ -206,7 +182,7 @@ class Recording:
 
     @property
     def received(self) -> int:
-        """Return how many messages the planner was sent, beside the time."""
+        """Return how many messages the planner was sent, besides the time."""
         return sum(each.topic != CLOCK for each in self.inputs)
 
 
@@ -231,45 +207,32 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
         if each.topic == f'/{CLOCK}' or (before == namespace and name != CLOCK):
             own[name].append(each)
     if not own['odom']:
-        own['odom'] = list(_joined(own.pop('pose', []), own.pop('twist', [])))
-    _require(own, found, path, namespace)
+        own['odom'] = list(_joined([*own['pose'], *own['twist']]))
+    for names in (('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')):
+        if not any(own[name] for name in names):
+            missing = ' or '.join(f'{namespace}/{name}' for name in names)
+            has = ', '.join(sorted({each.topic for each in found})) or 'none of its topics'
+            raise BadInput.stating(str(path), f'without {missing}', f'it has {has}')
     inputs = [
         Input(topic, stamp_of(each.content), each.sent, each.content)
         for topic in (CLOCK, *INPUTS, *others, *TREE)
         for each in own[topic]
         if topic not in POSE_TWIST
     ]
-    answers = _answers({topic: own[topic] for topic in COMPARED})
-    return Recording(
-        path,
-        namespace,
-        tuple(sorted(inputs, key=lambda each: each.sent)),
-        tuple(sorted(answers, key=lambda each: each.sent)),
-    )
+    inputs.sort(key=lambda each: each.sent)
+    answers = sorted(_answers(own), key=lambda each: each.sent)
+    return Recording(path, namespace, tuple(inputs), tuple(answers))
 
 
-def _joined(poses: Iterable[Message], twists: Iterable[Message]) -> Iterator[Message]:
+def _joined(halves: Iterable[Message]) -> Iterator[Message]:
     """Yield the odometry that the planner made of pairs, each when its second message was sent."""
     synchronizer = PoseTwistSynchronizer()
-    for each in sorted((*poses, *twists), key=lambda each: each.sent):
+    for each in sorted(halves, key=lambda each: each.sent):
         name = each.topic.rpartition('/')[2]
         with suppress(BadInput):
             joined = getattr(synchronizer, name)(each.content)
             if joined is not None:
                 yield each._replace(topic=each.topic.removesuffix(name) + 'odom', content=joined)
-
-
-def _require(
-    own: dict[str, list[Message]], found: list[Message], path: Path, namespace: str
-) -> None:
-    missing = [
-        ' or '.join(f'{namespace}/{name}' for name in names)
-        for names in (('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel'))
-        if not any(own[name] for name in names)
-    ]
-    if missing:
-        has = ', '.join(sorted({m.topic for m in found})) or 'none of its topics'
-        raise BadInput.stating(str(path), f'without {missing[0]}', f'it has {has}')
 
 
 def stamp_of(message: Any) -> int:
@@ -282,11 +245,11 @@ def stamp_of(message: Any) -> int:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
-def _answers(outputs: dict[str, list[Message]]) -> Iterator[RecordedTick]:
+def _answers(own: Mapping[str, list[Message]]) -> Iterator[RecordedTick]:
     """Yield every answer; one that was merely repeated counts once."""
     by_stamp: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
-    for topic, messages in outputs.items():
-        for each in messages:
+    for topic in COMPARED:
+        for each in own.get(topic, ()):
             by_stamp[stamp_of(each.content)].append((each.sent, topic, each.content))
     for stamp, sent_messages in by_stamp.items():
         before: Messages = {}

@@ -10,17 +10,22 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rclpy.serialization import serialize_message
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PlannerSettings, planner_settings
-from orbimpc_ros.tool import settings
+from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.bags import BagWriter, Raw, store
 from orbimpc_ros.tool.offline import resolved
-from orbimpc_ros.tool.replay.accept import accept
-from orbimpc_ros.tool.replay.coverage import Coverage, coverage
 from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown
-from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
-from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
+from orbimpc_ros.tool.replay.recording import OUTPUTS, Recording, published, recording_of
+from orbimpc_ros.tool.replay.resolving import ReplayedTick, coverage, replayed
+from orbimpc_ros.tool.settings import Values
 from orbimpc_ros.tool.summary import lines
+from orbimpc_ros.tool.topics import TYPES, topics_of
 
 LINES = 20  # differences printed one by one
 SAME, DIFFERENT = 0, 1
@@ -32,23 +37,34 @@ def run(args: argparse.Namespace) -> int:
     values = _values(Path(args.bag), args.namespace, args.params, args.set)
     recording, planner = _opened(Path(args.bag), args.namespace, values)
     if args.tick is not None:
-        wanted = _tick(args, len(recording.answers))
-        recording = replace(recording, answers=recording.answers[: wanted + 1])
+        return _show(recording, planner, values, args)
     answers = list(_replayed(recording, planner, values))
-    found = compared(answers, planner)
-    if args.tick is not None:
-        found = [each for each in found if each.tick == args.tick]
-        _show(answers[-1], found)
-        return DIFFERENT if any(each.differs for each in found) else SAME
-    whole = coverage(recording, planner)
-    _print(recording, found, answers, whole, time.perf_counter() - begun)
+    found, whole = compared(answers, planner), coverage(recording, planner)
+    refused = sum(len(each.refusals) for each in answers)
+    counts = Counter(each.quantity for each in found)
+    differences = [each for each in found if each.differs]
+    for each in differences[:LINES]:
+        print(each)
+    if len(differences) > LINES:
+        print(f'... and {len(differences) - LINES} more')
+    elapsed = time.perf_counter() - begun
+    rows = {
+        'replayed': f'{len(answers)} ticks of {recording.path} in {elapsed:.2f} s',
+        'inputs': f'{recording.received}, {refused} refused',
+        'unanswered': str(whole),
+        'compared': ', '.join(f'{n} {quantity}' for quantity, n in counts.items()),
+        'differences': _summary(differences),
+    }
+    print(lines(rows))
     if args.update:
         accept(recording, answers, values)
         print(f'accepted      {recording.path}')
         return SAME
-    lacking = whole.unanswered > _may_be_unanswered(recording, planner)
-    differs = any(each.differs for each in found)
-    return DIFFERENT if differs or lacking or whole.orphans else SAME
+    # In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
+    # answers only the last before each tick.
+    waited = recording.simulated and planner.on_odometry
+    lacking = whole.unanswered > (0 if waited else math.inf)
+    return DIFFERENT if differences or lacking or whole.orphans else SAME
 
 
 def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[ReplayedTick]:
@@ -63,77 +79,26 @@ def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[Replaye
     yield from _replayed(*_opened(path, namespace, values), values)
 
 
-def _opened(
-    path: Path, namespace: str, values: settings.Values
-) -> tuple[Recording, PlannerSettings]:
+def _values(path: Path, namespace: str, params: str | None, changes: Sequence[str]) -> Values:
+    """Return every parameter's value: as given, or as noted in the bag by its recorder."""
+    if params is not None:
+        return settings.resolve(Path(params), changes)
+    noted = settings.of_bag(path, namespace)
+    if noted is None and not changes:
+        missing = 'no notes of its parameters'
+        raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
+    return settings.changed(settings.read('{}') if noted is None else noted, changes)
+
+
+def _opened(path: Path, namespace: str, values: Values) -> tuple[Recording, PlannerSettings]:
     planner = planner_settings(values)
     return recording_of(path, namespace, resolved(planner, namespace)), planner
 
 
 def _replayed(
-    recording: Recording, planner: PlannerSettings, values: settings.Values
+    recording: Recording, planner: PlannerSettings, values: Values
 ) -> Iterator[ReplayedTick]:
     return replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
-
-
-def _may_be_unanswered(recording: Recording, planner: PlannerSettings) -> float:
-    """Return how many odometry messages may be without an answer.
-
-    In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
-    answers only the last before each tick.
-    """
-    return 0 if recording.simulated and planner.on_odometry else math.inf
-
-
-def _tick(args: argparse.Namespace, count: int) -> int:
-    """Return the number of the tick asked for.
-
-    Raises:
-        BadInput: there is no such tick, or the command would accept what it does not show.
-    """
-    if args.update:
-        raise BadInput.stating('--update', 'given with --tick', 'give one of the two')
-    if not 0 <= args.tick < count:
-        raise BadInput('--tick', args.tick, f'0 to {count - 1}')
-    return int(args.tick)
-
-
-def _values(
-    path: Path, namespace: str, params: str | None, changes: Sequence[str]
-) -> settings.Values:
-    """Return every parameter's value: as given, or as noted in the bag by whoever recorded it."""
-    if params is not None:
-        return settings.resolve(Path(params), changes)
-    noted = settings.of_bag(path, namespace)
-    if noted is None and not changes:
-        raise BadInput.stating(
-            str(path), 'no notes of its parameters', 'give --params FILE or --set'
-        )
-    return settings.changed(settings.read('{}') if noted is None else noted, changes)
-
-
-def _print(
-    recording: Recording,
-    found: Sequence[Comparison],
-    answers: Sequence[ReplayedTick],
-    whole: Coverage,
-    elapsed: float,
-) -> None:
-    differences = [each for each in found if each.differs]
-    for each in differences[:LINES]:
-        print(each)
-    if len(differences) > LINES:
-        print(f'... and {len(differences) - LINES} more')
-    refused = sum(len(each.refusals) for each in answers)
-    counts = Counter(each.quantity for each in found)
-    rows = {
-        'replayed': f'{len(answers)} ticks of {recording.path} in {elapsed:.2f} s',
-        'inputs': f'{recording.received}, {refused} refused',
-        'unanswered': str(whole),
-        'compared': ', '.join(f'{n} {quantity}' for quantity, n in counts.items()),
-        'differences': _summary(differences),
-    }
-    print(lines(rows))
 
 
 def _summary(differences: Sequence[Comparison]) -> str:
@@ -148,16 +113,82 @@ def _summary(differences: Sequence[Comparison]) -> str:
     return f'{len(differences)} in {ticks} ticks; worst {parts}'
 
 
-def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
-    """Print one tick, recorded and replayed side by side."""
-    then, now = tick.recorded.answer, published(tick.messages)
-    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<20}{"recorded":<26}replayed')
+def _show(
+    recording: Recording, planner: PlannerSettings, values: Values, args: argparse.Namespace
+) -> int:
+    """Print one tick, recorded and replayed side by side; return the exit code."""
+    if args.update:
+        raise BadInput.stating('--update', 'given with --tick', 'give one of the two')
+    number, count = args.tick, len(recording.answers)
+    if not 0 <= number < count:
+        raise BadInput('--tick', number, f'0 to {count - 1}')
+    recording = replace(recording, answers=recording.answers[: number + 1])
+    answers = list(_replayed(recording, planner, values))
+    found = [each for each in compared(answers, planner) if each.tick == number]
+    then, now = answers[-1].recorded.answer, published(answers[-1].messages)
+    print(f'{f"tick {number} at {found[0].time:.3f} s":<20}{"recorded":<26}replayed')
     for each in found:
         unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
         mark = '  differs' if each.differs else ''
-        values = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
-        print(f'{each.quantity + unit:<20}{values}{mark}')
+        pair = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
+        print(f'{each.quantity + unit:<20}{pair}{mark}')
     if then.reason or now.reason:
         print(lines({'recorded': shown(then.reason), 'replayed': shown(now.reason)}))
-    for refusal in tick.refusals:
+    for refusal in answers[-1].refusals:
         print(refusal)
+    return DIFFERENT if any(each.differs for each in found) else SAME
+
+
+# --- accepting
+
+
+def accept(recording: Recording, answers: Sequence[ReplayedTick], values: Values) -> None:
+    """Replace a bag of our recorder by one with new outputs, once that is complete.
+
+    Args:
+        recording: what the bag held.
+        answers: the new ones.
+        values: of every parameter; noted in the bag.
+
+    Raises:
+        BadInput: the bag is not one of our recorder's.
+    """
+    path, space = recording.path, recording.namespace
+    if not path.is_dir() or path.is_symlink() or 'parameters' not in bags.notes(path):
+        raise BadInput.stating(str(path), 'not a bag of orbimpc', 'the folder of one is needed')
+    held, notes = bags.raw(path), bags.notes(path)
+    if values != settings.of_bag(path, space):
+        if space:
+            given = 'other parameters are given'
+            raise BadInput.stating('--update', given, 'a fleet keeps its own')
+        notes['parameters'] = settings.text(values)
+    kept = [each for each in held if each.topic not in {f'{space}/{name}' for name in OUTPUTS}]
+    # What was not recorded, such as markers, stays out.
+    wanted = {each.topic for each in held}
+    fresh = [each for each in _serialised(space, answers) if each.topic in wanted]
+    shared = {topic.name for topic in topics_of(())}
+    spaces = {each.topic.rpartition('/')[0] for each in kept if each.topic not in shared}
+    topics = topics_of(sorted(spaces | {space}))
+    with TemporaryDirectory(prefix=f'.{path.name}-', dir=path.parent) as place:
+        new = Path(place) / 'new' / path.name
+        with BagWriter(new, topics, notes) as writer:
+            for each in sorted([*kept, *fresh], key=lambda each: each.stamp):
+                writer.write(each.topic, each.stamp, each.data, each.sent)
+        path.rename(Path(place) / 'old')
+        new.rename(path)
+
+
+def _serialised(space: str, answers: Sequence[ReplayedTick]) -> Iterator[Raw]:
+    for each in answers:
+        for name, message in each.messages.items():
+            then, kind = each.recorded, TYPES[name]
+            yield Raw(f'{space}/{name}', kind, then.stamp, then.sent, serialised(message, kind))
+
+
+def serialised(message: Any, kind: str) -> bytes:
+    """Return a ROS message in CDR, the same bytes every time.
+
+    The middleware leaves in the padding whatever was in memory.
+    """
+    types = store()
+    return bytes(types.serialize_cdr(types.deserialize_cdr(serialize_message(message), kind), kind))

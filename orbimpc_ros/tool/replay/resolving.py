@@ -31,7 +31,7 @@ class ReplayedTick:
     Attributes:
         recorded: what was answered then.
         messages: what is answered now, by topic.
-        refusals: what the validators said of the inputs since the tick before.
+        refusals: complaints of the validators about the inputs since the tick before.
         decision: behind the messages.
     """
 
@@ -53,7 +53,7 @@ def replayed(
     """
     avoided = resolved(settings, recording.namespace)
     planner = OfflinePlanner(settings, f'{recording.namespace}/planner', avoided)
-    feed = Feed(planner, recording, simulated, settings)
+    feed = Feed(planner, recording, simulated)
     for recorded in recording.answers:
         refusals = tuple(feed.until(recorded))
         messages = _answer(planner, recorded)
@@ -67,11 +67,11 @@ def replayed(
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     answer = recorded.answer
-    reason = Reason(answer.cause or Cause.NONE, answer.reason or '')
-    if reason.cause in (Cause.AFRESH, Cause.RESET):
-        planner.start_afresh(wind=reason.cause is Cause.RESET)
+    cause = Cause(answer.cause) if answer.cause in list(Cause) else Cause.NONE
+    if cause in (Cause.AFRESH, Cause.RESET):
+        planner.start_afresh(wind=cause is Cause.RESET)
     if not answer.planned:
-        return planner.be_safe(recorded.stamp, reason)
+        return planner.be_safe(recorded.stamp, Reason(cause, answer.reason or ''))
     if planner.stamp != recorded.stamp:
         refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
         return planner.be_safe(recorded.stamp, refused)
@@ -85,18 +85,11 @@ class Feed:
         planner: takes them in.
         recording: what there is to take in.
         simulated: whether the ROS clock is ``/clock``, or the one by which messages were sent.
-        settings: of the planner.
     """
 
-    def __init__(
-        self,
-        planner: OfflinePlanner,
-        recording: Recording,
-        simulated: bool,
-        settings: PlannerSettings,
-    ) -> None:
+    def __init__(self, planner: OfflinePlanner, recording: Recording, simulated: bool) -> None:
         self._planner, self._inputs = planner, list(recording.inputs)
-        self._simulated, self._settings = simulated, settings
+        self._simulated = simulated
         self._clock: int | None = None
         self._counts: Counter[str] = Counter()
 
@@ -107,20 +100,20 @@ class Feed:
         came = [each for k, each in enumerate(sent) if k <= latest.get(each.topic, -1)]
         lost = self._lost(came, recorded.answer.goal_counts)
         for each in came:
-            refusal = '' if each in lost else self._take(each)
-            if refusal:
+            if each not in lost and (refusal := self._take(each)):
                 yield refusal
         rest = [each for k, each in enumerate(sent) if k > latest.get(each.topic, -1)]
         self._inputs[: len(sent)] = rest
 
     def _lost(self, came: Sequence[Input], counts: Mapping[str, int]) -> set[Input]:
-        """Return the goals that the planner never saw, by how many it says that it took.
+        """Return the goals that the planner never saw, by how many it reports to have taken in.
 
         Its queues hold one message: of several, the newest are those that it took.
         """
         lost: set[Input] = set()
         for topic, count in counts.items():
-            good = _increasing((each for each in came if each.topic == topic), self._settings)
+            goals = (each for each in came if each.topic == topic)
+            good = _increasing(goals, self._planner.settings)
             surplus = len(good) - (count - self._counts[topic])
             lost.update(good[: max(0, surplus)])
             self._counts[topic] = count
@@ -130,7 +123,7 @@ class Feed:
         if each.topic == CLOCK:
             self._clock = each.stamp
             return ''
-        step = self._settings.problem.step
+        step = self._planner.settings.problem.step
         shown = RosTime(self._clock, step) if self._simulated else RosTime(each.sent)
         return self._planner.inputs.update(each.topic, each.message, each.sent / SECOND, shown)
 
@@ -164,8 +157,8 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
 def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     """Return the index of the last input that was known, by topic.
 
-    A tick says by its stamps which messages it was made of. Where it does not, when they were
-    sent says it, up to what a message takes on its way.
+    The stamps on a tick are those of the messages that it was made of. Where it has none, the times
+    of sending decide, up to what a message takes on its way.
     """
     begun = recorded.sent - round(1e6 * recorded.solve_time_ms)
     measured = _last(sent, 'odom', recorded.stamp)
@@ -177,7 +170,7 @@ def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     answer = recorded.answer
     for topic, stamp in answer.goal_stamps.items():
         latest[topic] = _last(sent, topic, stamp)
-    if answer.planned:  # the others do not say what they have heard
+    if answer.planned:  # other ticks have no stamps of traffic
         for topic in {each.topic for each in sent} - {*READ, *TRANSFORMS, CLOCK}:
             heard = answer.traffic_stamps.get(topic)
             latest[topic] = -1 if heard is None else _last(sent, topic, heard)
@@ -188,3 +181,55 @@ def _last(sent: Sequence[Input], topic: str, stamp: int) -> int:
     """Return the last index under which a topic has a stamp; -1 for none."""
     found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)
+
+
+# --- what a recording lacks
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of a recording is whole.
+
+    Attributes:
+        asked: odometry messages that a planner at each odometry has to answer.
+        unanswered: those of them that have no answer.
+        orphans: planned answers whose odometry is not there.
+    """
+
+    asked: int
+    unanswered: int
+    orphans: int
+
+    def __str__(self) -> str:
+        without = f'{self.unanswered} of {self.asked} odometry messages'
+        return f'{without}; {self.orphans} answers without their odometry'
+
+
+def coverage(recording: Recording, settings: PlannerSettings) -> Coverage:
+    """Return how much of a recording is whole, by the stamps of odometry that answers carry on."""
+    answered = {each.stamp for each in recording.answers}
+    asked = list(_asked(recording, settings))
+    known = {each.stamp for each in recording.inputs if each.topic == 'odom'}
+    orphans = [e for e in recording.answers if e.answer.planned and e.stamp not in known]
+    return Coverage(len(asked), sum(stamp not in answered for stamp in asked), len(orphans))
+
+
+def _asked(recording: Recording, settings: PlannerSettings) -> Iterator[int]:
+    """Yield the stamps of odometry that is acceptable, newer than any before, and has a goal.
+
+    Of several under one time of ``/clock`` the last alone: it has overtaken the others.
+    """
+    newest, goal, due = -1, False, None
+    for each in recording.inputs:
+        moves_on = each.topic == CLOCK or not recording.simulated
+        if moves_on and due is not None:
+            yield due
+            due = None
+        if not acceptable(each, settings):
+            continue
+        goal = goal or each.topic != 'odom'
+        if each.topic == 'odom' and each.stamp > newest:
+            newest = each.stamp
+            due = newest if goal else None
+    if due is not None:
+        yield due

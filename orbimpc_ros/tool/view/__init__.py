@@ -59,16 +59,20 @@ def installed() -> bool:
 
 def _serve(args: argparse.Namespace, going: Going) -> None:
     """Serve the page and its data for as long as ``going()``."""
-    from orbimpc_ros.tool.view.server import Server, choose
+    import rerun as rr
 
-    draw = _drawing(args)
-    with Server(choose(args.port)) as server, ExitStack() as connections:
+    from orbimpc_ros.tool.view.server import choose, served
+
+    draw, port = _drawing(args), choose(args.port)
+    with served(port) as server, ExitStack() as connections:
         print(f'page          {server.page} (Ctrl-C ends it)', flush=True)
         if not args.no_browser and _has_screen():
             webbrowser.open(server.page)
 
         def connected() -> rr.RecordingStream:
-            recording = _recording()
+            recording = rr.RecordingStream('orbimpc', recording_id=uuid4())
+            recording.set_log_tick_enabled(False)  # nothing but the stamps of messages is time
+            recording.set_log_time_enabled(False)
             recording.connect_grpc(server.data)
             connections.callback(recording.disconnect)  # before the server goes
             return recording
@@ -87,16 +91,6 @@ def _has_screen() -> bool:
     return sys.platform == 'darwin' or any(os.environ.get(name) for name in SCREENS)
 
 
-def _recording() -> rr.RecordingStream:
-    """Return a recording in which nothing but the stamps of messages is time."""
-    import rerun as rr
-
-    recording = rr.RecordingStream('orbimpc', recording_id=uuid4())
-    recording.set_log_tick_enabled(False)
-    recording.set_log_time_enabled(False)
-    return recording
-
-
 def _drawing(args: argparse.Namespace) -> Callable[[Recordings, Going], None]:
     """Return what draws; a bag has been read by then."""
     if args.bag is None:
@@ -108,8 +102,4 @@ def _drawing(args: argparse.Namespace) -> Callable[[Recordings, Going], None]:
 
     values = settings.of_bag(Path(args.bag), args.namespace) or settings.read('{}')
     messages = bags.of_vehicle(Path(args.bag), args.namespace)
-
-    def draw(recordings: Recordings, _going: Going) -> None:
-        Scene(recordings(), values).draw(messages)
-
-    return draw
+    return lambda recordings, _going: Scene(recordings(), values).draw(messages)

@@ -28,19 +28,7 @@ SPIN = 0.05  # [s]
 ASK = 2.0  # [s] between questions for parameters: they may change, nodes may come later
 BACK = 1.0  # [s]: less may be messages out of order
 DEPTH = 20  # a viewer that is behind loses messages; it never holds a controller up
-NODES = {'planner': PLANNER, 'sim': SIM}
-
-
-class Restarts:
-    """Notices a clock that has been set back, as by a simulator started anew."""
-
-    def __init__(self) -> None:
-        self._latest = -math.inf
-
-    def seen(self, message: Any) -> bool:
-        """Take a message with a header; return whether its stamp is far behind the last one's."""
-        before, self._latest = self._latest, seconds(message)
-        return self._latest < before - BACK
+NODES = {'sim': SIM, 'planner': PLANNER}
 
 
 class Watcher:
@@ -57,8 +45,8 @@ class Watcher:
         self._node, self._executor = self._stack.enter_context(
             attached('viewer', namespace=namespace or '/')
         )
-        self._learned: dict[str, settings.Values] = {}  # by node
-        self._recordings, self._restarts = recordings, Restarts()
+        self._learned: dict[str, settings.Values] = {name: {} for name in NODES}
+        self._recordings, self._latest = recordings, -math.inf
         self._scene = Scene(recordings(), self._values)
         for topic in VEHICLE:
             if topic.name in self._scene.topics:
@@ -73,12 +61,15 @@ class Watcher:
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         profile = kept if topic.latched else qos(DEPTH, ReliabilityPolicy.BEST_EFFORT)
         self._node.create_subscription(
-            message, topic.name, lambda heard: self._take(topic.name, heard), profile
+            message, topic.name, lambda heard: self.take(topic.name, heard), profile
         )
 
-    def _take(self, topic: str, message: Any) -> None:
-        if topic == 'odom' and self._restarts.seen(message):
-            self._scene = Scene(self._recordings(), self._values)
+    def take(self, topic: str, message: Any) -> None:
+        """Draw a message, into a new recording where a simulator was started anew."""
+        if topic == 'odom':
+            before, self._latest = self._latest, seconds(message)
+            if self._latest < before - BACK:
+                self._scene = Scene(self._recordings(), self._values)
         self._scene.take(topic, message)
 
     def _ask(self) -> None:
@@ -99,17 +90,16 @@ class Watcher:
     def _learn(self, name: str, names: list[str], answer: Future) -> None:
         """Draw anew what depends on parameters, if they have changed."""
         response: Any = answer.result()
-        if response is None:
-            return
-        values = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
-        if values != self._learned.get(name):
+        found = map(parameter_value_to_python, response.values if response is not None else ())
+        values = dict(zip(names, found, strict=False))
+        if values and values != self._learned[name]:
             self._learned[name] = values
             self._scene.configure(self._values)
 
     @property
     def _values(self) -> settings.Values:
-        """Return the parameters of planner and simulator, defaults as long as they are silent."""
-        return settings.read('{}') | self._learned.get('sim', {}) | self._learned.get('planner', {})
+        """Return the parameters of simulator and planner, defaults until they are known."""
+        return settings.read('{}') | self._learned['sim'] | self._learned['planner']
 
     def spin(self) -> None:
         """Draw what comes for a while."""

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.outline import sphere
@@ -33,7 +32,6 @@ from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprin
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # places on the flown path
 SWING = 50  # sightings of the goal
-APART = 1.5  # headings on the way, in lengths of a vehicle
 SIZE = 0.06  # of a vehicle, as a share of the scene
 LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
 LINE, STEPS = (
@@ -41,16 +39,21 @@ LINE, STEPS = (
     rr.components.InterpolationMode.StepAfter,
 )
 CUBE = 1  # type of a Marker; every other body is round
-TRANSPARENT = rr.components.FillMode.TransparentFillMajorWireframe
+CLEAR = rr.components.FillMode.TransparentFillMajorWireframe
 SERIES = {
-    'distance/to_goal': (BLUE, 2.0, LINE),
-    'speed/commanded': (BLUE, 2.0, STEPS),
-    'speed/floor': (RED, 2.5, STEPS),
-    'gap/log10': (GREEN, 2.0, STEPS),
-    'time/solve_ms': (ORANGE, 2.0, STEPS),
-    'catch/earliest': (GREEN, 2.0, STEPS),
-    'catch/bound': (RED, 2.5, STEPS),
-}  # colour, width and manner of what charts show
+    'distance/to_goal': (BLUE, LINE),
+    'speed/commanded': (BLUE, STEPS),
+    'speed/floor': (RED, STEPS),
+    'gap/log10': (GREEN, STEPS),
+    'time/solve_ms': (ORANGE, STEPS),
+    'catch/earliest': (GREEN, STEPS),
+    'catch/bound': (RED, STEPS),
+}  # colour and manner of the lines in charts
+NUMBERS = {
+    'time/solve_ms': 'solve_time_ms',
+    'catch/earliest': 'earliest_catch',
+    'catch/bound': 'catch_bound',
+}  # of the tick, as they are
 
 # A paper dart: nose, wing tips, and the keel that tells up from down.
 NOSE, LEFT, RIGHT, TAIL, KEEL = (
@@ -62,7 +65,6 @@ NOSE, LEFT, RIGHT, TAIL, KEEL = (
 )
 DART = np.array([NOSE, LEFT, TAIL, NOSE, TAIL, RIGHT, NOSE, TAIL, KEEL])  # three triangles
 SHADES = np.array([[70, 140, 190], [0, 90, 150], [40, 60, 80]], dtype=np.uint8)  # one for each
-DART_COLORS = np.repeat(SHADES, 3, axis=0)
 
 
 class Scene:
@@ -76,25 +78,21 @@ class Scene:
     def __init__(self, recording: rr.RecordingStream, values: settings.Values) -> None:
         self._to = recording
         self._way: deque[Array] = deque(maxlen=REMEMBERED)
-        self._noses: deque[tuple[Array, Array]] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
-        self._measured, self._sighted, self._paired = -1.0, -2.0, False  # [s], [s], alike?
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
         self._shares: tuple[float, Array] = self._pointing
-        self._planned: tuple[float, GoalTrajectory | None] = (-1.0, None)  # of which tick [s]
-        self._catching: tuple[float, Array] = self._pointing  # and how long after its start [s]
         self._takers = {
             'odom': self._take_odometry,
             'goal': self._take_goal,
-            'goal_path': self._take_forecast,
             'plan': self._take_plan,
             'plan_markers': self._take_markers,
             'tick': self._take_tick,
             'captured': self._take_captured,
         }
-        for entity, look in SERIES.items():
-            self._to.log(entity, _series(*look), static=True)
+        for entity, (color, manner) in SERIES.items():
+            look = rr.SeriesLines(colors=[rgb(color)], widths=[2.0], interpolation_mode=manner)
+            self._to.log(entity, look, static=True)
         self.configure(values)
         self._look_at(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]))
 
@@ -104,7 +102,7 @@ class Scene:
         return tuple(self._takers)
 
     def configure(self, values: settings.Values) -> None:
-        """Draw what parameters say: hull, floor, obstacles; nothing if they contradict."""
+        """Draw what parameters state: hull, floor, obstacles; nothing if they contradict."""
         try:
             self._problem = planner_settings(values).problem
         except BadInput:
@@ -116,7 +114,15 @@ class Scene:
         n, floor = self._problem.dimension, self._problem.floor
         self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
         self._to.log(f'{THRUST}/floor', _lines(floor.outline(n), RED, 0.014), static=True)
-        self._to.log(f'{WORLD}/obstacles', _boxes(self._problem), static=True)
+        corners = np.zeros((len(self._problem.boxes), 2, 3))
+        corners[:, :, :n] = [(box.minimum, box.maximum) for box in self._problem.boxes] or 0.0
+        boxes = rr.Boxes3D(
+            centers=corners.mean(axis=1),
+            sizes=np.diff(corners, axis=1)[:, 0],
+            colors=[rgb(GREY)],
+            fill_mode=rr.components.FillMode.Solid,
+        )
+        self._to.log(f'{WORLD}/obstacles', boxes, static=True)
 
     def draw(self, messages: Iterable[tuple[str, Any]]) -> None:
         """Draw messages, each with its topic, in the order of their stamps."""
@@ -125,10 +131,7 @@ class Scene:
         self._to.flush()
 
     def take(self, topic: str, message: Any) -> None:
-        """Draw a message; ``topic`` is named without a namespace.
-
-        What the planner, too, would refuse is not drawn.
-        """
+        """Draw a message, unless the planner would refuse it; ``topic`` has no namespace."""
         if topic not in self._takers:
             return
         with suppress(BadInput):
@@ -142,43 +145,20 @@ class Scene:
         _, odometry = read_odometry(message, 3, self._frames)
         place, turned = odometry.position, odometry.attitude
         self._way.append(place)
-        self._point(place, turned[:, 0])
         self._begin()
         own = rr.Transform3D(translation=place, mat3x3=self._frames.own(turned))
         self._to.log(f'{WORLD}/vehicle', own)
-        places, along = np.array(self._noses).transpose(1, 0, 2)
-        noses = _arrows(places, self._unit * along, BLUE, 0.07 * self._unit)
-        way = _lines([np.array(self._way)], SKY, 0.05 * self._unit)
-        self._to.log(f'{WORLD}/flown', way, noses)
-        self._measured = seconds(message)
-        self._draw_distance()
-
-    def _point(self, place: Array, heading: Array) -> None:
-        """Remember a heading to draw, unless it would cover the last one."""
-        if not self._noses or np.linalg.norm(place - self._noses[-1][0]) > APART * self._unit:
-            self._noses.append((place, heading))
+        self._to.log(f'{WORLD}/flown', _lines([np.array(self._way)], SKY, 0.05 * self._unit))
+        if self._swing:
+            apart = np.linalg.norm(place - self._swing[-1])
+            self._to.log('distance/to_goal', rr.Scalars([apart]))
 
     def _take_goal(self, message: Any) -> None:
         self._swing.append(read_sighting(message, 3, Frames())[1].position)
         self._begin()
-        ball = rr.Ellipsoids3D(
-            centers=[self._swing[-1]],
-            half_sizes=[[self._radius] * 3],
-            colors=[rgb(ORANGE)],
-            fill_mode=TRANSPARENT,
-        )
+        ball = _balls([self._swing[-1]], [[self._radius] * 3], ORANGE)
         trail = _lines([np.array(self._swing)], ORANGE, 0.05 * self._unit)
         self._to.log(f'{WORLD}/goal', ball, trail)
-        self._sighted = seconds(message)
-        self._draw_distance()
-
-    def _draw_distance(self) -> None:
-        """Draw the distance to the goal of the odometry's own stamp, if goals have such stamps."""
-        together = self._measured == self._sighted
-        self._paired = self._paired or together
-        if together or (not self._paired and self._sighted < self._measured and self._swing):
-            apart = np.linalg.norm(self._way[-1] - self._swing[-1])
-            self._to.log('distance/to_goal', rr.Scalars([apart]))
 
     def _begin(self) -> None:
         """Choose the point of view and the size of things once both ends of the way are known."""
@@ -187,8 +167,8 @@ class Scene:
         ends = np.array([self._way[0], self._swing[0]])
         self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
         self._look_at(ends)
-        corners, shades = self._unit * DART, DART_COLORS
-        dart = rr.Mesh3D(vertex_positions=corners, vertex_colors=shades)
+        shades = np.repeat(SHADES, 3, axis=0)
+        dart = rr.Mesh3D(vertex_positions=self._unit * DART, vertex_colors=shades)
         axes = rr.Arrows3D(
             vectors=self._unit * np.eye(3),
             colors=[rgb(RED), rgb(GREEN), rgb(BLUE)],
@@ -201,19 +181,10 @@ class Scene:
         layout = blueprint(dimension, eye(dimension, points), intercepting=self._intercepting)
         self._to.send_blueprint(layout)
 
-    def _take_forecast(self, message: Any) -> None:
-        places = read_itinerary(message, 3, Frames())[1].positions
-        dots = rr.Points3D(places, radii=0.1 * self._unit, colors=[rgb(ORANGE)])
-        self._to.log(f'{WORLD}/goal/forecast', dots)
-
     def _take_plan(self, message: Any) -> None:
-        way = read_itinerary(message, 3, Frames())[1]
-        assert isinstance(way, GoalTrajectory)
-        places = way.positions
+        places = read_itinerary(message, 3, Frames())[1].positions
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
         self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
-        self._planned = seconds(message), way
-        self._draw_catch()
         own = [attitude(stamped.pose.orientation) for stamped in message.poses]
         self._pointing = seconds(message), self._frames.turned(np.array(own))[:, :, 0]
         self._draw_thrust()
@@ -230,16 +201,16 @@ class Scene:
         )
         ways = [each.points for each in message.markers if each.ns == 'ways']
         strips = [_finite([point(each) for each in way], (-1, 3)) for way in ways]
-        width, color = 0.03 * self._unit, [rgb(RED)]
+        color, width = [rgb(RED)], 0.03 * self._unit
+        cubes = rr.Boxes3D(
+            centers=boxes[:, 0], half_sizes=boxes[:, 1], colors=color, fill_mode=CLEAR
+        )
+        ends = rr.Points3D([each[-1] for each in strips], colors=color, radii=[2.0 * width])
         shown = {
-            'boxes': rr.Boxes3D(
-                centers=boxes[:, 0], half_sizes=boxes[:, 1], colors=color, fill_mode=TRANSPARENT
-            ),
-            'balls': rr.Ellipsoids3D(
-                centers=balls[:, 0], half_sizes=balls[:, 1], colors=color, fill_mode=TRANSPARENT
-            ),
+            'boxes': cubes,
+            'balls': _balls(balls[:, 0], balls[:, 1], RED),
             'ways': _lines(strips, RED, width),
-            'ends': rr.Points3D([each[-1] for each in strips], colors=color, radii=[2.0 * width]),
+            'ends': ends,
         }
         for name, each in shown.items():
             self._to.log(f'{WORLD}/hazards/{name}', each)
@@ -247,33 +218,16 @@ class Scene:
     def _take_tick(self, message: Any) -> None:
         values = fields(message)
         self._shares = seconds(message), _numbers(values.get('speed_fraction'))
-        self._to.log(TICK, rr.TextDocument(_words(values), media_type=rr.MediaType.MARKDOWN))
-        self._chart('time/solve_ms', values.get('solve_time_ms'))
+        self._to.log(TICK, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
+        for entity, name in NUMBERS.items():
+            self._chart(entity, values.get(name))
         for gap in _numbers([values.get('gap')]):
-            self._chart('gap/log10', np.log10(max(gap, LEAST_GAP)))
-        if len(self._shares[1]) > 1:
-            self._chart('speed/commanded', self._shares[1][1])
+            self._chart('gap/log10', float(np.log10(max(gap, LEAST_GAP))))
+        for share in self._shares[1][1:2]:
+            self._chart('speed/commanded', float(share))
         if self._problem.floor.exists:
             self._chart('speed/floor', self._problem.floor.fraction)
-        self._chart('catch/earliest', values.get('earliest_catch'))
-        self._chart('catch/bound', values.get('catch_bound'))
-        self._catching = seconds(message), _numbers([values.get('earliest_catch')])
         self._draw_thrust()
-        self._draw_catch()
-
-    def _draw_catch(self) -> None:
-        """Draw where a plan catches the goal, once plan and time of the same tick are there."""
-        (planned, way), (ticked, after) = self._planned, self._catching
-        if planned != ticked or way is None:
-            return
-        places = way.at(way.times[0] + after)
-        balls = rr.Ellipsoids3D(
-            centers=places,
-            half_sizes=np.full((len(places), 3), self._radius),
-            colors=[rgb(GREEN)],
-            fill_mode=rr.components.FillMode.MajorWireframe,
-        )
-        self._to.log(f'{WORLD}/catch', balls)
 
     def _draw_thrust(self) -> None:
         """Draw R_k e1 = sigma_k Q_k e1 once direction and share of the same tick are there."""
@@ -297,7 +251,7 @@ class Scene:
 
 
 def _headers(message: Any) -> list[Any]:
-    """Return the header that says when a message is of: that of its first marker, or none."""
+    """Return the header that dates a message: that of its first marker, or none."""
     stamped = getattr(message, 'markers', [message])[:1]
     return [each.header for each in stamped if hasattr(each, 'header')]
 
@@ -321,49 +275,27 @@ def _finite(points: Sequence[Any], shape: tuple[int, ...]) -> Array:
     return found
 
 
-def _series(color: str, width: float, manner: rr.components.InterpolationMode) -> rr.SeriesLines:
-    return rr.SeriesLines(colors=[rgb(color)], widths=[width], interpolation_mode=manner)
-
-
 def _lines(strips: Sequence[Array], color: str, radius: float) -> rr.LineStrips3D:
     return rr.LineStrips3D(list(strips), colors=[rgb(color)], radii=[radius])
 
 
-def _arrows(places: Array, along: Array, color: str, radius: float) -> rr.Arrows3D:
-    return rr.Arrows3D(origins=places, vectors=along, colors=[rgb(color)], radii=[radius])
+def _balls(centers: Any, halves: Any, color: str) -> rr.Ellipsoids3D:
+    return rr.Ellipsoids3D(centers=centers, half_sizes=halves, colors=[rgb(color)], fill_mode=CLEAR)
 
 
-def _boxes(problem: Problem) -> rr.Boxes3D:
-    """Return the obstacles; in the plane they are flat."""
-    corners = [np.array([box.minimum, box.maximum]) for box in problem.boxes]
-    places = np.pad(np.reshape(corners, (-1, 2, problem.dimension)), _to_space(problem.dimension))
-    return rr.Boxes3D(
-        centers=places.mean(axis=1),
-        sizes=np.diff(places, axis=1)[:, 0],
-        colors=[rgb(GREY)],
-        fill_mode=rr.components.FillMode.Solid,
-    )
-
-
-def _to_space(dimension: int) -> list[tuple[int, int]]:
-    return [(0, 0), (0, 0), (0, 3 - dimension)]
-
-
-def _words(values: dict[str, Any]) -> str:
-    """Return what a tick says, as a table in Markdown."""
+def _table(values: dict[str, Any]) -> str:
+    """Return the values of a tick that are known as a table in Markdown."""
     first, *others = [
-        f'| {key} | {_word(value)} |' for key, value in values.items() if _is_known(value)
+        f'| {key} | {_text(value)} |'
+        for key, value in values.items()
+        if value not in ('', [], {}) and value == value  # NaN stands for nothing
     ]
     return '\n'.join([first, '| --- | --- |', *others])
 
 
-def _is_known(value: Any) -> bool:
-    return value not in ('', [], {}) and value == value  # NaN stands for nothing
-
-
-def _word(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, dict):
-        return ', '.join(f'{key} {_word(each)}' for key, each in value.items())
+        return ', '.join(f'{key} {_text(each)}' for key, each in value.items())
     if isinstance(value, list):
-        return ', '.join(_word(each) for each in value)
+        return ', '.join(_text(each) for each in value)
     return f'{value:.4g}' if isinstance(value, float) else str(value)

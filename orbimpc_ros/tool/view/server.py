@@ -6,9 +6,10 @@ from __future__ import annotations
 import signal
 import socket
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import NamedTuple
 from urllib.parse import quote
 from urllib.request import urlopen
@@ -27,83 +28,31 @@ class ServerFailure(OrbimpcError):
     """The server has ended when it should not have."""
 
 
-class Ports(NamedTuple):
-    """Of the page and of its data."""
+class Server(NamedTuple):
+    """A page and its data, by their addresses, in a process that ends with this one."""
 
-    page: int
-    data: int
-
-
-def choose(page: int | None) -> Ports:
-    """Return the ports to serve at; without a wish the usual one, or any that is free.
-
-    Raises:
-        BadInput: the one wished for is taken or none.
-    """
-    if page is not None and (not 1 <= page <= 65535 or not _free(page)):
-        raise BadInput('--port', page, 'a free port from 1 to 65535')
-    chosen = page or (PORT if _free(PORT) else _any())
-    return Ports(chosen, _any())
-
-
-def _free(port: int) -> bool:
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError:
-            return False
-    return True
-
-
-def _any() -> int:
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return probe.getsockname()[1]
-
-
-class Server:
-    """A page and its data in a process that ends with this one; entered, they can be reached.
-
-    Args:
-        ports: to serve at.
-    """
-
-    def __init__(self, ports: Ports) -> None:
-        import rerun_cli
-
-        self.data = f'rerun+http://{HOST}:{ports.data}/proxy'
-        self.page = f'http://{HOST}:{ports.page}/?url={quote(self.data, safe="")}'
-        self._place = TemporaryDirectory()
-        # The program itself, not the wheel's script: that would leave it behind when stopped.
-        program = str(Path(rerun_cli.__file__).parent / 'rerun')
-        words = ('--serve-web', '--bind', HOST, '--hide-welcome-screen')
-        numbers = ('--port', str(ports.data), '--web-viewer-port', str(ports.page))
-        log = Path(self._place.name) / 'log'
-        self._child = Child([PROGRAM, program, *words, *numbers], log)
+    page: str
+    data: str
+    child: Child
 
     def require_health(self) -> None:
         """Raise if the server has ended.
 
         Raises:
-            ServerFailure: with the last line that it said.
+            ServerFailure: with the last line that it printed.
         """
-        if not self._child.running:
-            said = self._child.output.splitlines() or ['nothing']
-            raise ServerFailure(f"rerun's server has ended, its last words: {said[-1]}")
+        if not self.child.running:
+            last = (self.child.output.splitlines() or ['nothing'])[-1]
+            raise ServerFailure(f"rerun's server has ended, its last words: {last}")
 
-    def __enter__(self) -> Server:
+    def wait(self) -> None:
+        """Wait until the page is there."""
         end = time.monotonic() + PATIENCE
-        try:
-            while not self._answers():
-                self.require_health()
-                if time.monotonic() > end:
-                    raise ServerFailure(f"rerun's server does not answer at {self.page}")
-                time.sleep(LOOK)
-        except BaseException:
-            self.close()
-            raise
-        return self
+        while not self._answers():
+            self.require_health()
+            if time.monotonic() > end:
+                raise ServerFailure(f"no answer of rerun's server at {self.page}")
+            time.sleep(LOOK)
 
     def _answers(self) -> bool:
         try:
@@ -112,15 +61,47 @@ class Server:
         except OSError:
             return False
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
-    def close(self) -> None:
-        """End the server."""
-        self._child.stop(signal.SIGTERM)
-        self._place.cleanup()
+@contextmanager
+def served(port: int) -> Iterator[Server]:
+    """Serve a page at a port, and its data at any that is free."""
+    import rerun_cli
+
+    data = _any()
+    source = f'rerun+http://{HOST}:{data}/proxy'
+    page = f'http://{HOST}:{port}/?url={quote(source, safe="")}'
+    # The program itself, not the wheel's script: that would leave it behind when stopped.
+    program = str(Path(rerun_cli.__file__).parent / 'rerun')
+    words = ('--serve-web', '--bind', HOST, '--hide-welcome-screen')
+    numbers = ('--port', str(data), '--web-viewer-port', str(port))
+    with TemporaryDirectory() as place:
+        child = Child([PROGRAM, program, *words, *numbers], Path(place) / 'log')
+        try:
+            server = Server(page, source, child)
+            server.wait()
+            yield server
+        finally:
+            child.stop(signal.SIGTERM)
+
+
+def choose(page: int | None) -> int:
+    """Return the port to serve at; by default the usual one, or any that is free.
+
+    Raises:
+        BadInput: the one wished for is taken or none.
+    """
+    if page is not None and (not 1 <= page <= 65535 or not _free(page)):
+        raise BadInput('--port', page, 'a free port from 1 to 65535')
+    return page or (PORT if _free(PORT) else _any())
+
+
+def _free(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        return probe.connect_ex((HOST, port)) != 0
+
+
+def _any() -> int:
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
