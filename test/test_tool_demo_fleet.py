@@ -15,7 +15,7 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import bags, demo, history, settings, summary
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.run import pacer
+from orbimpc_ros.tool.run import flying
 from orbimpc_ros.tool.topics import topics_of
 
 pytest.importorskip('rclpy')
@@ -37,9 +37,9 @@ def flown(tmp_path_factory):
 def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
     """However long one takes: a slow machine makes a flight long, and nobody flies blind."""
     wall, sent = itertools.count(), []  # a second passes between two looks
-    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
+    monkeypatch.setattr(flying, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
     recorder = SimpleNamespace(latest={}, publish_clock=sent.append)
-    clock = pacer.Pacer(recorder, 10.0, 0.5)
+    clock = flying.Pacer(recorder, 10.0, 0.5)
     for uav1, uav2 in ((None, None), (10.0, None), (10.0, None), (10.0, 10.0), (10.5, 10.0)):
         stamps = {'/uav1/cmd_vel': uav1, '/uav2/cmd_vel': uav2}
         recorder.latest |= {k: round(v * SECOND) for k, v in stamps.items() if v is not None}
@@ -47,7 +47,7 @@ def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
     assert sent == [10.0, 10.0, 10.0, 10.5, 10.5]
     clock.look(NAMES[:1])  # the other one has landed
     assert sent[-1] == 11.0
-    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: 200.0))
+    monkeypatch.setattr(flying, 'time', SimpleNamespace(monotonic=lambda: 200.0))
     with pytest.raises(OrbimpcError, match='/uav1, /uav2: no command for'):
         clock.look(NAMES)
 

@@ -1,22 +1,25 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A run: vehicles, each two processes in its namespace, and a bag of all that they say over DDS."""
+"""A run: vehicles, each two processes in its namespace, and a bag of their messages over DDS."""
 
 from __future__ import annotations
 
+import math
 import signal
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import PACKAGES
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.planner.compiling import COMPILING
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
 from orbimpc_ros.tool.run import discovery, processes
-from orbimpc_ros.tool.run.pacer import Pacer
 from orbimpc_ros.tool.run.processes import Interruptions, Process
 from orbimpc_ros.tool.run.progress import ProgressLine
 from orbimpc_ros.tool.settings import Values
@@ -28,6 +31,9 @@ SPIN = 0.05  # [s]
 # A simulator that ends with its flight, and begins once planner and recorder hear it.
 OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
 QUIET, LAST_WORDS = 0.1, 1.0  # [s] without a message, and at most, until the bag is complete
+AGAIN = 0.2  # [s] from one message of the same time to the next; the first may be lost
+PATIENCE = 120.0  # [s] for the answers to a step
+STARTING = 600.0  # [s] and to the first one, before which machine code may be compiled
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class VehicleProcesses:
 
 
 def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY) -> None:
-    """Run planners and simulators until these are done, and record what they say.
+    """Run planners and simulators until these are done, and record their messages.
 
     Args:
         values: of every parameter.
@@ -151,3 +157,37 @@ def _starting(planners: list[Process]) -> str:
     """Return what planners that have not answered yet are at: the last that they report of it."""
     lines = [line for each in planners for line in each.output.splitlines() if COMPILING in line]
     return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'the nodes start'
+
+
+class Pacer:
+    """The clock of a fleet in lock-step: it goes on when every vehicle has its command.
+
+    On a machine that is too slow for real time the flight takes longer, and no vehicle flies blind.
+
+    Args:
+        recorder: of the fleet.
+        begin: of the flight [s].
+        step: from one time to the next [s].
+    """
+
+    def __init__(self, recorder: Recorder, begin: float, step: float) -> None:
+        self._recorder, self._begin, self._step = recorder, begin, step
+        self._count, self._since, self._sent = 0, time.monotonic(), 0.0
+
+    def look(self, flying: Sequence[str]) -> None:
+        """Go on a step if the vehicles of these namespaces have answered the last one.
+
+        Raises:
+            OrbimpcError: one of them has not for too long.
+        """
+        now, wall = round((self._begin + self._count * self._step) * SECOND), time.monotonic()
+        early = now - 0.5 * self._step * SECOND  # rounding is less
+        answers = {name: self._recorder.latest.get(f'{name}/cmd_vel', -math.inf) for name in flying}
+        silent = [name for name, stamp in answers.items() if stamp < early]
+        if not silent:
+            self._count, self._since, self._sent = self._count + 1, wall, 0.0
+        elif wall - self._since > (PATIENCE if self._count else STARTING):
+            raise OrbimpcError(f'{", ".join(silent)}: no command for {wall - self._since:.0f} s')
+        if wall - self._sent > AGAIN:
+            self._sent = wall
+            self._recorder.publish_clock(self._begin + self._count * self._step)

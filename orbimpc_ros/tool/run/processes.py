@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 from orbimpc_ros.mpc.errors import OrbimpcError
@@ -45,11 +45,8 @@ class Child:
                 start_new_session=True,
                 env=os.environ | own,
             )
-
-    @property
-    def pid(self) -> int:
-        """Return the process's number."""
-        return self._child.pid
+        self.pid = self._child.pid
+        self.tell = self._child.send_signal
 
     @property
     def output(self) -> str:
@@ -60,10 +57,6 @@ class Child:
     def running(self) -> bool:
         """Return whether the process lives."""
         return self._child.poll() is None
-
-    def tell(self, number: int) -> None:
-        """Send a signal."""
-        self._child.send_signal(number)
 
     def wait(self, patience: float) -> int | None:
         """Return the exit code; None if the process has not ended after ``patience`` [s]."""
@@ -86,7 +79,7 @@ class Process(Child):
     """A node in a process.
 
     Args:
-        module: to run, such as ``orbimpc_ros.sim.node``.
+        module: to run, such as ``orbimpc_ros.sim``.
         parameters: file of ROS parameters.
         log: takes what the process prints.
         domain: of ROS; this process's by default.
@@ -130,12 +123,7 @@ class Interruptions:
             self._before[number] = signal.signal(number, self._remember)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 

@@ -31,35 +31,6 @@ STAMP_ELSEWHERE = {
     'visualization_msgs/msg/MarkerArray': 8,
 }
 AGAIN = 5.0  # [s] until a planner that has not answered is called again
-LEAP = 60 * SECOND  # further off, a stamp is believed once a second one says the same
-
-
-class Stamps:
-    """Stamps in the order in which messages come.
-
-    Attributes:
-        now: the last one that was believed [ns]; None before the first.
-    """
-
-    def __init__(self) -> None:
-        self.now: int | None = None
-        self._carried: int | None = None
-
-    def of(self, data: bytes, kind: str) -> int | None:
-        """Return the stamp [ns] to record a message under; None before the first.
-
-        Args:
-            data: the message in CDR.
-            kind: its type.
-        """
-        own, before = carried(data, kind), self._carried
-        if own is None:
-            return self.now
-        self._carried = own
-        near = (each for each in (self.now, before) if each is not None)
-        if before is None or any(abs(own - each) <= LEAP for each in near):
-            self.now = own
-        return self.now
 
 
 def carried(data: bytes, kind: str) -> int | None:
@@ -80,8 +51,9 @@ class Recorder:
     """A node that writes what it hears into a bag.
 
     A message goes under the stamp it carries, so that the bag plays at the speed of the run
-    however fast that was simulated; one without a stamp goes under the last stamp before it. Beside
-    it stands when the message was sent, for the order in which things happened.
+    however fast that was simulated; one without a stamp goes under the last stamp before it. The
+    time of sending is kept, too, for the order in which things happened.
+
     Odometry is subscribed to once every planner has answered a call. DDS announces endpoints in
     the order of their creation: a planner that knows the last one knows every subscription, and
     a simulator that waits for the subscription to odometry finds the recorder complete.
@@ -106,7 +78,7 @@ class Recorder:
     ) -> None:
         self.counts = dict.fromkeys((topic.name for topic in topics), 0)
         self.latest: dict[str, int] = {}
-        self._stamps = Stamps()
+        self._now: int | None = None  # the last stamp [ns]
         self._early: list[tuple[str, bytes, int]] = []
         self._bag = BagWriter(folder, topics, notes)
         self._stack = ExitStack()
@@ -150,20 +122,21 @@ class Recorder:
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, about: dict[str, Any]) -> None:
             self.counts[topic.name] += 1
-            self.latest[topic.name] = carried(data, topic.type) or 0
-            stamp, sent = self._stamps.of(data, topic.type), about['source_timestamp']
-            if stamp is None:
-                self._early.append((topic.name, data, sent))
+            own = carried(data, topic.type)
+            self.latest[topic.name] = own or 0
+            self._now = self._now if own is None else own
+            if self._now is None:
+                self._early.append((topic.name, data, about['source_timestamp']))
             else:
                 self._flush()
-                self._bag.write(topic.name, stamp, data, sent)
+                self._bag.write(topic.name, self._now, data, about['source_timestamp'])
 
         return take
 
     def _flush(self) -> None:
         """Write what came before the first stamp."""
         for name, data, sent in self._early:
-            self._bag.write(name, self._stamps.now or 0, data, sent)
+            self._bag.write(name, self._now or 0, data, sent)
         self._early.clear()
 
     def publish_clock(self, seconds: float) -> None:
@@ -179,8 +152,8 @@ class Recorder:
 
     def drain(self, quiet: float, limit: float) -> None:
         """Record on until nothing has come for ``quiet`` seconds, ``limit`` seconds at most."""
-        end = last = time.monotonic()
-        end, heard = end + limit, sum(self.counts.values())
+        last = time.monotonic()
+        end, heard = last + limit, sum(self.counts.values())
         while time.monotonic() < min(end, last + quiet):
             self.spin(quiet / 4)
             if sum(self.counts.values()) != heard:
