@@ -182,8 +182,8 @@ def notes(path: Path) -> dict[str, str]:
                 for record in reader.iter_metadata():
                     if record.name == NOTES:
                         return record.metadata
-        found = _information(path).get('custom_data') if (path / METADATA).exists() else None
-        return {str(name): str(text) for name, text in (found or {}).items()}
+        found = _information(path).get('custom_data') or {}
+        return {str(name): str(text) for name, text in found.items()}
 
 
 @contextmanager
@@ -209,8 +209,8 @@ def _files(path: Path) -> tuple[list[Path], bool]:
             files, closed = [path / Path(name).name for name in names], True
     else:
         files, closed = sorted([*path.glob('*.mcap'), *path.glob('*.db3')]), False
-        if not files:
-            raise BadInput.stating(str(path), f'without {METADATA} and .mcap', NEEDED)
+    if not files:
+        raise BadInput.stating(str(path), 'without a file of messages', NEEDED)
     for file in files:
         with opened(file, LARGEST_FILE):
             pass
@@ -218,6 +218,9 @@ def _files(path: Path) -> tuple[list[Path], bool]:
 
 
 def _information(path: Path) -> dict[str, Any]:
+    """Return what the metadata of a bag hold; nothing without any."""
+    if not (path.is_dir() and (path / METADATA).exists()):
+        return {}
     found = files.read(str(path / METADATA), LATEST)['rosbag2_bagfile_information']
     if not 1 <= found['version'] <= METADATA_VERSION:
         raise BadInput(f'{path}: version', found['version'], f'1 to {METADATA_VERSION}')
@@ -226,9 +229,8 @@ def _information(path: Path) -> dict[str, Any]:
 
 def _is_mcap(path: Path, files: Sequence[Path]) -> bool:
     """Return whether a bag is of MCAP, and not compressed outside of that by rosbag2."""
-    described = path.is_dir() and (path / METADATA).exists()
-    mode = _information(path).get('compression_mode') if described else None
-    return files[0].suffix == '.mcap' and (mode or 'none').lower() == 'none'
+    mode = _information(path).get('compression_mode') or 'none'
+    return files[0].suffix == '.mcap' and mode.lower() == 'none'
 
 
 def _of_rosbags(path: Path) -> Iterator[Raw]:

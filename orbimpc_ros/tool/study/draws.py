@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -106,7 +106,7 @@ def _require_sound(draws: Draws, name: str) -> None:
             raise BadInput.unknown('parameter', parameter, known, f'{name}: draw')
     try:
         settings.changed(draws.of(0, 0), ())
-    except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         rules = 'the rules of docs/recording.md'
         raise BadInput(f'{name}: draw', f'{type(error).__name__}: {error}', rules) from None
 
@@ -162,68 +162,55 @@ def _stream(seed: int, index: int, name: str) -> np.random.Generator:
 
 
 def _drawn(rule: Rule, rng: np.random.Generator) -> Any:
-    if isinstance(rule, dict):
-        drawn = next(drawn for name, drawn in RULES.items() if name in rule)(rule, rng)
-        return tuple(np.add(rule['from'], drawn).tolist()) if 'from' in rule else drawn
-    return float(rng.uniform(*rule))
+    """Return a value drawn by a rule.
+
+    Raises:
+        ValueError: it is none.
+    """
+    match rule:
+        case [low, high]:
+            return float(rng.uniform(low, high))
+        case {'from': begin, **rest}:
+            return tuple(np.add(begin, _drawn(rest, rng)).tolist())
+        case {'whole': count}:
+            return int(rng.integers(count))
+        case {'towards': angles, 'length': lengths}:
+            angle, length = rng.uniform(*angles), rng.uniform(*lengths)
+            return length * math.cos(angle), length * math.sin(angle), 0.0
+        case {'heading': angles}:
+            half = 0.5 * rng.uniform(*angles)
+            return 0.0, 0.0, math.sin(half), math.cos(half)
+        case {'turned': length}:
+            drawn = rng.normal(size=4 if length == 'any' else 3)
+            unit = drawn / np.linalg.norm(drawn)
+            return tuple((unit if length == 'any' else length * unit).tolist())
+        case {'gates': places, 'radius': radii}:
+            walls = zip(places, radii, strict=True)
+            return tuple(number for x, radius in walls for number in _wall(rule, x, radius, rng))
+        case {'bodies': count}:
+            return tuple(number for _ in range(count) for number in _body(rule, rng))
+        case dict() if rule and {*rule} <= {*'xyz'}:
+            return tuple(float(rng.uniform(*rule.get(axis, (0.0, 0.0)))) for axis in 'xyz')
+    raise ValueError(f'unknown rule {rule}')
 
 
-def _vector(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
-    return tuple(float(rng.uniform(*rule.get(axis, (0.0, 0.0)))) for axis in 'xyz')
+def _wall(
+    rule: Mapping[str, Any], x: float, radius: float, rng: np.random.Generator
+) -> Iterator[float]:
+    """Yield place, velocity and radius of the four discs of a wall."""
+    middle, half = rng.uniform(*rule['middle']), 0.5 * rng.uniform(*rule['gap'])
+    for side in (-1.0, 1.0):
+        for away in (half + radius, half + 3.0 * radius):
+            yield from (float(x), float(middle + side * away), 0.0, 0.0, radius)
 
 
-def _polar(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
-    angle, length = rng.uniform(*rule['towards']), rng.uniform(*rule['length'])
-    return length * math.cos(angle), length * math.sin(angle), 0.0
-
-
-def _heading(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
-    half = 0.5 * rng.uniform(*rule['heading'])
-    return 0.0, 0.0, math.sin(half), math.cos(half)
-
-
-def _turned(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
-    length, size = (1.0, 4) if rule['turned'] == 'any' else (float(rule['turned']), 3)
-    drawn = rng.normal(size=size)
-    return tuple((length * drawn / np.linalg.norm(drawn)).tolist())
-
-
-def _whole(rule: Mapping[str, Any], rng: np.random.Generator) -> int:
-    return int(rng.integers(rule['whole']))
-
-
-def _gates(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
-    numbers: list[float] = []
-    for x, radius in zip(rule['gates'], rule['radius'], strict=True):
-        middle, half = rng.uniform(*rule['middle']), 0.5 * rng.uniform(*rule['gap'])
-        for side in (-1.0, 1.0):
-            for away in (half + radius, half + 3.0 * radius):
-                numbers += [float(x), float(middle + side * away), 0.0, 0.0, radius]
-    return tuple(numbers)
-
-
-def _bodies(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
-    numbers: list[float] = []
-    while len(numbers) < 5 * rule['bodies']:
-        x, y, _ = _vector(rule['at'], rng)
+def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
+    """Return place, velocity and radius of a disc that starts clear of the origin."""
+    while True:
+        x, y, _ = _drawn(rule['at'], rng)
         when, way = rng.uniform(*rule['when']), rng.uniform(-math.pi, math.pi)
         speed, radius = rng.uniform(*rule['speed']), float(rng.uniform(*rule['radius']))
         u, v = speed * math.cos(way), speed * math.sin(way)
         begin = float(x - when * u), float(y - when * v)
         if math.hypot(*begin) > rule['clear'] + radius:
-            numbers += [*begin, float(u), float(v), radius]
-    return tuple(numbers)
-
-
-RULES: dict[str, Callable[[Mapping[str, Any], np.random.Generator], Any]] = {
-    'bodies': _bodies,
-    'gates': _gates,
-    'towards': _polar,
-    'length': _polar,
-    'heading': _heading,
-    'turned': _turned,
-    'whole': _whole,
-    'x': _vector,
-    'y': _vector,
-    'z': _vector,
-}
+            return [*begin, float(u), float(v), radius]
