@@ -13,10 +13,8 @@ from bags import check_pictures
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
-from orbimpc_ros.tool import bags, demo, history, settings, summary
-from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool import bags, demo, history, settings
 from orbimpc_ros.tool.run import flying
-from orbimpc_ros.tool.topics import topics_of
 
 pytest.importorskip('rclpy')
 NAMES = ('/uav1', '/uav2')
@@ -59,7 +57,6 @@ def test_every_rope_is_caught(flown):
     assert rows['captured'] == '2 of 2'
     for name in ('uav1', 'uav2'):
         assert rows[name].startswith('t = ')
-    assert 'late' in rows['ticks']
     check_pictures(folder, 'trajectory.png')
 
 
@@ -132,13 +129,3 @@ def test_a_collision_is_called_one(capsys):
     assert 'COLLISION     /uav1 and /uav2 within 0.0' in capsys.readouterr().out
     flown['/uav2'].times += 5.0
     assert demo.clearance(flown)
-
-
-def test_an_answer_after_the_next_question_is_late(tmp_path):
-    with BagWriter(tmp_path / 'bag', topics_of(NAMES), {}) as writer:
-        for stamp, answered in enumerate([None, 11, 35, 36, None, 51]):
-            writer.write('/uav1/odom', stamp, bytes(20), 10 * stamp)
-            if answered is not None:
-                writer.write('/uav1/cmd_vel', stamp, bytes(20), answered)
-    # Numbers 2 and 4. Not the first, asked before there was any answer, nor the last.
-    assert summary.late(tmp_path / 'bag') == {'/uav1': 2}

@@ -62,27 +62,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly, record, sum up, draw; 0 only if the job was done."""
+    from orbimpc_ros.tool import history
     from orbimpc_ros.tool.run.flying import fly
 
     if args.scenario in FLEETS:
         count = FLEETS[args.scenario] if args.vehicles is None else args.vehicles
         values, own = fleet(count, args.set, args.scenario)
-        folder = new_folder(args.out, args.scenario)
-        with writing_to(folder):
-            fly(values, folder, own)
-            return report_fleet(folder, tuple(own))
-    if args.vehicles is not None:
-        raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
-    flights = variants(args.scenario, args.set)
-    for values in flights.values():
-        _require_engine(values['vehicle'])
+        flights = {'': values}
+    else:
+        if args.vehicles is not None:
+            raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
+        flights, own = variants(args.scenario, args.set), {}
+        for values in flights.values():
+            _require_engine(values['vehicle'])
     folder = new_folder(args.out, args.scenario)
     places = {name: folder / name if name else folder for name in flights}
     with writing_to(folder):
         for name, values in flights.items():
             places[name].mkdir(exist_ok=True)
-            fly(values, places[name])
-        return report(folder, places)
+            fly(values, places[name], own)
+        paths = [place / 'bag' for place in places.values()]
+        flown = (
+            {name: history.of_bag(paths[0], name) for name in own}
+            if own
+            else {name: history.of_bag(places[name] / 'bag') for name in flights}
+        )
+        return report(folder, paths, flown)
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
@@ -142,34 +147,30 @@ def _require_engine(vehicle: str) -> None:
         class_of(vehicle)
 
 
-def report(folder: Path, places: Mapping[str, Path]) -> int:
-    """Sum up the flights of a demo from their bags, draw pictures, and return the exit code.
+def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) -> int:
+    """Sum up the flights of a demo, draw pictures, and return the exit code.
 
     Args:
         folder: takes the pictures.
-        places: of the flights' bags, by name.
+        paths: of the bags.
+        flown: the flights, by name; those of a fleet by namespace.
     """
-    from orbimpc_ros.tool import history, summary
+    from orbimpc_ros.tool import figures, summary
+    from orbimpc_ros.tool.style import save
 
-    flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
-    for name, each in flown.items():
-        print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
-    for place in places.values():
-        print(f'bag           {shown(place / "bag")}')
-    _draw(folder, flown)
-    return 0 if all(each.captured for each in flown.values()) else 1
-
-
-def report_fleet(folder: Path, namespaces: Sequence[str]) -> int:
-    """Sum up a fleet's flights from their bag, draw them, and return the exit code."""
-    from orbimpc_ros.tool import history, summary
-
-    path = folder / 'bag'
-    flown = {name: history.of_bag(path, name) for name in namespaces}
-    print(summary.of_fleet(flown, summary.late(path)))
-    clear = clearance(flown)
-    print(f'bag           {shown(path)}')
-    _draw(folder, flown)
+    clear = True
+    if any(name.startswith('/') for name in flown):
+        print(summary.of_fleet(flown))
+        clear = clearance(flown)
+    else:
+        for name, each in flown.items():
+            print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
+    for path in paths:
+        print(f'bag           {shown(path)}')
+    for name, figure in figures.of_runs(flown).items():
+        save(figure, folder / name)
+        label = 'picture' if name == figures.PATH else Path(name).stem
+        print(f'{label:<14}{shown(folder / name)}')
     return 0 if clear and all(each.captured for each in flown.values()) else 1
 
 
@@ -187,13 +188,3 @@ def clearance(flown: Mapping[str, History]) -> bool:
     least = min(found.values(), default=math.inf)
     print(f'apart         at least {least:.3f} m, {radius:g} m asked for')
     return least >= radius
-
-
-def _draw(folder: Path, flown: Mapping[str, History]) -> None:
-    from orbimpc_ros.tool import figures
-    from orbimpc_ros.tool.style import save
-
-    for name, figure in figures.of_runs(flown).items():
-        save(figure, folder / name)
-        label = 'picture' if name == figures.PATH else Path(name).stem
-        print(f'{label:<14}{shown(folder / name)}')

@@ -3,12 +3,8 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 import textwrap
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +12,7 @@ import numpy as np
 from orbimpc_ros.ros.parameters.spec import settings_from
 from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.sim.simulation import touched_in_words
-from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.history import History
 
 WIDTH, NAMES = 80, 14  # characters
@@ -32,22 +28,15 @@ def text(history: History) -> str:
     return lines(rows | _contacts(history) | _ticks([history]))
 
 
-def of_fleet(flown: Mapping[str, History], late: Mapping[str, int]) -> str:
-    """Return the summary of a fleet's flights, a line for each and some for all.
-
-    Args:
-        flown: the flights, by namespace.
-        late: the steps of each that began without a command for them.
-    """
+def of_fleet(flown: Mapping[str, History]) -> str:
+    """Return the summary of a fleet's flights by namespace, a line for each and some for all."""
     rows = {
-        name.strip('/'): f'{_end(each)}; {len(_answers(each))} ticks, {late[name]} late'
+        name.strip('/'): f'{_end(each)}; {len(_answers(each))} ticks'
         for name, each in flown.items()
     }
     done = sum(each.captured for each in flown.values())
     rows[_job(next(iter(flown.values())))] = f'{done} of {len(flown)}'
-    ticks = _ticks(list(flown.values()))
-    ticks['ticks'] += f', {sum(late.values())} late'
-    return lines(rows | ticks)
+    return lines(rows | _ticks(list(flown.values())))
 
 
 def story(flown: Mapping[str, History]) -> str:
@@ -58,33 +47,6 @@ def story(flown: Mapping[str, History]) -> str:
     return '\n'.join(
         f'{name.replace("_", " ").capitalize() or job}: {_end(each)}'
         for name, each in flown.items()
-    )
-
-
-def late(path: Path) -> dict[str, int]:
-    """Return how many odometry messages were not answered before the next one, by namespace.
-
-    What comes before a vehicle's first command does not count.
-
-    Args:
-        path: of the bag.
-    """
-    asked: defaultdict[str, dict[int, int]] = defaultdict(dict)  # when sent, by stamp [ns]
-    answered: defaultdict[str, dict[int, int]] = defaultdict(dict)
-    for message in bags.raw(path):
-        namespace, _, topic = message.topic.rpartition('/')
-        if topic == 'odom':
-            asked[namespace][message.stamp] = message.sent
-        elif topic == 'cmd_vel':
-            answered[namespace].setdefault(message.stamp, message.sent)
-    return {name: _late(each, answered[name]) for name, each in asked.items()}
-
-
-def _late(asked: Mapping[int, int], answered: Mapping[int, int]) -> int:
-    begun = min(answered, default=math.inf)
-    flown = [stamp for stamp in sorted(asked) if stamp >= begun]
-    return sum(
-        answered.get(stamp, math.inf) > asked[after] for stamp, after in itertools.pairwise(flown)
     )
 
 
