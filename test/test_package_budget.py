@@ -7,25 +7,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-<<<<<<< HEAD
-    'orbimpc_ros': 42_320,
-=======
-    'orbimpc_ros': 42_780,
->>>>>>> main
+    'orbimpc_ros': 42_260,
     'orbimpc_ros/mpc': 22_060,
     'orbimpc_ros/loop': 4_232,
     'orbimpc_ros/ros': 5_860,
-<<<<<<< HEAD
-    'orbimpc_ros/sim': 3_575,
-    'orbimpc_ros/tool': 6_705,
+    'orbimpc_ros/sim': 3_245,
+    'orbimpc_ros/tool': 6_700,
     'benchmarks': 5_960,
     'test': 34_660,
-=======
-    'orbimpc_ros/sim': 3_245,
-    'orbimpc_ros/tool': 7_235,
-    'benchmarks': 5_960,
-    'test': 34_721,
->>>>>>> main
 }
 WORDS = {'docs': 27_090, 'README.md': 900}
 

@@ -114,68 +114,7 @@ def baselines() -> Any:
         raise BadInput.stating('--controllers', missing, 'a clone has it') from None
 
 
-<<<<<<< HEAD
 def _steer(flight: Flight) -> None:
-=======
-class _Log:
-    """What is noted of a flight, tick by tick and step by step."""
-
-    def __init__(self, airspeeds: Airspeeds) -> None:
-        self.airspeeds, self.closest, self.height = airspeeds, math.inf, 0.0
-        self.facts: dict[str, float] = {}  # the largest of what an engine reports, by name
-        self._optimal = self._unplanned = 0
-        self._spent: list[float] = []
-        self._gaps: list[float] = []
-        self._lost: list[float] = []
-
-    def note_tick(self, tick: Decision, spent: float) -> None:
-        """Note a tick that took so long [ms]."""
-        self._spent.append(spent)
-        self._optimal += tick.status is Status.OPTIMAL
-        self._unplanned += tick.fallback is not Fallback.NONE
-        if tick.plan is not None:
-            self._gaps.append(tick.plan.gap)
-            rotation, axis = tick.plan.rotations[1], tick.plan.projected[1][:, 0]
-            sigma = tick.plan.speed_fraction[1]
-            self._lost.append(float(np.linalg.norm(sigma * axis - rotation[:, 0])))
-
-    def note_step(self, flight: Flight) -> None:
-        """Note the step just flown."""
-        self.airspeeds = self.airspeeds.seeing(flight.trail)
-        for each in flight.trail:
-            for name, value in () if each.caught else each.facts.items():
-                self.facts[name] = max(self.facts.get(name, 0.0), abs(value))
-        if flight.miss < self.closest:
-            self.closest = flight.miss
-            nearest = min(flight.trail, key=lambda each: abs(each.time - flight.missed_at))
-            self.height = nearest.height
-
-    def row(self) -> Row:
-        """Return what was noted of the ticks."""
-        return {
-            'closest': self.closest,
-            'stalls': self.airspeeds.stalls,
-            'ticks': len(self._spent),
-            'optimal': self._optimal,
-            'unplanned': self._unplanned,
-            'gap': max(self._gaps, default=None),
-            'projection': max(self._lost, default=None),
-            'p50_ms': float(np.median(self._spent)),
-            'longest_ms': max(self._spent),
-        }
-
-
-def _end(flight: Flight, log: _Log) -> Row:
-    row: Row = {}
-    if flight.scenario.finish == 'arrival':
-        row |= {'missed': flight.distance, 'speed': flight.speed}
-    if flight.vehicle.engine is not None:
-        row |= {'airspeed': log.airspeeds.least, 'height': log.height} | log.facts
-    return row
-
-
-def _aim(flight: Flight) -> None:
->>>>>>> main
     """Have the engine's own guidance fly to where the goal is now."""
     vehicle = flight.vehicle
     if not isinstance(vehicle.engine, Guided):
@@ -196,7 +135,7 @@ def _of_way(way: Sequence[Flight]) -> Row:
     row = {'closest': min(flight.miss for flight in way), 'stalls': airspeeds.stalls}
     if last.scenario.finish == 'arrival':
         row |= {'missed': last.distance, 'speed': last.speed}
-    if isinstance(last.vehicle, EngineVehicle):
+    if last.vehicle.engine is not None:
         facts = [fact for each in trail if not each.caught for fact in each.facts.items()]
         row |= {'airspeed': airspeeds.least}
         row |= {name: max(abs(v) for n, v in facts if n == name) for name in dict(facts)}
