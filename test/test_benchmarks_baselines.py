@@ -21,7 +21,7 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import EPOCH, Onboard, tell
+from orbimpc_ros.tool.offline import EPOCH, aboard, tell
 from orbimpc_ros.tool.study import flights
 from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import Job, flown
@@ -195,7 +195,7 @@ class Listener(Baseline):
 def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     mission, pilots = draws_of('crossing'), []
     values = mission.of(4, 0)
-    planner = Onboard(values, pilot=lambda known: pilots.append(Listener(known)) or pilots[0])
+    planner = aboard(values, pilot=lambda known: pilots.append(Listener(known)) or pilots[0])
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     for _ in range(3):
         tell(planner, flight, 0, mission.margin)
@@ -217,7 +217,7 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
 def test_deadlines_go_by_the_given_clock(hurry, late):
     mission, pilots, ticks = draws_of('fixed_wing'), [], itertools.count()
     flight = departure(sim_settings(settings.of_sim(mission.values)).scenario)
-    planner = Onboard(
+    planner = aboard(
         mission.values,
         pilot=lambda known: pilots.append(Listener(known)) or pilots[0],
         clock=lambda: hurry * next(ticks),
