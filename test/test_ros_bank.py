@@ -73,11 +73,11 @@ def test_another_forecast_begins_with_the_last_goal():
     watched.watch(carried, 10)
     values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_prediction': 'auto'}
     watched.inputs.adopt(planner_settings(values))
-    assert watched.inputs.goal_model != ''
+    assert watched.inputs.heard['goal_model'] != ''
     held = np.tile(carried(1.0), (5, 1))
     np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
     watched.inputs.forget()
-    assert watched.inputs.goal_model == ''
+    assert watched.inputs.heard['goal_model'] == ''
 
 
 class Away:

@@ -14,16 +14,14 @@ from geometry_msgs.msg import Pose
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.traffic import centre
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import Frames, Stamp, header
-from orbimpc_ros.ros.obstacles import read_obstacles, shown, stamp_of
+from orbimpc_ros.ros.obstacles import read_obstacle, shown, stamp_of
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inputs import NAMED, Inputs
-from orbimpc_ros.ros.planner.obstacles import others
+from orbimpc_ros.ros.planner.inputs import NAMED, Inputs, others
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
@@ -46,9 +44,8 @@ def array(*markers):
 
 
 def body_of(given, dimension):
-    (change,) = read_obstacles(array(given), dimension, FRAMES)
-    assert not isinstance(change, BadInput), change
-    return change.seen.body
+    _, seen = read_obstacle(given, dimension, FRAMES)
+    return seen.body
 
 
 @pytest.fixture
@@ -60,7 +57,7 @@ def inputs():
 
 
 def hazards(inputs, at=1.0):
-    return inputs.obstacles.traffic(at).hazards(at)
+    return inputs.traffic(at).hazards(at)
 
 
 # --- shapes
@@ -207,8 +204,8 @@ def test_a_reset_forgets_what_moved(inputs):
     inputs.update('obstacles', array(marker()), 0.0)
     inputs.update(OTHER, plan(1.0), 0.0)
     inputs.forget()
-    assert inputs.obstacles.traffic(1.0) is None
-    assert inputs.obstacles.stamps == {}
+    assert inputs.traffic(1.0) is None
+    assert inputs.traffic_stamps == {}
 
 
 def test_the_stamp_of_an_array_is_that_of_its_first_marker():

@@ -106,7 +106,7 @@ def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
 
 
 def test_frames_are_joined_through_what_they_have_in_common():
-    known = Transforms([], 0.2, True)
+    known = Transforms(settings(tf=True))
     known.hear(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)))
     known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
     known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))
@@ -133,7 +133,7 @@ def test_a_path_an_obstacle_and_the_plan_of_another_are_moved():
     box.update('odom', odometry(1.0), 0.0)
     assert box.update('obstacles', seen(1.0, (10.0, 3.0, 0.0), (2.0, 1.0, 1.0)), 0.0) == ''
     assert box.update(OTHER, path, 0.0) == ''
-    cube, other = box.obstacles.traffic(1.0).hazards(1.0)
+    cube, other = box.traffic(1.0).hazards(1.0)
     np.testing.assert_allclose(cube.body.minimum + cube.moved(np.zeros(1))[0], [2.5, -1.0])
     there = other.body.centre + other.moved(np.array([0.5]))[0]
     np.testing.assert_allclose(there, [1.5, 0.0], atol=1e-9)
@@ -144,7 +144,7 @@ def test_the_velocity_of_an_obstacle_is_turned_with_it():
     for at in (1.0, 1.1, 1.2, 1.3):
         box.update('odom', odometry(at), at)
         box.update('obstacles', seen(at, (10.0, 3.0 + at, 0.0), kind=Marker.SPHERE), at)
-    (hazard,) = box.obstacles.traffic(1.3).hazards(1.3)
+    (hazard,) = box.traffic(1.3).hazards(1.3)
     moved = hazard.moved(np.array([1.0]))[0] - hazard.moved(np.array([0.0]))[0]
     np.testing.assert_allclose(moved, [1.0, 0.0], atol=1e-6)
 

@@ -10,9 +10,8 @@ when, so that a recording gives the same; tf2's own buffer is not needed, and Py
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Transform
@@ -31,6 +30,9 @@ from orbimpc_ros.ros.messages import (
     read_transform,
 )
 
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters.planner import PlannerSettings
+
 TF, TF_STATIC = '/tf', '/tf_static'
 KEPT = 10 * SECOND  # [ns] of each transform of /tf, as tf2 does
 MOST_SAMPLES = 4096  # of each transform
@@ -39,13 +41,7 @@ ON = 'tf: true (of /tf) or transforms (stated)'
 
 
 class Stated(NamedTuple):
-    """A stated transform.
-
-    Attributes:
-        parent: frame.
-        child: frame.
-        matrix: from the child to the parent, shape (4, 4).
-    """
+    """A stated transform: its frames, and the matrix from the child to the parent."""
 
     parent: str
     child: str
@@ -127,12 +123,12 @@ class _Edge:
             problem = f'{name} is known from {before:.3g} s later on only'
             hint = 'give stamps within its history'
             raise BadInput.stating('extrapolated transform', problem, hint)
-        at, transform = self.samples[k - 1]
-        found = matrix(*read_transform(transform, name))
-        if k < len(self.samples):
-            later, transform = self.samples[k]
-            then = matrix(*read_transform(transform, name))
-            return between(found, then, (stamp - at) / (later - at))
+        (at, found), *later = (
+            (stamp, matrix(*read_transform(transform, name)))
+            for stamp, transform in self.samples[k - 1 : k + 1]
+        )
+        for end, then in later:
+            return between(found, then, (stamp - at) / (end - at))
         if (age := (stamp - at) / SECOND) > patience:
             problem = f'{name} is {age:.3g} s older than the message'
             hint = f'at most transform_timeout, {patience:g} s'
@@ -144,19 +140,17 @@ class Transforms:
     """The known transforms, and messages moved by them.
 
     Args:
-        stated: those that are stated.
-        patience: for how long the last of ``/tf`` holds [s].
-        listening: whether there is a subscription to ``/tf``.
+        settings: state some, and whether others come on ``/tf``.
     """
 
-    def __init__(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
+    def __init__(self, settings: PlannerSettings) -> None:
         self._edges: dict[str, _Edge] = {}
-        self.adopt(stated, patience, listening)
+        self.adopt(settings)
 
-    def adopt(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
-        """Replace the stated transforms and the patience."""
-        self._stated = {each.child: _Edge(each.parent, each.matrix) for each in stated}
-        self._patience, self._listening = patience, listening
+    def adopt(self, settings: PlannerSettings) -> None:
+        """Take over new settings; what was heard stays."""
+        self._patience, self._listening = settings.transform_timeout, settings.tf
+        self._stated = {s.child: _Edge(s.parent, s.matrix) for s in settings.stated_transforms}
 
     def forget(self) -> None:
         """Forget what holds for stamps alone."""
@@ -200,9 +194,8 @@ class Transforms:
         stamp = nanoseconds(message.header.stamp, 'header.stamp')
         move, head = self.between(frame, found, stamp if at is None else at), header(stamp, frame)
         if hasattr(message, 'poses'):
-            return Path(
-                header=head, poses=[_moved(each, move, each.header) for each in message.poses]
-            )
+            poses = [_moved(each, move, each.header) for each in message.poses]
+            return Path(header=head, poses=poses)
         return _moved(message, move, head)
 
     def between(self, target: str, source: str, stamp: int) -> Array:
@@ -212,7 +205,7 @@ class Transforms:
             BadInput: no transform leads from one to the other, or none of that moment.
         """
         up, down = self._ancestry(source), self._ancestry(target)
-        common = next((each for each in up if each in down), None)
+        common = next((frame for frame in up if frame in down), None)
         if common is None:
             hint = ON if not self._listening else 'publish it on /tf, or state it in transforms'
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)

@@ -162,7 +162,7 @@ def _unit(problem: Problem) -> str:
 
 
 def _pace(settings: PlannerSettings) -> str:
-    if settings.on_odometry:
+    if settings.trigger == 'odom':
         return 'planned at each odometry'
     every = 'step' if settings.period == settings.problem.step else f'{settings.period:g} s'
     return f'planned every {every}'

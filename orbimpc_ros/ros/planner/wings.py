@@ -26,8 +26,9 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import Setpoint
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.process import Guarded, qos
+from orbimpc_ros.ros.process import qos
 
 FRESH = 0.4  # [s]: without a position for longer, no setpoint leaves
 APART = 0.1  # [s] at most, from an attitude to the position that goes with it
@@ -53,7 +54,7 @@ class Wing(ABC):
     package: ClassVar[str]
     mode: ClassVar[str]
 
-    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
         try:
             self._types = import_module(f'{self.package}.msg')
         except ModuleNotFoundError:
@@ -160,7 +161,7 @@ class Px4(Wing):
 
     package, mode = 'px4_msgs', 'offboard'
 
-    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
         super().__init__(node, frames, changed)
         types = self._types
         self._attitude: Any = None
@@ -240,7 +241,7 @@ class ArduPlane(Wing):
 
     package, mode = 'mavros_msgs', 'GUIDED'
 
-    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
         super().__init__(node, frames, changed)
         self._command = import_module(f'{self.package}.srv').CommandInt
         self._client = node.create_client(self._command, 'mavros/cmd/command_int')

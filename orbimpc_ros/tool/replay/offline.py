@@ -14,7 +14,7 @@ from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import Core, planner_of
-from orbimpc_ros.ros.planner.obstacles import PLAN, others
+from orbimpc_ros.ros.planner.inputs import PLAN, others
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
 from orbimpc_ros.ros.reports import Report, prices
 
