@@ -144,7 +144,7 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv if argv is None else argv)
     leave_at_signals()
     try:
-        _require_words(words)
+        _require_files(words)
         with ExitStack() as stack:
             try:
                 stack.enter_context(initialised(words, context=get_default_context()))
@@ -154,6 +154,7 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
                 raise BadInput.stating('command line', unknown, hint) from None
             except RuntimeError as error:  # a malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
+            _require_ros_words(words)
             return _live(_begun(make))
     except BadInput as error:
         return _ended(error, BAD_INPUT)
@@ -173,11 +174,15 @@ def _ended(error: object, code: int) -> int:
     return code
 
 
-def _require_words(words: Sequence[str]) -> None:
-    """Refuse parameter files that do not exist, and words that nobody would look at."""
+def _require_files(words: Sequence[str]) -> None:
+    """Refuse a parameter file that is not there: rcl would log of its own parser, too."""
     for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
         if flag == '--params-file' and not Path(word).exists():
             raise BadInput.stating(word, 'no such file', '--params-file is to name one')
+
+
+def _require_ros_words(words: Sequence[str]) -> None:
+    """Refuse words that nobody would look at."""
     _, *plain = remove_ros_args(args=list(words))
     if plain:
         problem = f'{shlex.join(plain)} is not behind --ros-args'
