@@ -99,7 +99,7 @@ def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
 
 
 def test_frames_are_joined_through_what_they_have_in_common():
-    known = Transforms(settings(tf=True))
+    known = Transforms([], 0.2, True)
     known.hear(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)))
     known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
     known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))

@@ -10,8 +10,9 @@ when, so that a recording gives the same; tf2's own buffer is not needed, and Py
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Transform
@@ -29,9 +30,6 @@ from orbimpc_ros.ros.messages import (
     read_sighting,
     read_transform,
 )
-
-if TYPE_CHECKING:
-    from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 TF, TF_STATIC = '/tf', '/tf_static'
 KEPT = 10 * SECOND  # [ns] of each transform of /tf, as tf2 does
@@ -140,17 +138,20 @@ class Transforms:
     """The known transforms, and messages moved by them.
 
     Args:
-        settings: state some, and whether others come on ``/tf``.
+        stated: those that are stated.
+        patience: for how long the last of ``/tf`` holds [s].
+        listening: whether there is a subscription to ``/tf``.
     """
 
-    def __init__(self, settings: PlannerSettings) -> None:
+    def __init__(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
         self._edges: dict[str, _Edge] = {}
-        self.adopt(settings)
+        self._listening = listening
+        self.adopt(stated, patience)
 
-    def adopt(self, settings: PlannerSettings) -> None:
-        """Take over new settings; what was heard stays."""
-        self._patience, self._listening = settings.transform_timeout, settings.tf
-        self._stated = {s.child: _Edge(s.parent, s.matrix) for s in settings.stated_transforms}
+    def adopt(self, stated: Iterable[Stated], patience: float) -> None:
+        """Replace the stated transforms and the patience."""
+        self._stated = {each.child: _Edge(each.parent, each.matrix) for each in stated}
+        self._patience = patience
 
     def forget(self) -> None:
         """Forget what holds for stamps alone."""

@@ -127,7 +127,8 @@ class Inputs:
         self.latest: dict[str, Received[Any]] = {}
         self.forecast: Forecast = forecast_named(settings.goal_prediction)
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
-        self.transforms, self.displaced = Transforms(settings), ''
+        known = settings.stated_transforms, settings.transform_timeout, settings.tf
+        self.transforms, self.displaced = Transforms(*known), ''
         self.bodies = Bodies()
         self.agents: dict[str, AgentTrajectory] = {}
         self.traffic_stamps: dict[str, int] = {}
@@ -143,7 +144,7 @@ class Inputs:
         """Take over new settings; another kind of forecast starts afresh from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
         self.settings = settings
-        self.transforms.adopt(settings)
+        self.transforms.adopt(settings.stated_transforms, settings.transform_timeout)
         if renewed:
             self.forecast = forecast_named(settings.goal_prediction)
             if 'goal' in self.latest:
