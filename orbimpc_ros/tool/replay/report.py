@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         return SAME
     # In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
     # answers only the last before each tick.
-    waited = recording.simulated and planner.on_odometry
+    waited = recording.simulated and planner.trigger == 'odom'
     lacking = whole.unanswered > (0 if waited else math.inf)
     return DIFFERENT if differences or lacking or whole.orphans else SAME
 
