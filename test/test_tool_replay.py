@@ -392,95 +392,71 @@ def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
         assert last.fallback == fallback
 
 
-def distances(recorded, replayed, **tolerances):
-    found = comparisons(
-        0, 0.0, Published(**recorded), Published(**replayed), Tolerances(**tolerances)
-    )
-    return {each.quantity: each for each in found}
+AHEAD, ASIDE = (
+    np.array([1.0, 0.0, 0.0, 0.0]),
+    np.array([1.0, 0.0, 0.0, 0.01]) / math.hypot(1.0, 0.01),
+)
+PROVED = {'status': 'optimal', 'gap': 0.0, 'bound_checked': True}
+WORD = {'status': 'feasible', 'gap': 1.0, 'bound_checked': False}
 
 
-def test_where_an_engine_is_silent_may_point_anywhere():
-    """What a turn may differ by grows as the thrust falls that it directs."""
-    ahead, aside = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.01])
-    aside /= np.linalg.norm(aside)
-    for order, thrust, differs in (
-        (1, (1.0, 1.0, 1.0), True),
-        (1, (1.0, 0.01, 1.0), False),
-        (1, (1.0, 1.0, 0.01), True),  # of the step after the one commanded
-        (2, (1.0, 1.0, 0.01), False),
-        (2, (1.0, 1.0, 0.0), False),
-        (1, (), True),
-    ):
-        recorded = {'rotation': ahead, 'speed_fraction': thrust}
-        found = distances(recorded, {'rotation': aside}, order=order)['rotation']
-        assert found.apart == pytest.approx(0.02, rel=1e-3)
-        assert found.differs == differs
+def turn(rate):
+    return {'body_rate': np.array([0.0, 0.0, rate])}
 
 
-def test_half_a_turn_goes_either_way():
-    left, right = (np.array([0.0, 0.0, sign * np.pi / 0.5]) for sign in (1.0, -1.0))
-    assert not distances({'body_rate': left}, {'body_rate': right}, step=0.5)['body_rate'].differs
-    assert distances({'body_rate': left}, {'body_rate': right}, step=0.4)['body_rate'].differs
-    small = np.array([0.0, 0.0, 3e-3])
-    found = distances({'body_rate': small}, {'body_rate': 0.0 * small})['body_rate']
-    assert found.apart == pytest.approx(3e-3)
+def pointing(*thrust, of=AHEAD):
+    return {'rotation': of, 'speed_fraction': thrust}
 
 
-def test_a_rotation_and_its_opposite_quaternion_are_the_same():
-    q = np.array([0.5, 0.5, -0.5, 0.5])
-    assert distances({'rotation': q}, {'rotation': -q})['rotation'].apart == 0.0
+def costing(objective, gap=None):
+    return {'objective': objective, 'gap': gap}
 
 
-def test_objectives_are_compared_relative_but_near_zero():
-    assert not distances({'objective': 1e3}, {'objective': 1e3 + 1e-4})['objective'].differs
-    assert distances({'objective': 1.0}, {'objective': 1.0 + 1e-4})['objective'].differs
-    assert not distances({'objective': 0.0}, {'objective': 1e-8})['objective'].differs
-
-
-def test_what_is_left_unproved_objectives_may_differ_by():
-    for left, apart, differs in (
-        (2e-5, 1e-5, False),
-        (2e-5, 3e-5, True),
-        (math.inf, 9e-5, False),
-        (math.inf, 2e-4, True),  # by no more than what counts as proved, 1e-4
-        (math.nan, 1e-5, True),
-    ):
-        before, now = ({'objective': each, 'gap': left} for each in (1.0, 1.0 + apart))
-        assert distances(before, now)['objective'].differs == differs
-
-
-def test_gaps_that_are_both_left_open_are_not_compared():
-    """They say where a search ended, which rounding decides; that no proof was found, they say."""
-    assert not distances({'gap': 0.5}, {'gap': 0.002})['gap'].differs
-    assert distances({'gap': 0.0}, {'gap': 0.002})['gap'].differs
-    assert distances({'gap': 0.002}, {'gap': 0.0})['gap'].differs
-    assert distances({'gap': 0.5}, {'gap': math.inf})['gap'].differs
-    assert distances({'gap': 0.5}, {'gap': math.nan})['gap'].differs
-
-
-def test_whether_there_was_time_for_an_exact_proof_is_not_compared():
-    proved = {'status': 'optimal', 'gap': 0.0, 'bound_checked': True}
-    word = {'status': 'feasible', 'gap': 1.0, 'bound_checked': False}
-    for before, now in ((proved, word), (word, proved)):
-        assert not distances(before, now)['status'].differs
-        assert not distances(before, now)['gap'].differs
-    for quantity in ('status', 'gap'):
-        assert distances(proved, word | {'bound_checked': True})[quantity].differs
-    assert distances(proved, word | {'status': 'failed'})['status'].differs
+DIFFERENCES = {
+    # What a turn may differ by grows as the thrust falls that it directs.
+    'full thrust': ('rotation', pointing(1.0, 1.0, 1.0), pointing(of=ASIDE), {}, True),
+    'no thrust': ('rotation', pointing(1.0, 0.01, 1.0), pointing(of=ASIDE), {}, False),
+    'no thrust later': ('rotation', pointing(1.0, 1.0, 0.01), pointing(of=ASIDE), {}, True),
+    'at order 2': ('rotation', pointing(1.0, 1.0, 0.0), pointing(of=ASIDE), {'order': 2}, False),
+    'thrust unknown': ('rotation', pointing(), pointing(of=ASIDE), {}, True),
+    'the opposite quaternion': ('rotation', pointing(of=ASIDE), pointing(of=-ASIDE), {}, False),
+    'half a turn': ('body_rate', turn(2 * np.pi), turn(-2 * np.pi), {'step': 0.5}, False),
+    'less than that': ('body_rate', turn(2 * np.pi), turn(-2 * np.pi), {'step': 0.4}, True),
+    'a small turn': ('body_rate', turn(3e-3), turn(0.0), {}, True),
+    'relative': ('objective', costing(1e3), costing(1e3 + 1e-4), {}, False),
+    'not so small': ('objective', costing(1.0), costing(1.0 + 1e-4), {}, True),
+    'but near zero': ('objective', costing(0.0), costing(1e-8), {}, False),
+    # What is left unproved objectives may differ by, up to what counts as proved.
+    'left open': ('objective', costing(1.0, 2e-5), costing(1.0 + 1e-5, 2e-5), {}, False),
+    'more than that': ('objective', costing(1.0, 2e-5), costing(1.0 + 3e-5, 2e-5), {}, True),
+    'all open': ('objective', costing(1.0, math.inf), costing(1.0 + 9e-5, math.inf), {}, False),
+    'too much': ('objective', costing(1.0, math.inf), costing(1.0 + 2e-4, math.inf), {}, True),
+    'unknown gap': ('objective', costing(1.0, math.nan), costing(1.0 + 1e-5, math.nan), {}, True),
+    # Rounding decides where a search ends, not whether a proof was found.
+    'both open': ('gap', {'gap': 0.5}, {'gap': 0.002}, {}, False),
+    'then proved': ('gap', {'gap': 0.0}, {'gap': 0.002}, {}, True),
+    'now proved': ('gap', {'gap': 0.002}, {'gap': 0.0}, {}, True),
+    'no bound': ('gap', {'gap': 0.5}, {'gap': math.inf}, {}, True),
+    'no plan': ('gap', {'gap': 0.5}, {'gap': math.nan}, {}, True),
+    'none twice': ('gap', {'gap': math.nan}, {'gap': math.nan}, {}, False),
+    'infinite twice': ('gap', {'gap': math.inf}, {'gap': math.inf}, {}, False),
+    'a plan now': ('gap', {'gap': math.nan}, {'gap': 1.0}, {}, True),
+    'gone': ('gap', {'gap': 1.0}, {'gap': None}, {}, True),
+    # Whether there was time for an exact proof is not compared.
+    'no time now': ('status', PROVED, WORD, {}, False),
+    'no time then': ('gap', WORD, PROVED, {}, False),
+    'time, and no proof': ('status', PROVED, WORD | {'bound_checked': True}, {}, True),
+    'no plan at all': ('status', PROVED, WORD | {'status': 'failed'}, {}, True),
+}
 
 
 @pytest.mark.parametrize(
-    ('before', 'now', 'apart'),
-    [
-        (math.nan, math.nan, 0.0),
-        (math.nan, 1.0, math.inf),
-        (1.0, math.nan, math.inf),
-        (math.inf, math.inf, 0.0),
-        (1.0, None, math.inf),
-    ],
+    ('quantity', 'before', 'now', 'given', 'differs'), DIFFERENCES.values(), ids=DIFFERENCES
 )
-def test_what_is_no_number_is_only_like_itself(before, now, apart):
-    assert distances({'gap': before}, {'gap': now})['gap'].apart == apart
+def test_answers_differ_beyond_their_tolerances(quantity, before, now, given, differs):
+    answers = Published(**before), Published(**now)
+    found = {each.quantity: each for each in comparisons(0, 0.0, *answers, Tolerances(**given))}
+    assert found[quantity].differs == differs
 
 
 def test_many_differences_are_capped_and_summed_up(replay):
