@@ -12,14 +12,14 @@ import rerun.blueprint as rrb
 from orbimpc_ros.mpc.arrays import Array
 
 TIMELINE = 'ros_time'
-WORLD, THRUST, TICK = 'world', 'thrust', 'tick'
-CHARTS = {
-    'distance': ('Distance to the goal [m]', None),
-    'speed': ('Share of full speed |R e₁|, floor', (0.0, 1.05)),
-    'gap': ('Gap to the proved bound, log₁₀', (-13.0, 0.0)),
-    'time': ('Solve time [ms]', None),
-    'catch': ('Earliest catch, and its bound [s]', None),
-}  # entity: title and range
+WORLD, THRUST, TICK, CHARTS = 'world', 'thrust', 'tick', 'charts'
+SHOWN = {
+    'Distance to the goal [m]': ('distance',),
+    'Share of full speed |R e₁|, floor': ('speed', 'floor'),
+    'Gap to the proved bound, log₁₀': ('gap',),
+    'Solve time [ms]': ('solve_time_ms',),
+    'Earliest catch, and its bound [s]': ('earliest_catch', 'catch_bound'),
+}  # lines of each chart, below CHARTS
 OPENING = math.radians(27.0)  # half the viewer's vertical field of view
 NEAR = 2.0  # [m]: look at no less
 SLANT = np.array([0.45, -0.85, 0.5])  # where space is looked at from
@@ -48,7 +48,10 @@ def blueprint(dimension: int, world: Eye, *, intercepting: bool) -> rrb.Blueprin
     low = dimension == 2
     axes = 'the (a, b) disk' if low else 'the unit ball'
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
-    charts = [_chart(entity, *look) for entity, look in CHARTS.items()]
+    charts = [
+        rrb.TimeSeriesView(name=title, contents=[f'/{CHARTS}/{name}' for name in lines])
+        for title, lines in SHOWN.items()
+    ]
     disk = eye(dimension, 0.75 * corners)
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -67,15 +70,6 @@ def blueprint(dimension: int, world: Eye, *, intercepting: bool) -> rrb.Blueprin
         ),
         rrb.TimePanel(timeline=TIMELINE, state='collapsed'),
         collapse_panels=True,
-    )
-
-
-def _chart(entity: str, title: str, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin=entity,
-        name=title,
-        plot_legend=rrb.PlotLegend(visible=False),
-        axis_y=span and rrb.ScalarAxis(range=span),
     )
 
 

@@ -27,33 +27,15 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import attitude, fields, point, seconds
 from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
-from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
+from orbimpc_ros.tool.view.layout import CHARTS, THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # places on the flown path
 SWING = 50  # sightings of the goal
 SIZE = 0.06  # of a vehicle, as a share of the scene
 LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
-LINE, STEPS = (
-    rr.components.InterpolationMode.Linear,
-    rr.components.InterpolationMode.StepAfter,
-)
 CUBE = 1  # type of a Marker; every other body is round
 CLEAR = rr.components.FillMode.TransparentFillMajorWireframe
-SERIES = {
-    'distance/to_goal': (BLUE, LINE),
-    'speed/commanded': (BLUE, STEPS),
-    'speed/floor': (RED, STEPS),
-    'gap/log10': (GREEN, STEPS),
-    'time/solve_ms': (ORANGE, STEPS),
-    'catch/earliest': (GREEN, STEPS),
-    'catch/bound': (RED, STEPS),
-}  # colour and manner of the lines in charts
-NUMBERS = {
-    'time/solve_ms': 'solve_time_ms',
-    'catch/earliest': 'earliest_catch',
-    'catch/bound': 'catch_bound',
-}  # of the tick, as they are
 
 # A paper dart: nose, wing tips, and the keel that tells up from down.
 NOSE, LEFT, RIGHT, TAIL, KEEL = (
@@ -90,9 +72,6 @@ class Scene:
             'tick': self._take_tick,
             'captured': self._take_captured,
         }
-        for entity, (color, manner) in SERIES.items():
-            look = rr.SeriesLines(colors=[rgb(color)], widths=[2.0], interpolation_mode=manner)
-            self._to.log(entity, look, static=True)
         self.configure(values)
         self._look_at(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]))
 
@@ -151,7 +130,7 @@ class Scene:
         self._to.log(f'{WORLD}/flown', _lines([np.array(self._way)], SKY, 0.05 * self._unit))
         if self._swing:
             apart = np.linalg.norm(place - self._swing[-1])
-            self._to.log('distance/to_goal', rr.Scalars([apart]))
+            self._to.log(f'{CHARTS}/distance', rr.Scalars([apart]))
 
     def _take_goal(self, message: Any) -> None:
         self._swing.append(read_sighting(message, 3, Frames())[1].position)
@@ -190,43 +169,32 @@ class Scene:
         self._draw_thrust()
 
     def _take_markers(self, message: Any) -> None:
-        """Draw the bodies that a plan stays clear of, and where they go."""
+        """Draw the bodies that a plan stays clear of."""
         bodies = [each for each in message.markers if each.ns == 'hazards']
-        boxes, balls = (
-            _finite([(point(m.pose.position), 0.5 * point(m.scale)) for m in found], (-1, 2, 3))
-            for found in (
-                [each for each in bodies if each.type == CUBE],
-                [each for each in bodies if each.type != CUBE],
-            )
-        )
-        ways = [each.points for each in message.markers if each.ns == 'ways']
-        strips = [_finite([point(each) for each in way], (-1, 3)) for way in ways]
-        color, width = [rgb(RED)], 0.03 * self._unit
-        cubes = rr.Boxes3D(
-            centers=boxes[:, 0], half_sizes=boxes[:, 1], colors=color, fill_mode=CLEAR
-        )
-        ends = rr.Points3D([each[-1] for each in strips], colors=color, radii=[2.0 * width])
-        shown = {
-            'boxes': cubes,
-            'balls': _balls(balls[:, 0], balls[:, 1], RED),
-            'ways': _lines(strips, RED, width),
-            'ends': ends,
-        }
-        for name, each in shown.items():
-            self._to.log(f'{WORLD}/hazards/{name}', each)
+        places = [(point(m.pose.position), 0.5 * point(m.scale)) for m in bodies]
+        found = np.reshape(places, (-1, 2, 3))
+        if not np.isfinite(found).all():
+            raise BadInput.stating('plan_markers', 'NaN or infinite', 'finite numbers')
+        cube = np.array([each.type == CUBE for each in bodies], dtype=bool)
+        boxes, balls = found[cube], found[~cube]
+        how: Any = {'colors': [rgb(RED)], 'fill_mode': CLEAR}
+        shown = rr.Boxes3D(centers=boxes[:, 0], half_sizes=boxes[:, 1], **how)
+        self._to.log(f'{WORLD}/hazards/boxes', shown)
+        self._to.log(f'{WORLD}/hazards/balls', _balls(balls[:, 0], balls[:, 1], RED))
 
     def _take_tick(self, message: Any) -> None:
         values = fields(message)
-        self._shares = seconds(message), _numbers(values.get('speed_fraction'))
-        self._to.log(TICK, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
-        for entity, name in NUMBERS.items():
-            self._chart(entity, values.get(name))
-        for gap in _numbers([values.get('gap')]):
-            self._chart('gap/log10', float(np.log10(max(gap, LEAST_GAP))))
-        for share in self._shares[1][1:2]:
-            self._chart('speed/commanded', float(share))
+        shares = values.pop('speed_fraction', None)
+        self._shares = seconds(message), _numbers(shares)
+        words = _table(values | {'speed_fraction': shares})
+        self._to.log(TICK, rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN))
+        charted = values | dict(zip(('start', 'speed'), self._shares[1][:2].tolist(), strict=False))
         if self._problem.floor.exists:
-            self._chart('speed/floor', self._problem.floor.fraction)
+            charted['floor'] = self._problem.floor.fraction
+        for name, value in charted.items():
+            for number in _numbers([value]):
+                shown = np.log10(max(number, LEAST_GAP)) if name == 'gap' else number
+                self._to.log(f'{CHARTS}/{name}', rr.Scalars([shown]))
         self._draw_thrust()
 
     def _draw_thrust(self) -> None:
@@ -245,10 +213,6 @@ class Scene:
             star = rr.Points3D([place], radii=radius, colors=[rgb(GREEN)], labels=[self._done])
             self._to.log(f'{WORLD}/done', star)
 
-    def _chart(self, entity: str, value: Any) -> None:
-        for number in _numbers([value]):
-            self._to.log(entity, rr.Scalars([number]))
-
 
 def _headers(message: Any) -> list[Any]:
     """Return the header that dates a message: that of its first marker, or none."""
@@ -261,18 +225,6 @@ def _numbers(value: Any) -> Array:
     whole = isinstance(value, list) and all(isinstance(each, (int, float)) for each in value)
     found = np.array(value if whole else [], dtype=float)
     return found if np.isfinite(found).all() else np.zeros(0)
-
-
-def _finite(points: Sequence[Any], shape: tuple[int, ...]) -> Array:
-    """Return points as an array.
-
-    Raises:
-        BadInput: a number is not finite.
-    """
-    found = np.reshape(points, shape)
-    if not np.isfinite(found).all():
-        raise BadInput.stating('plan_markers', 'NaN or infinite', 'finite numbers')
-    return found
 
 
 def _lines(strips: Sequence[Array], color: str, radius: float) -> rr.LineStrips3D:
