@@ -155,6 +155,8 @@ def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
         if args.tick in (None, number):
             yield _tick(number, each, recorded, args)
             yield from _catch(number, each, recorded, args)
+        if args.tick == number:
+            return
 
 
 def _recorded(path: Path, namespace: str) -> Recorded:
