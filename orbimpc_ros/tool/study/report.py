@@ -3,19 +3,18 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 from scipy import stats
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.tool.figures import Panel, draw_panel
 from orbimpc_ros.tool.study.draws import Draws
 from orbimpc_ros.tool.study.flights import OURS, Row
-from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, in_both_looks
+from orbimpc_ros.tool.style import in_both_looks
 
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
 MOST_NAMED = 20
@@ -105,19 +104,15 @@ def _cells(*cells: str) -> str:
 
 def draw(draws: Draws, rows: Rows, file: Path) -> None:
     """Draw the share caught over time; write a PNG, and one for dark pages beside it."""
-    in_both_looks(lambda _dark: _figure(draws, rows), file)
-
-
-def _figure(draws: Draws, rows: Rows) -> Figure:
-    figure = Figure(figsize=(5.0, 3.8), layout='constrained')
-    axes = figure.subplots()
-    looks = zip((BLUE, INK, ORANGE, GREEN, RED, SKY, GREY), itertools.cycle(('-', '--', ':', '-.')))
-    for (name, flights), (color, line) in zip(rows.items(), itertools.cycle(looks)):
+    lines = {}
+    for name, flights in rows.items():
         times = sorted(row['time'] for row in flights if row['caught'])
         shares = np.array([*range(len(times) + 1), len(times)]) / len(flights)
-        ends = [0.0, *times, draws.limit]
-        axes.step(ends, shares, line, where='post', color=color, label=name)
-    axes.set(title=draws.name, xlabel='time [s]', ylabel='caught', ylim=(0.0, 1.03))
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.legend(loc='lower right')
-    return figure
+        lines[name] = np.array([0.0, *times, draws.limit]), shares
+
+    def drawn(_dark: bool) -> Figure:
+        figure = Figure(figsize=(5.0, 3.8), layout='constrained')
+        draw_panel(figure.subplots(), Panel(f'{draws.name}: share caught', '', lines, steps=True))
+        return figure
+
+    in_both_looks(drawn, file)
