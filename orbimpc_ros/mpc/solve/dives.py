@@ -5,7 +5,7 @@ A *dive* holds all that a solution misses at its nearest cell, and solves again;
 it holds the tangent in the direction of v, beyond which |v| is surely above the floor. A *way* is
 followed on the sides on which it passes what is round or moves.
 
-Mathematics: docs/mathematics.md, 4.9 and 4.12.
+Mathematics: docs/mathematics.md, 4.9 and 4.11.
 """
 
 from __future__ import annotations
