@@ -9,6 +9,7 @@ from __future__ import annotations
 from orbimpc_ros.mpc.kernels import compiled
 
 DONE, FULL, PAUSED = range(3)  # what a search ends with
+NEGLIGIBLE = 1e-7  # of the unit of costs: the gap of smaller objectives is relative to it
 
 
 @compiled
@@ -20,7 +21,7 @@ def cutoff_of(value, constant, tolerance):
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.
     """
-    return value - tolerance * max(abs(value + constant), 1e-9)
+    return value - tolerance * max(abs(value + constant), NEGLIGIBLE)
 
 
 @compiled

@@ -18,7 +18,9 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.search.relax import cost_of, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
 
 STEPS = 40  # of Newton's method
@@ -128,23 +130,25 @@ def _changes(ring, z, k):
 
 
 @compiled
-def _value(quad, ring, chain, stiff, z):
-    """Return the cost of headings, with what the multipliers of changes of speed add."""
-    value, hessian, q, lengths = 0.0, quad.hessian, quad.q, quad.lengths
-    for j in range(len(z)):
-        a, b = q[j, 0], q[j, 1]
-        for k in range(len(z)):
-            a += 0.5 * hessian[j, k] * z[k, 0]
-            b += 0.5 * hessian[j, k] * z[k, 1]
-        value += z[j, 0] * a + z[j, 1] * b
-        if lengths[j] > 0.0:
-            value += lengths[j] * np.sqrt(z[j, 0] ** 2 + z[j, 1] ** 2)
+def _rise(quad, ring, chain, stiff, z, there):
+    """Return by how much headings cost more than z, with multipliers of changes of speed.
+
+    Args:
+        quad: the cost.
+        ring: gives the limit of the change of speed.
+        chain: multipliers of its rise and its fall at each step, shape (N, 2).
+        stiff: of the penalty; 0 for none.
+        z: headings, shape (N, 2).
+        there: those that may cost more, shape (N, 2).
+    """
+    rise = rise_of(quad, z, there)
     if stiff > 0.0:
         for k in range(len(z)):
-            rises, falls = _changes(ring, z, k)
-            up, down = chain[k, 0] + stiff * rises, chain[k, 1] + stiff * falls
-            value += (max(0.0, up) ** 2 + max(0.0, down) ** 2) / (2.0 * stiff)
-    return value
+            for x, sign in ((there, 1.0), (z, -1.0)):
+                rises, falls = _changes(ring, x, k)
+                up, down = chain[k, 0] + stiff * rises, chain[k, 1] + stiff * falls
+                rise += sign * (max(0.0, up) ** 2 + max(0.0, down) ** 2) / (2.0 * stiff)
+    return rise
 
 
 @inlined
@@ -254,11 +258,10 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
         bounds[k, 0], bounds[k, 1] = 0.0, 1.0
         bounds[count + k, 0], bounds[count + k, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
     set_headings(ring, speeds, turns, z)
-    cost, damping, taken = _value(quad, ring, chain, stiff, z), DAMPED, 0
-    while taken < STEPS:
-        taken += 1
+    damping = DAMPED
+    for _ in range(STEPS):
         _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved)
-        scale, before = 1e-300, cost
+        scale, fall = 1e-300, 0.0
         for i in range(size):
             scale = max(scale, abs(curved[i, i]))
         while damping <= STIFFEST:
@@ -266,19 +269,18 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
                 for i in range(size):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)
-                reached = _value(quad, ring, chain, stiff, there)
-                if reached < cost:
-                    y, trial, cost = trial, y, reached
+                fall = -_rise(quad, ring, chain, stiff, z, there)
+                if fall > 0.0:
+                    y, trial = trial, y
                     for k in range(count):
                         z[k, 0], z[k, 1] = there[k, 0], there[k, 1]
                     damping = max(1e-10, CALMED * damping)
                     break
             damping *= STIFFENED
-        if before - cost <= SETTLED * abs(cost + quad.constant):
+        if fall <= SETTLED * max(abs(cost_of(quad, z) + quad.constant), NEGLIGIBLE):
             break
     for k in range(count):
         speeds[k], turns[k] = y[k], y[count + k]
-    return cost
 
 
 @compiled
@@ -293,15 +295,14 @@ def descend(quad, ring, speeds, turns, z):
         z: headings, shape (N, 2), set.
 
     Returns:
-        The cost without the constant, infinite where no speeds were found that change within the
-        limit.
+        Whether speeds were found that change within the limit.
     """
-    chain, curvature, cost, limited = np.zeros((len(z), 2)), 0.0, 0.0, ring.change < np.inf
+    chain, curvature, limited = np.zeros((len(z), 2)), 0.0, ring.change < np.inf
     for k in range(len(z)):
         curvature = max(curvature, quad.hessian[k, k])
     stiff = STIFF * curvature if limited else 0.0
     for _ in range(ROUNDS):
-        cost = _descend(quad, ring, chain, stiff, speeds, turns, z)
+        _descend(quad, ring, chain, stiff, speeds, turns, z)
         worst = 0.0
         for k in range(len(z) if limited else 0):
             rises, falls = _changes(ring, z, k)
@@ -311,9 +312,8 @@ def descend(quad, ring, speeds, turns, z):
         if worst <= KEPT:
             break
         stiff *= STIFFER
-    if not limited:
-        return cost
-    if not is_paced(ring, speeds, turns):
-        return np.inf
-    set_headings(ring, speeds, turns, z)
-    return _value(quad, ring, chain, 0.0, z)
+    if limited:
+        if not is_paced(ring, speeds, turns):
+            return False
+        set_headings(ring, speeds, turns, z)
+    return True

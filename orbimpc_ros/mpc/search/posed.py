@@ -39,7 +39,8 @@ class Posed:
         self._lengths = length_weights(problem)[1:].astype(float)
         self._rank = problem.horizon
         if not self._lengths.any():
-            self._rank = int(np.linalg.matrix_rank(self._condensed.hessian, rtol=RANK))
+            values = np.abs(np.linalg.eigvalsh(self._condensed.hessian))
+            self._rank = int(np.count_nonzero(values > RANK * values.max()))
         floor = problem.floor
         fraction = float(floor.fraction) if floor.exists else 0.0
         self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0

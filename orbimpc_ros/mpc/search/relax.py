@@ -18,6 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.search.interior import (
     BLOCKED,
@@ -340,6 +341,33 @@ def cost_at(quad, z, slope):
     return cost
 
 
+@compiled
+def cost_of(quad, z):
+    """Return the cost at a point, without the constant."""
+    slope = np.empty_like(z)
+    set_slope(quad.hessian, quad.q, z, slope)
+    return cost_at(quad, z, slope)
+
+
+@compiled
+def rise_of(quad, z, there):
+    """Return by how much one point costs more than z.
+
+    The difference of both costs would be lost in their rounding where they differ little.
+    """
+    rise, hessian, q, lengths = 0.0, quad.hessian, quad.q, quad.lengths
+    for j in range(len(z)):
+        a, b = q[j, 0], q[j, 1]
+        for k in range(len(z)):
+            a += 0.5 * hessian[j, k] * (z[k, 0] + there[k, 0])
+            b += 0.5 * hessian[j, k] * (z[k, 1] + there[k, 1])
+        rise += (there[j, 0] - z[j, 0]) * a + (there[j, 1] - z[j, 1]) * b
+        if lengths[j] > 0.0:
+            longer = np.sqrt(there[j, 0] ** 2 + there[j, 1] ** 2)
+            rise += lengths[j] * (longer - np.sqrt(z[j, 0] ** 2 + z[j, 1] ** 2))
+    return rise
+
+
 @inlined
 def _pass_through(quad, curvatures, node, limits, room):
     """Minimise through the interior of the hulls; return what becomes of the node."""
@@ -365,7 +393,7 @@ def _pass_through(quad, curvatures, node, limits, room):
             copy_to(best, z)
         if known[KEY] >= cutoff:
             return PRUNED
-        if cost - known[KEY] <= gap * max(abs(cost + quad.constant), 1e-9):
+        if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
             _sweep(quad, z, room)
             return SOLVED
     return STALLED
@@ -400,7 +428,7 @@ def relax(quad, curvatures, node, limits, room, work):
                 copy_to(best, z)
             if known[KEY] >= cutoff:
                 return PRUNED, work
-            if cost - known[KEY] <= gap * max(abs(cost + quad.constant), 1e-9):
+            if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
                 return SOLVED, work
             if turn == 0 and mixes:
                 _mix(quad, z, taken, room)

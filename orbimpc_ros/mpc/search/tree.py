@@ -28,8 +28,9 @@ from orbimpc_ros.mpc.search.relax import (
     TAKEN,
     Quadratic,
     copy_to,
-    cost_at,
+    cost_of,
     relax,
+    rise_of,
     set_slope,
     tangent_bound,
 )
@@ -412,10 +413,10 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
 
 
 @compiled
-def _take(tree, cost, z):
+def _take(quad, tree, z):
     """Take a trajectory for the best one if it is better."""
-    if cost < tree.numbers[VALUE]:
-        tree.numbers[VALUE] = cost
+    if tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0:
+        tree.numbers[VALUE] = cost_of(quad, z)
         copy_to(tree.best, z)
 
 
@@ -447,13 +448,12 @@ def is_promising(quad, ring, tree, z, sector, share, room):
     if ring.change < np.inf and not is_paced(ring, tree.speeds, tree.turns):
         return False
     set_headings(ring, tree.speeds, tree.turns, room.trial)
-    set_slope(quad.hessian, quad.q, room.trial, room.slope)
-    rounded = cost_at(quad, room.trial, room.slope)
+    rounded = cost_of(quad, room.trial)
     free = ring.faces > 0 and ring.widest >= HALF  # parts of a polygon need no descent
     angle, way = _way(ring, tree.turns)
     aimed = ring.within >= HALF or abs(angle - way) <= ring.within + SATISFIED
     if aimed and (ring.change < np.inf or ring.within < HALF or free):
-        _take(tree, rounded, room.trial)
+        _take(quad, tree, room.trial)
         if free:
             return False
     return rounded <= value + share * abs(value + quad.constant)
@@ -469,7 +469,7 @@ def improve(quad, ring, tree, room):
         curvature = max(curvature, hessian[k, k])
     tree.counts[STARTS] += 1
     for attempt in range(len(PULLS)):
-        cost = descend(pulled, ring, tree.speeds, tree.turns, z)
+        legal = descend(pulled, ring, tree.speeds, tree.turns, z)
         angle, way = _way(ring, tree.turns)
         if ring.within >= HALF or abs(angle - way) <= ring.within:
             break
@@ -493,9 +493,8 @@ def improve(quad, ring, tree, room):
         copy_to(room.other, z)
         if is_promising(quad, ring, tree, room.other, sector, 0.0, room):
             return
-    if cost < np.inf:
-        set_slope(quad.hessian, quad.q, z, room.slope)
-        _take(tree, cost_at(quad, z, room.slope), z)
+    if legal:
+        _take(quad, tree, z)
 
 
 @inlined
@@ -504,8 +503,7 @@ def _choose(quad, ring, tree, node, status, room):
     counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
     choice, cut, parts = _branching(ring, quad.inverse, z, sector)
     if choice < 0 and ring.change == np.inf and ring.within >= HALF:
-        set_slope(quad.hessian, quad.q, z, room.slope)
-        _take(tree, cost_at(quad, z, room.slope), z)
+        _take(quad, tree, z)
     elif ring.fraction > 0.0:
         share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # ever less often
         counts[PROMISES] = is_promising(quad, ring, tree, z, sector, share, room)
