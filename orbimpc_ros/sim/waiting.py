@@ -46,8 +46,8 @@ class Waiting:
 
     Args:
         node: that waits.
-        odometry: its publisher, with so many ``subscribers`` to wait for.
-        subscribers: of odometry, the planner's among them.
+        odometry: its publisher, with so many ``subscribers`` to wait for, the planner's among them.
+        subscribers: see ``odometry``.
         readers: how many to wait for by topic, beside those of the planner and of ``node``.
         goal: the publisher of goals, which a planner that is ready subscribes to.
         commands: the subscription to what a planner publishes, by which it is known.
