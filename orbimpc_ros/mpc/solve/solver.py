@@ -254,8 +254,6 @@ class Solver:
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
-        if query.late:  # what stands in is wanted sooner than a bound
-            found = replace(found, lower_bound=-np.inf, proof=None)
         proof = self._proof(query, replace(found, reason=_joined(found.reason, STANDS_IN)))
         plan = self._cheapest(query, proof, np.inf)
         if plan is not None:
