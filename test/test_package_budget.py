@@ -16,7 +16,7 @@ LINES = {
     'benchmarks': 4_670,
     'test': 34_210,
 }
-WORDS = {'docs': 23_347, 'README.md': 900}
+WORDS = {'docs': 23_460, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
