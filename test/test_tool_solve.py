@@ -86,16 +86,18 @@ def test_answer_is_consistent_in_itself(solve):
     assert len(answer['command']['body_rate']) == 1
 
 
-def test_an_absent_weight_is_zero(solve):
-    spelled = case(weights={'position': 0.0, 'input': 0.05, 'length': 0.0, 'terminal': 10.0})
-    absent = case(weights={'input': 0.05, 'terminal': 10.0})
-    first, second = (json.loads(solve(c)[1])['objective'] for c in (spelled, absent))
-    assert first == pytest.approx(second)
+GOAL, WEIGHTS = CASES['uav_square_0']['goal'], {'input': 0.05, 'terminal': 10.0}
+SAME = {
+    'an absent weight is zero': (
+        {'weights': WEIGHTS}, {'weights': WEIGHTS | {'position': 0.0, 'length': 0.0}}
+    ),
+    'one goal stands for every step': ({}, {'goal': [GOAL] * 5}),
+}  # fmt: skip
 
 
-def test_one_goal_stands_for_every_step(solve):
-    many = case(goal=[CASES['uav_square_0']['goal']] * 5)
-    first, second = (json.loads(solve(c)[1])['objective'] for c in (case(), many))
+@pytest.mark.parametrize('changes', SAME.values(), ids=SAME)
+def test_problems_that_are_the_same_cost_the_same(solve, changes):
+    first, second = (json.loads(solve(case(**each))[1])['objective'] for each in changes)
     assert first == pytest.approx(second)
 
 
