@@ -11,7 +11,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, NoReturn
+from typing import NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
@@ -24,43 +24,22 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible, 130 interrupted'
 
 
-class Subcommand(NamedTuple):
-    """A command: a module with ``add_arguments(parser)`` and ``run(args) -> exit code``.
-
-    Attributes:
-        package: that has the module, which has the command's name; ``benchmarks`` is a folder of
-            the repository, which is not installed.
-        summary: what it does.
-        planning: whether it plans for long, so that a slow planner is worth a word.
-        solves: whether it does so in this process, which may have to compile first.
-    """
-
-    package: str
-    summary: str
-    planning: bool = False
-    solves: bool = False
-
-
-TOOL, BENCHMARKS = 'orbimpc_ros.tool', 'benchmarks'
-CLONE = Path(__file__).resolve().parents[2]
+# A command is a module of its name with add_arguments(parser) and run(args) -> exit code.
 COMMANDS = {
-    'bench': Subcommand(
-        BENCHMARKS, 'measure side by side with the solvers that are installed', True, True
-    ),
-    'demo': Subcommand(
-        TOOL, 'run planner and simulator over DDS, record a bag, draw the picture', True
-    ),
-    'replay': Subcommand(TOOL, 'solve the inputs of a bag again, compare', solves=True),
-    'faults': Subcommand(
-        BENCHMARKS,
-        'try planner and simulator under faults, as real processes, and print the matrix',
-    ),
-    'plot': Subcommand(TOOL, 'draw the figures and an animation of a bag'),
-    'solve': Subcommand(TOOL, 'solve one problem from a file, print the plan', solves=True),
-    'study': Subcommand(TOOL, 'fly many random tasks and report how they end', True, True),
-    'verify': Subcommand(TOOL, 'prove lower bounds again, in exact arithmetic', solves=True),
-    'view': Subcommand(TOOL, 'look at a flight in a browser, live or from a bag'),
+    'bench': 'measure side by side with the solvers that are installed',
+    'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
+    'replay': 'solve the inputs of a bag again, compare',
+    'faults': 'try planner and simulator under faults, as real processes, and print the matrix',
+    'plot': 'draw the figures and an animation of a bag',
+    'solve': 'solve one problem from a file, print the plan',
+    'study': 'fly many random tasks and report how they end',
+    'verify': 'prove lower bounds again, in exact arithmetic',
+    'view': 'look at a flight in a browser, live or from a bag',
 }
+IN_CLONE = ('bench', 'faults')  # in benchmarks/, which is not installed
+PLANNING = ('bench', 'demo', 'study')  # for long: a slow planner is worth a word
+SOLVING = ('bench', 'replay', 'solve', 'study', 'verify')  # in this process, after compiling
+CLONE = Path(__file__).resolve().parents[2]
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -78,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser(words).parse_args(words)
         module = _module(args.command)
-        _report_on_machine_code(COMMANDS[args.command])
+        _report_on_machine_code(args.command)
         code = module.run(args)
         sys.stdout.flush()
         return code
@@ -107,14 +86,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
 
 
-def _report_on_machine_code(command: Subcommand) -> None:
+def _report_on_machine_code(command: str) -> None:
     """Report that there is no compiler, or on a terminal how far it is."""
     from orbimpc_ros.ros.planner.compiling import MISSING, report_compilation
 
     if find_spec('numba') is None:
-        if command.planning:
+        if command in PLANNING:
             _complain(MISSING)
-    elif command.solves and sys.stderr.isatty():
+    elif command in SOLVING and sys.stderr.isatty():
         report_compilation(_complain)
 
 
@@ -135,24 +114,23 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'orbimpc_ros {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for name, command in COMMANDS.items():
-        words_of: Any = {'help': command.summary, 'description': command.summary}
-        sub = commands.add_parser(name, **words_of, epilog=EXIT_CODES)
+    for name, summary in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary, epilog=EXIT_CODES)
         if words[:1] == [name]:
             _module(name).add_arguments(sub)
     return parser
 
 
 def _module(command: str) -> ModuleType:
-    package = COMMANDS[command].package
-    if package == BENCHMARKS:
-        if not (CLONE / BENCHMARKS / '__init__.py').is_file():
-            raise BadInput.stating(f'orbimpc {command}', 'not installed', 'run it from a clone')
-        if str(CLONE) not in sys.path:
-            sys.path.append(str(CLONE))
-            known = os.environ.get('PYTHONPATH')  # for the processes that it starts
-            os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
-    return import_module(f'{package}.{command}')
+    if command not in IN_CLONE:
+        return import_module(f'orbimpc_ros.tool.{command}')
+    if not (CLONE / 'benchmarks' / '__init__.py').is_file():
+        raise BadInput.stating(f'orbimpc {command}', 'not installed', 'run it from a clone')
+    if str(CLONE) not in sys.path:
+        sys.path.append(str(CLONE))
+        known = os.environ.get('PYTHONPATH')  # for the processes that it starts
+        os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
+    return import_module(f'benchmarks.{command}')
 
 
 def _code(error: OrbimpcError) -> int:

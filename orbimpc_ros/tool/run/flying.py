@@ -7,10 +7,9 @@ import math
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import PACKAGES
@@ -19,13 +18,12 @@ from orbimpc_ros.ros.planner.compiling import COMPILING
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
-from orbimpc_ros.tool.run import discovery, processes
+from orbimpc_ros.tool.run import discovery
 from orbimpc_ros.tool.run.processes import Interruptions, Process
 from orbimpc_ros.tool.run.progress import ProgressLine
+from orbimpc_ros.tool.run.recorder import Recorder
 from orbimpc_ros.tool.settings import Values
-
-if TYPE_CHECKING:
-    from orbimpc_ros.tool.run.recorder import Recorder
+from orbimpc_ros.tool.topics import topics_of
 
 SPIN = 0.05  # [s]
 # A simulator that ends with its flight, and begins once planner and recorder hear it.
@@ -62,10 +60,11 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {shown(folder)}')
-    with processes.Interruptions() as interruptions:
+    planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
+    with Interruptions() as interruptions:
         with (
             _vehicles(namespaces, parameters, folder) as vehicles,
-            _recorder(namespaces, folder, text) as recorder,
+            closing(Recorder(folder / 'bag', topics_of(namespaces), notes, planners)) as recorder,
         ):
             _watch(vehicles, recorder, interruptions, values)
         if interruptions.requested:
@@ -95,20 +94,6 @@ def _vehicles(
                 process.tell(signal.SIGINT)
         for process in started:
             process.stop()
-
-
-@contextmanager
-def _recorder(namespaces: tuple[str, ...], folder: Path, parameters: str) -> Iterator[Recorder]:
-    from orbimpc_ros.tool.run.recorder import Recorder
-    from orbimpc_ros.tool.topics import topics_of
-
-    planners = [f'{namespace}/planner' for namespace in namespaces]
-    notes = {'parameters': parameters}
-    recorder = Recorder(folder / 'bag', topics_of(namespaces), notes, planners)
-    try:
-        yield recorder
-    finally:
-        recorder.close()
 
 
 def _watch(
