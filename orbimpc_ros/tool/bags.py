@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bags as rosbag2 has them: MCAP read and written with checksums, SQLite and compressed ones read.
 
-MCAP goes through the ``mcap`` library, which knows when each message was sent, checks checksums and
-reads a file whose recorder was killed; all else through ``rosbags``.
+MCAP goes through the ``mcap`` library, which has the time of sending of each message, verifies
+checksums and reads a file whose recorder was killed; all else goes through ``rosbags``.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ ALONE = (
     'lander',
 )
 FLEETS = {'fleet': 4, 'crossing': 8}  # scenario: how many vehicles
-# The clock of a fleet stands until the slowest has answered: nothing is stale for that.
+# The clock of a fleet waits for the slowest answer, which makes nothing stale.
 PACED = ('clock=shared', 'odom_timeout=60.0')
 # Flights of a demo, by name. The paper shows the Dubins car with and without minimum speed; its
 # retrieval, which follows the rope as last seen, has beside it one that intercepts it.

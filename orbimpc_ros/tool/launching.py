@@ -40,7 +40,7 @@ from orbimpc_ros.ros.parameters.sections import given
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.sim.fleet import vehicles
 
-RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # read by whoever records everything
+RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # read by a recorder of everything
 AUTO = 'auto'
 SEVERAL = ('crossing', 'fleet')  # files for several vehicles
 AWAITED = 'awaited'  # launch configuration: the readers that the simulator waits for

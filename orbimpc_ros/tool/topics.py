@@ -56,7 +56,7 @@ PROOFS = (Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),)
 NUMBERS = tuple(
     Topic(f'planner/{name}', 'std_msgs/msg/Float64')
     for name in ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
-)  # for plots of whoever reads bags; this tool takes them from tick
+)  # for plots by other programs; this tool takes them from tick
 NEEDED = 'odom and goal are needed'
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *EVENTS, *PROOFS)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *NUMBERS)}

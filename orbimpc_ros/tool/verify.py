@@ -254,7 +254,7 @@ def _infeasible(
 def _catch(
     number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
 ) -> Iterator[TickVerdict]:
-    """Certify before which time no trajectory catches the goal, where a tick says so."""
+    """Certify before which time no trajectory catches the goal, where a tick claims one."""
     claimed, catch = each.recorded.answer.catch_bound, each.decision.catch
     if claimed is None or not math.isfinite(claimed):
         return

@@ -116,7 +116,7 @@ def _watch(
     progress.close()
     recorder.drain(QUIET, LAST_WORDS)
     for each in vehicles:
-        # Whether it caught anything or not, a simulator that has come to its end says so.
+        # A simulator that has come to its end reports it, whether it caught anything or not.
         if not interruptions.requested and not recorder.counts[f'{each.namespace}/captured']:
             each.sim.require_health()
 

@@ -240,7 +240,7 @@ def _table(values: dict[str, Any]) -> str:
     first, *others = [
         f'| {key} | {_text(value)} |'
         for key, value in values.items()
-        if value not in ('', [], {}) and value == value  # NaN stands for nothing
+        if value not in ('', [], {}) and value == value  # NaN is unknown
     ]
     return '\n'.join([first, '| --- | --- |', *others])
 
