@@ -112,7 +112,7 @@ def said(case):
 @pytest.mark.parametrize('seed', range(40))
 def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
     case = drawn(seed)
-    made = held(lambda: [refutation_of(Sought(*case))])
+    made = held(lambda: refutation_of(Sought(*case)))
     if Statement(case, outer=False).feasible:
         assert made is None
         assert not said(case)

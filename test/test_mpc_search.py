@@ -12,6 +12,7 @@ from problems import box, floor, goals, reference, state, weights
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import round_cells
+from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.solve import conic, program
@@ -105,7 +106,9 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed, share):
     raised = 0
     for j, disjunction in enumerate(disjunctions):
         values = disjunction.values(flown.headings, flown.positions)
-        curvature = inverse_curvatures(problem, [disjunction], inverse_hessian(problem))[0]
+        curvature = inverse_curvatures(
+            problem, [disjunction], inverse_hessian(Condensed(problem).hessian)
+        )[0]
         short = np.maximum(shortfall(disjunction.cells, values), 0.0)
         gains = (short**2 / (2 * curvature)).max(axis=1)
         for cell, gain in zip(disjunction.cells, gains, strict=True):

@@ -41,7 +41,7 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
     from orbimpc_ros.ros.parameters import planner_settings
     from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool import settings
-    from orbimpc_ros.tool.run.onboard import Onboard
+    from orbimpc_ros.tool.offline import aboard
 
     values, drawn = missions.jobs.drawn('fixed_wing', 1, 0, SHORT)
     assert np.linalg.norm(drawn['sim.wind']) > 0.1
@@ -49,7 +49,7 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
     ends = {}
     for wind in ((0.0, 0.0, 0.0), (0.0, 4.0, 0.0)):
         told = settings.of_sim(values) | {'wind': wind, 'gust': 0.0}
-        flight, airspeeds, _ = missions.flown(Onboard(values), sim_settings(told))
+        flight, airspeeds, _ = missions.flown(aboard(values), sim_settings(told))
         ends[wind] = flight.vehicle.position
         assert airspeeds.least >= 10.0 * (1.0 - 1e-6)
     assert np.linalg.norm(np.subtract(*ends.values())) > 4.0

@@ -28,7 +28,7 @@ from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inverse, matrix, stated
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.replay.recording import recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
 from orbimpc_ros.tool.topics import TREE, topics_of

@@ -50,7 +50,7 @@ from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
-    from orbimpc_ros.mpc.proof.document import Certificate, Refutation
+    from orbimpc_ros.mpc.proof.document import Refutation
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
 CATCHES_AMONG = 16  # plans of a catch that are tried among hazards
@@ -107,8 +107,6 @@ class Decision(ByContent):
         cause: what kept the decision from being planned on fresh inputs, if anything did.
         catch: how soon the goal can be caught; None where none is looked for.
         infeasible: in what no trajectory is feasible, where that is the status.
-        certificate: of a bound that was not verified by the solver; None where that is not proved,
-            or need not be.
         refutation: proves that nothing is feasible, or is caught before a time, where the decision
             states that; None where it is not proved.
         advanced: from the measurement to the state that was planned from, but for ``led`` [s].
@@ -130,7 +128,6 @@ class Decision(ByContent):
     cause: Cause = Cause.NONE
     catch: Intercept | None = None
     infeasible: Sought | None = None
-    certificate: Certificate | None = None
     refutation: Refutation | None = None
     advanced: float = 0.0
     led: float = 0.0

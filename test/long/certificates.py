@@ -23,7 +23,7 @@ import certified
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.reading import Refused, parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -38,7 +38,7 @@ def examined(kind: str, seed: int, index: int, longest: int) -> tuple[str, dict]
         end = time.process_time() + PATIENCE
         plan = solver.solve(case.state, case.goals, None, lambda: time.process_time() > end)
         solved = time.process_time()
-        made = certificate_for(*case, plan, plan.lower_bound)
+        made = certificate_of(*case, plan.proof)
     except Unproved as error:
         return ('unproved', {'words': str(error)})
     except OrbimpcError:

@@ -34,7 +34,7 @@ import numpy as np
 from continuous import Craft, Motion
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.tool.run.onboard import Onboard
+from orbimpc_ros.tool.offline import OfflinePlanner, aboard
 
 ROUNDING = 1e-6  # relative
 SUBSTEP = 0.02  # [s]
@@ -190,7 +190,7 @@ def measurement(motion: Motion) -> Odometry:
 
 def fly(flight: AirFlight) -> AirLog:
     """Fly, and judge every command."""
-    planner, motion, log = Onboard(flight.parameters), flight.start, AirLog()
+    planner, motion, log = aboard(flight.parameters), flight.start, AirLog()
     begun = time.perf_counter()
     for k in range(round(flight.duration / flight.step)):
         now = k * flight.step
@@ -212,7 +212,7 @@ def fly(flight: AirFlight) -> AirLog:
     return log
 
 
-def tell(planner: Onboard, flight: AirFlight, now: float, motion: Motion) -> None:
+def tell(planner: OfflinePlanner, flight: AirFlight, now: float, motion: Motion) -> None:
     """Send the planner what it hears at a time [s]."""
     present = {kind for kind, (begin, end) in flight.faults.items() if begin <= now < end}
     if now == 0.0 or 'goal lost' not in present:
@@ -292,7 +292,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument('--mission', choices=jobs.MISSIONS, help='a configuration and its job')
     parser.add_argument('--at-least', type=float, default=0.0, help='share of jobs to be done')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE')
-    parser.add_argument('--patient', action='store_true', help='a solve may take a minute')
+    parser.add_argument('--patient', action='store_true', help='a solve has no deadline')
     parser.add_argument(
         '--over',
         choices=('process', 'dds'),

@@ -24,7 +24,7 @@ from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import Onboard, tell
+from orbimpc_ros.tool.offline import OfflinePlanner, aboard, tell
 
 ROUNDING = 1e-6  # relative
 
@@ -126,12 +126,14 @@ def row(
         seed: with ``index``, of what is drawn.
         index: of the flight.
         changes: ``name=value``, of the configuration.
-        patient: whether a solve may take a minute, so that the machine's load hardly counts.
+        patient: whether a solve has no deadline, so that the machine's load hardly counts.
     """
     values, drawn = jobs.drawn(name, seed, index, changes)
     simulated = sim_settings(settings.of_sim(values))
     begun = time.perf_counter()
-    flight, airspeeds, tally = flown(Onboard(values, patient=patient), simulated)
+    flight, airspeeds, tally = flown(
+        aboard(values, None if patient else time.perf_counter), simulated
+    )
     outcome = Outcome(
         flight.captured,
         flight.missed_at - flight.scenario.start.time if flight.captured else None,
@@ -162,7 +164,7 @@ def record(values: Values, drawn: Values, outcome: Outcome, tally: Tally) -> dic
     }
 
 
-def flown(planner: Onboard, simulated: SimSettings) -> tuple[Flight, Airspeeds, Tally]:
+def flown(planner: OfflinePlanner, simulated: SimSettings) -> tuple[Flight, Airspeeds, Tally]:
     """Fly until the goal is caught or the ticks run out, as simulator and planner do over DDS."""
     flight, tally = departure(simulated.scenario, simulated.begin), Tally()
     model = flight.scenario.model

@@ -14,10 +14,10 @@ from pathlib import Path
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PlannerSettings, planner_settings
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.offline import resolved
 from orbimpc_ros.tool.replay.accept import accept
 from orbimpc_ros.tool.replay.coverage import Coverage, coverage
 from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown
-from orbimpc_ros.tool.replay.offline import resolved
 from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
 from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
 from orbimpc_ros.tool.summary import lines
