@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scenarios import model_of
 
-from orbimpc_ros.loop.state import state_of
+from orbimpc_ros.loop.compensation import state_of
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.plan import Plan

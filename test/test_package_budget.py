@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     'orbimpc_ros': 41_960,
     'orbimpc_ros/mpc': 21_775,
-    'orbimpc_ros/loop': 4_232,
+    'orbimpc_ros/loop': 4_189,
     'orbimpc_ros/ros': 5_860,
     'orbimpc_ros/sim': 3_245,
     'orbimpc_ros/tool': 6_700,

@@ -33,7 +33,7 @@ from orbimpc_ros.loop.intercept import (
     InterceptQuery,
 )
 from orbimpc_ros.loop.state import Odometry, WindReport
-from orbimpc_ros.loop.task import Answer, Late, Solvers, Task, joined
+from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, holds
@@ -244,7 +244,7 @@ class Planner:
             velocity_source=velocity_source,
             sideslip=sideslip,
         )
-        self._shrinking = shrinking
+        self._lags, self._shrinking = self._compensator.response.lags, shrinking
         self._timeouts = odom_timeout, goal_timeout
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solvers = Solvers(problem, projection, gap_tolerance)
@@ -414,8 +414,7 @@ class Planner:
 
     def _state(self, odometry: Odometry, hazards: tuple[MovingObstacle, ...]) -> State:
         wanted = self._memory.wanted if self._wants_attitude else None  # or it is not looked at
-        state = self._compensator.state(odometry, self._memory.reached, wanted)
-        return replace(state, hazards=hazards)
+        return self._compensator.state(odometry, self._memory.reached, wanted, hazards)
 
     def _change_speed(self, steps: float) -> None:
         """Note how far towards the last command the speed has come, a number of steps later."""
@@ -424,7 +423,7 @@ class Planner:
             return
         asked = last.speed_fraction
         before = asked if memory.reached is None else memory.reached
-        before = max(before, min(asked, self.problem.floor.clearance(self.problem.dimension)))
+        before = max(before, min(asked, self.problem.least_speed))
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
     def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
@@ -453,11 +452,14 @@ class Planner:
         if not len(knots):
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._safe(state, Status.FEASIBLE, reason)
-        copied = sealed(np.array(goals, dtype=float))
+        copied = np.array(goals, dtype=float)
+        copied.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, copied)
         task = self._task(state, goals, knots, late)
         memory.goals = goals
-        held, catch = held_goal(task.problem, state, goals), None
+        held, catch = '', None
+        if hazards or self.problem.obstacles:
+            held = held_goal(task.problem, state, goals)
         if isinstance(motion, Paced):
             held = motion.trouble(self.ends(odometry.time), self._max_rate)
         if self._interception is None or shortened or isinstance(motion, Paced):
@@ -561,7 +563,9 @@ class Planner:
         expected = (memory.catch - now) / task.problem.step
         if abs(expected - round(expected)) <= SNAP:
             expected = float(round(expected))
-        alone = replace(task, state=replace(task.state, hazards=()))
+        alone = task
+        if task.state.hazards:
+            alone = replace(task, state=replace(task.state, hazards=()))
         most = CATCHES_AMONG if task.state.hazards else math.inf
         query = InterceptQuery(alone, motion, now, memory.previous, pause, expected, most)
         chosen, answer, catch = interception.earliest(query)
@@ -659,10 +663,9 @@ class Planner:
         command = command_of(problem, task.state, plan)
         entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
         wrong = joined(*command_violations(problem, plan, command, entry))
-        if not wrong and (last_look := flaw(problem, command, entry=entry)):
-            wrong = f'not sent: {last_look}'
-        if not wrong and self._compensator.response.lags:
-            command = self._compensator.held_back(problem, plan, command)
+        if not wrong:
+            if self._lags:
+                command = self._compensator.held_back(problem, plan, command)
             if last_look := flaw(problem, command, entry=entry):
                 wrong = f'not sent: {last_look}'
         if wrong:
@@ -710,3 +713,8 @@ def _planned(problem: Problem) -> Problem:
     if orders != (3, 1, True) or limited:
         return problem
     return replace(problem, max_rate=0.0)
+
+
+def joined(*reasons: str) -> str:
+    """Return reasons in one line; empty ones do not count."""
+    return '; '.join(filter(None, reasons))

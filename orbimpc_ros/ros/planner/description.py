@@ -106,7 +106,7 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
     if problem.translation_order == 2:
         parts.append(f'{mass:g} kg')
     if problem.floor.exists:
-        least = problem.floor.clearance(problem.dimension) * problem.forward
+        least = problem.least_speed * problem.forward
         parts.append(f'at least {least:.4g} {unit} ({problem.floor})')
     if problem.max_rate:
         parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
@@ -151,7 +151,7 @@ def _leaning(problem: Problem, disturbance: Array) -> list[str]:
 
 
 def _hovering(problem: Problem, gravity: float) -> str:
-    least = problem.floor.clearance(problem.dimension) * problem.forward
+    least = problem.least_speed * problem.forward
     if least > gravity:
         return f'cannot hover, for its least thrust is {least:.4g}'
     return f'hovers at {gravity / problem.forward:.3g} of its thrust'
