@@ -10,6 +10,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from planners import FRAMES, settings
+
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.command import flaw
@@ -24,13 +26,11 @@ from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
-FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000 * SECOND  # [ns]
 
 
@@ -38,9 +38,8 @@ class Driven:
     """A core whose inputs are stamped and come when the test says."""
 
     def __init__(self, simulated=False, limits=None, **changes):
-        values = {row.name: row.default for row in PLANNER} | {'step': 0.1} | changes
-        settings = planner_settings(values)
-        self.core = Core(*planner_of(settings), simulated=simulated, **(limits or {}))
+        given = settings(**{'step': 0.1} | changes)
+        self.core = Core(*planner_of(given), simulated=simulated, **(limits or {}))
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         vehicle = launched(Model(), np.array(position), np.eye(2))
@@ -236,8 +235,7 @@ def test_with_a_floor_the_safe_command_circles_unless_a_stop_is_asked_for():
         ('circle', 1, 'hold_rate_zero', 'hold_rate_zero'),
     ):
         changes = {'floor.shape': shape, 'translation_order': order, 'safe_command': given}
-        values = {row.name: row.default for row in PLANNER} | changes
-        assert planner_settings(values).safe_command == wanted
+        assert settings(**changes).safe_command == wanted
 
 
 @pytest.mark.parametrize('kind', ['auto', 'hold_rate_zero', 'stop'])

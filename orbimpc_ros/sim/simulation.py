@@ -20,8 +20,9 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
+from orbimpc_ros.ros.process import DONE, FAILED, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines import EngineFailure
@@ -53,7 +54,7 @@ class FlightSimulation:
         airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
 
-    def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
+    def __init__(self, node: Managed, settings: SimSettings, commands: Subscription) -> None:
         body = own_frame(settings.child_frame_id, node.get_namespace())
         settings = replace(settings, child_frame_id=body)
         self.node, self.settings = node, settings

@@ -38,6 +38,8 @@ SHARES: dict[str, type] = {'thrust': Vector3Stamped}
 COMMANDED = frozenset(COMMANDS | FORCES | SHARES)
 TOPICS = frozenset(KINDS | COMMANDS | PROOFS)
 CLAIMS = frozenset({'tick', 'certificate'})  # which wait for proofs
+# On ~/distance [m], ~/solve_time [s] and so on.
+NUMBERS = ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
 
 
 def outputs(settings: PlannerSettings) -> dict[str, type]:

@@ -82,7 +82,7 @@ def _may_be_unanswered(recording: Recording, planner: PlannerSettings) -> float:
     In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
     answers only the last before each tick.
     """
-    return 0 if recording.simulated and planner.on_odometry else math.inf
+    return 0 if recording.simulated and planner.trigger == 'odom' else math.inf
 
 
 def _tick(args: argparse.Namespace, count: int) -> int:
