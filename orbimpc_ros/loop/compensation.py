@@ -368,23 +368,6 @@ class Response:
         return Odometry(odometry.time + time, position, attitude, body, odometry.body_rate)
 
 
-def held_back(problem: Problem, plan: Plan, before: Command | None, command: Command) -> Command:
-    """Return what to send a vehicle that obeys at once, for the step that begins.
-
-    At second order the model takes a command over at the end of a step: what is due in this one is
-    what was commanded ``before``. With ``exact`` steps thrust changes evenly from one to the other.
-    """
-    fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
-    if problem.inertial:
-        due = problem.least_speed if before is None else before.speed_fraction
-        late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
-        fraction = (1.0 - late) * due + late * fraction
-    if problem.rotation_order == 2:
-        rate = np.zeros(len(rate)) if before is None else before.body_rate
-        rotation = np.array(plan.projected[1])
-    return Command(fraction, np.array(rate), np.array(rotation))
-
-
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
 
@@ -795,6 +778,19 @@ class Compensator:
         return odd_speed(self._problem, odometry, self.disturbance, self._velocity_source)
 
     def held_back(self, problem: Problem, plan: Plan, command: Command) -> Command:
-        """Return what to send now of a plan's first command, which becomes due."""
+        """Return what to send now of a plan's first command, which becomes due.
+
+        At second order the model takes a command over at the end of a step: a vehicle that obeys
+        at once is sent in this one what was commanded before. With ``exact`` steps thrust changes
+        evenly from one to the other.
+        """
         before, self.due = self.coming, command
-        return held_back(problem, plan, before, command)
+        fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
+        if problem.inertial:
+            due = problem.least_speed if before is None else before.speed_fraction
+            late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
+            fraction = (1.0 - late) * due + late * fraction
+        if problem.rotation_order == 2:
+            rate = np.zeros(len(rate)) if before is None else before.body_rate
+            rotation = np.array(plan.projected[1])
+        return Command(fraction, np.array(rate), np.array(rotation))

@@ -56,12 +56,8 @@ def flaw(
     a rate below the limit (without one, below half a turn in a step), a speed that is not changed
     faster than it may be, and a rotation. In plain floats, for speed.
 
-    Args:
-        problem: gives the floor, the step and the limit.
-        command: to be sent.
-        stopping: whether it is a stop that was asked for, which no floor forbids, nor any limit of
-            the change of speed.
-        entry: share of full speed that the change counts from; None if it is not known.
+    A stop that was asked for (``stopping``) is forbidden by no floor and no limit of the change of
+    speed, which counts from the ``entry`` share of full speed; None if that is not known.
     """
     fraction = command.speed_fraction
     rate, rotation = command.body_rate.tolist(), command.rotation.tolist()

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent
+from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -129,9 +129,7 @@ class Plan(ByContent):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        fractions = np.linalg.norm(self.rotations[:, :, 0], axis=1)
-        fractions.setflags(write=False)
-        return fractions
+        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
 
     @property
     def projection_distance(self) -> Array:

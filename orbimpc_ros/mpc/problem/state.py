@@ -31,13 +31,12 @@ class State(ByContent):
         rotation_rate: W_0, shape (n, n) [1/s]; zero unless rotation is of order 2.
         attitude: Q_0, shape (n, n), the rotation R_0 was scaled from; by default the nearest one.
         coasted: the rotation, shape (n, n), that the present body rate turns the attitude into
-            during the first step. With it (rotation order 2), R_1 = rho * coasted with the
-            thrust fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which would
-            leave the manifold.
+            during the first step (rotation order 2). With it R_1 = rho * coasted, the thrust
+            fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, off the manifold.
         disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
             world frame [m/s], at order 2 an acceleration, gravity's included [m/s^2].
-        commanded: the share of full speed, in [0, 1], that changes of speed count from where they
-            are limited; by default |R_0 e1|. It is what a vehicle was told, not what is measured.
+        commanded: the share of full speed last commanded, in [0, 1], that limited changes of speed
+            count from; by default |R_0 e1|.
         hazards: what moves and is to be stayed clear of, from the start of the plan on.
         wanted: R_g, the rotation wanted at the end, shape (n, n): the goal's; None for any.
     """
