@@ -16,7 +16,6 @@ from typing import NoReturn
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import in_a_line
-from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.tool.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
@@ -70,9 +69,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         _complain(line)
         return BAD_INPUT
-    except EngineFailure as error:
-        _complain(f'the engine has failed: {error}')
-        return FAILED
     except KeyboardInterrupt:
         _complain('interrupted')
         return INTERRUPTED
