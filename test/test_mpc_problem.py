@@ -7,7 +7,6 @@ import pytest
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.problem import (
     Box,
     Floor,
@@ -15,7 +14,6 @@ from orbimpc_ros.mpc.problem import (
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -85,21 +83,6 @@ def test_a_huge_value_is_cut_short_in_the_message():
     with pytest.raises(BadInput) as caught:
         forecast_named('x' * 10_000)
     assert len(str(caught.value)) < 200
-
-
-@pytest.mark.parametrize(('n', 'faces'), [(2, 3), (2, 4), (2, 7), (3, 6), (3, 12), (3, 20)])
-def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, faces):
-    directions = normals(n, faces)
-    assert directions.shape == (faces, n)
-    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
-    assert len({tuple(np.round(d, 9)) for d in directions}) == faces
-    rng = np.random.default_rng(0)
-    v = rng.normal(size=(20_000, n))
-    v /= np.linalg.norm(v, axis=1, keepdims=True)
-    covered = (v @ directions.T).max(axis=1)
-    limit = largest_fraction(n, faces)
-    assert covered.min() >= limit - 1e-9
-    assert covered.min() <= limit + 0.02
 
 
 def test_states_start_at_rest_and_know_their_attitude():
