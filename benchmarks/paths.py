@@ -156,8 +156,8 @@ class Cessna:
     """JSBSim's c172x, on its own roll autopilot and altitude hold."""
 
     def __init__(self, frame: Airframe, position: Array, heading: float, wind: Array, seed: int):
+        from orbimpc_ros.sim.engines import Start
         from orbimpc_ros.sim.engines.cessna import Cessna as Engine
-        from orbimpc_ros.sim.engines.engine import Start
 
         axis = np.array([math.cos(heading), math.sin(heading)])
         turned = np.array([[axis[0], -axis[1]], [axis[1], axis[0]]])

@@ -68,8 +68,7 @@ def draw(name: str, place: Path) -> None:
     else:
         in_both_looks(drawn(flown), pictures / f'{name}.png')
     if name == 'retrieval':
-        moving = list(animation.frames(flown['retrieval']))
-        animation.write_gif(moving, DOCS / 'retrieval.gif')
+        animation.write_gif(flown['retrieval'], DOCS / 'retrieval.gif')
 
 
 def main() -> None:

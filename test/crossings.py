@@ -27,7 +27,7 @@ from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo import fleet
-from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
+from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 
 
 class Crew(Protocol):
@@ -100,7 +100,7 @@ class Aboard:
         """Have every planner forget the crossing before."""
         self._under_way.clear()
         for each in self.planners.values():
-            each.forget()
+            each.start_afresh(wind=True)
 
     def answers(self, asked: Mapping[str, tuple[Any, Any]], at: int) -> dict[str, dict[str, Any]]:
         found, now = {}, RosTime(at)

@@ -8,8 +8,7 @@ import numpy as np
 
 from orbimpc_ros.ros.entry import sim
 from orbimpc_ros.sim import engine_vehicle as engines
-from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.engines.engine import Motion
+from orbimpc_ros.sim.engines import EngineFailure, Motion
 
 
 class Straight:

@@ -74,8 +74,8 @@ def planned(
     """Return a planner's tick on what is seen of a flight just now."""
     sighting, odometry = sensor(flight)
     forecast.observe(sighting)
-    ahead = planner.problem.step * np.arange(1, planner.remaining + 1)
-    decision = planner.step(Snapshot(odometry, forecast.at(sighting.time + ahead)))
+    goals = forecast.at(planner.ends(odometry.time))
+    decision = planner.step(Snapshot(odometry, goals))
     planner.sent(decision.command)
     return decision
 

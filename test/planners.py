@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A live planner whose inputs are in a test's hands, and what it says."""
+"""Inputs of planners under test, and a live planner whose inputs are in a test's hands."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from nav_msgs.msg import Odometry
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
@@ -21,14 +23,22 @@ LOST = 10.0  # [s] without an answer: on a busy machine a planner takes a second
 QUICK = {'trigger': 'odom', 'step': 0.1, 'odom_timeout': 0.8}
 
 
-def odometry(seconds, model=None):
-    model = model or Model()
-    vehicle = launched(model, np.zeros(2), np.eye(2))
-    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), measured(vehicle))
+def settings(**given):
+    """Return the planner's settings with these parameters, by names as they are or by keywords."""
+    return planner_settings(completed(PLANNER, given))
 
 
-def goal(seconds):
-    return messages.goal_message(Stamp(round(seconds * 1e9), FRAMES), np.array([5.0, 0.0]))
+def stamp(seconds):
+    return Stamp(round(seconds * 1e9), FRAMES)
+
+
+def odometry(seconds, position=(0.0, 0.0)):
+    vehicle = launched(Model(), np.array(position), np.eye(2))
+    return messages.odometry_message(stamp(seconds), measured(vehicle))
+
+
+def goal(seconds, x=5.0, y=0.0):
+    return messages.goal_message(stamp(seconds), np.array([x, y]))
 
 
 def told(message):

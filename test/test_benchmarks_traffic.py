@@ -21,7 +21,7 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import EPOCH, Onboard, tell
+from orbimpc_ros.tool.offline import EPOCH, aboard, tell
 from orbimpc_ros.tool.study import flights
 from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import Job, flown
@@ -79,7 +79,7 @@ class Listener(Baseline):
 def test_pilots_are_told_of_bodies_by_the_margin_larger_and_learn_how_they_move():
     mission, made = draws_of('crossing'), []
     values = mission.of(4, 0)
-    planner = Onboard(values, pilot=lambda known: made.append(Listener(known)) or made[0])
+    planner = aboard(values, pilot=lambda known: made.append(Listener(known)) or made[0])
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     for _ in range(3):
         tell(planner, flight, 0, mission.margin)
@@ -102,7 +102,7 @@ def test_deadlines_go_by_the_clock_that_is_given():
     flight = departure(sim_settings(settings.of_sim(mission.values)).scenario)
     for hurry, late in ((0.0, False), (1.0, True)):
         made, ticks = [], itertools.count()
-        planner = Onboard(
+        planner = aboard(
             mission.values,
             pilot=lambda known, made=made: made.append(Listener(known)) or made[0],
             clock=lambda ticks=ticks, hurry=hurry: hurry * next(ticks),

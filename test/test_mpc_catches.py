@@ -133,7 +133,6 @@ def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monke
     assert [hunted(FREE, goals)[0].checked, hunted(WING, behind)[0].checked] == [True, True]
     unproved = lambda *_: -np.inf  # noqa: E731
     monkeypatch.setattr('orbimpc_ros.mpc.solve.solver.Verifier.bound', unproved)
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.prove.held', lambda _: None)
     assert hunted(FREE, goals)[0].checked  # by distances alone
     word, _ = hunted(WING, behind)
     assert excluded(word) == 3

@@ -6,12 +6,10 @@ import pytest
 from problems import ORDERS, rotation
 
 from orbimpc_ros.loop.compensation import CommandHistory, Interval, advanced
-from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.sim.world import Rope
+from orbimpc_ros.mpc.problem import Problem
 
 
 def command(fraction, rate):
@@ -138,70 +136,3 @@ def test_forgotten_commands_are_not_in_force():
     kept.add(A, 1.0)
     kept.forget()
     assert [interval.command for interval in kept.intervals(1.5, 2.0)] == [None]
-
-
-STEP = 0.2  # [s]
-FINE = 0.01  # [s]
-
-
-class Flown:
-    """A vehicle in continuous time that hears commands late, and its controller.
-
-    It turns at the commanded rate at once, and takes over a commanded speed when the next command
-    comes. Odometry is measured once a step and arrives after ``delay``.
-    """
-
-    def __init__(self, delay, compensated, seed):
-        rng = np.random.default_rng(seed)
-        self.delay, self.compensated = delay, compensated
-        self.rope = Rope([2.0, 0.0], [1.5, 1.0], rng.uniform(0.05, 0.07), rng.uniform(0, 6.28, 2))
-        self.controller = Planner(
-            Problem(horizon=8, step=STEP, weights=Weights(1.0, 0.01, 0.0, 10.0))
-        )
-        self.position, self.attitude = np.zeros(2), exp(rng.uniform(-3.0, 3.0, 1))
-        self.fraction, self.last = 1.0, command(1.0, 0.0)
-        self.under_way = []
-
-    def measure(self, time):
-        velocity = np.array([self.fraction, 0.0])
-        self.under_way.append(
-            Odometry(time, self.position, self.attitude, velocity, self.last.body_rate)
-        )
-
-    def answer(self, time):
-        while self.under_way and self.under_way[0].time + self.delay <= time + 1e-9:
-            measured = self.under_way.pop(0)
-            late = time - measured.time if self.compensated else 0.0
-            ahead = measured.time + late + STEP * np.arange(1, 9)
-            goals = np.array([self.rope.at(t) for t in ahead])
-            given = self.controller.step(Snapshot(measured, goals, latency=late), time).command
-            self.fraction, self.last = self.last.speed_fraction, given
-            self.controller.sent(given, time)
-
-    def move(self):
-        half = exp(0.5 * FINE * self.last.body_rate)
-        middle = self.attitude @ half
-        self.position = self.position + FINE * self.fraction * middle[:, 0]
-        self.attitude = middle @ half
-
-
-def tracking_error(delay, compensated, seed):
-    """Root mean square of the distance to a goal that swings, once it has been reached [m]."""
-    flown, misses = Flown(delay, compensated, seed), []
-    for k in range(1200):
-        time = k * FINE
-        if k % 20 == 0:
-            flown.measure(time)
-        flown.answer(time)
-        flown.move()
-        if time > 5.0:
-            misses.append(np.linalg.norm(flown.position - flown.rope.at(time)))
-    return np.sqrt(np.mean(np.square(misses)))
-
-
-def test_compensation_tracks_better_whatever_the_delay():
-    undelayed = tracking_error(0.0, True, 0)
-    for delay in (0.05, 0.1, 0.15, 0.2, 0.25, 0.3):
-        without, with_it = (tracking_error(delay, on, 0) for on in (False, True))
-        assert with_it < without
-        assert with_it < 1.25 * undelayed

@@ -117,26 +117,6 @@ def test_no_inputs_cost_more_than_their_share_of_the_squared_radius(n, order):
     assert 0.3 * EFFORT * RADIUS**2 < worst <= EFFORT * RADIUS**2 * (1.0 + 1e-9)
 
 
-@needs_speed
-def test_a_goal_that_is_circled_by_who_tracks_it_is_caught_by_who_intercepts_it():
-    caught = {}
-    for radius in (0.0, 2.0):
-        controller = Stepped(WING, capture_radius=radius)
-        position, heading, least = np.zeros(2), 0.0, np.inf
-        for k in range(60):
-            goal = np.tile([60.0, 60.0], (8, 1))
-            tick = controller.tick(measured(position, heading, 12.0, 0.5 * k), goal)
-            assert tick.plan is not None
-            turn = 0.5 * tick.command.body_rate[0]
-            speed = 15.0 * tick.command.speed_fraction
-            mid = heading + 0.5 * turn
-            position = position + 0.5 * speed * np.array([np.cos(mid), np.sin(mid)])
-            heading += turn
-            least = min(least, np.linalg.norm(position - goal[0]))
-        caught[radius] = bool(least <= 2.0)
-    assert caught == {0.0: False, 2.0: True}
-
-
 def test_what_has_to_arrive_in_time_does_not_intercept():
     for options in ({'shrinking': True}, {}):
         problem = Problem(terminal='penalty' if options else 'constraint')
@@ -235,29 +215,6 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     assert farthest(replace(WING, obstacles=(box,))) == 8
     assert farthest(replace(WING, max_rate=1.0)) == 25
     assert farthest(replace(WING, rotation_order=2, floor=Floor())) == 8
-
-
-@pytest.mark.parametrize('cone', [0.0, 0.5])
-def test_what_is_made_at_the_start_are_the_ends_of_steps(cone):
-    """There are three times as many ends between them, of which a search tries two."""
-    approach = Approach(cone) if cone else Approach()
-    coned = replace(WING, approach=approach)
-    targets = Interception(coned, 2.0, Solvers(coned)).targets
-    kinds = {False, True} if cone else {False}
-    assert set(targets) == {Target(end, kind) for end in range(1, 9) for kind in kinds}
-    assert len(targets) == len(set(targets))
-
-
-@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-def test_the_problem_tracked_reaches_and_drifts_as_those_of_its_first_steps(discretisation):
-    problem = Problem(translation_order=2, horizon=6, step=0.3, discretisation=discretisation)
-    start = State.at([1.0, 2.0], np.eye(2), velocity=[0.5, -1.0], disturbance=[0.2, 0.1])
-    interception = Interception(problem, RADIUS, Solvers(problem))
-    for end in range(1, 7):
-        own = interception.problem(Target(end))
-        assert own is interception.problem(Target(end))
-        assert np.allclose(own.maps.reach[-1], problem.maps.reach[end - 1, : end + 1])
-        assert np.allclose(drift(own, start)[-1], drift(problem, start)[end - 1])
 
 
 @needs_speed

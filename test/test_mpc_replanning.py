@@ -13,7 +13,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.plan import later, shifted
+from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -22,13 +22,6 @@ from orbimpc_ros.mpc.solve.solver import Solver
 def measured(time, motion):
     velocity = motion.attitude.T @ motion.velocity
     return Odometry(time, motion.position, motion.attitude, velocity, motion.rate)
-
-
-def test_what_comes_later_lies_on_chords_and_ends_with_the_last():
-    values = np.array([[0.0, 1.0], [2.0, 3.0], [6.0, -1.0]])
-    np.testing.assert_array_equal(later(values, np.array([1.0, 2.0])), values[1:])
-    np.testing.assert_allclose(later(values, np.array([0.5, 1.25])), [[1.0, 2.0], [3.0, 2.0]])
-    np.testing.assert_array_equal(later(values, np.array([2.0, 2.4, 9.0])), values[[2, 2, 2]])
 
 
 def test_a_plan_shifted_by_a_share_of_a_step_keeps_the_floor_and_where_it_leads():

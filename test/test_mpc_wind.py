@@ -17,10 +17,9 @@ from orbimpc_ros.loop.state import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
+from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.sim.world import Rope, Scenario
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
@@ -98,26 +97,6 @@ def test_an_acceleration_acts_while_a_measurement_is_on_its_way():
     carried = Command(9.81 / 20.0, np.zeros(3), UP)
     hovering = advanced(problem, seen, [Interval(0.4, carried, carried)], WEIGHT)
     np.testing.assert_allclose(hovering.position, 0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-@pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('order', [1, 2])
-def test_the_simulated_vehicle_moves_as_the_planners_dynamics_say(n, order, discretisation):
-    rng = np.random.default_rng([n, order])
-    problem = Problem(n, 1, order, 9, 0.3, 1.7, discretisation=discretisation)
-    w = rng.normal(size=n)
-    model = replace(model_of(problem), disturbance=tuple(w))
-    start = launched(model, rng.normal(size=n), np.eye(n), velocity=rng.normal(size=n))
-    flown = [start]
-    for _ in range(problem.horizon):
-        flown.append(advance(model, flown[-1], rng.uniform(), rng.normal(size=model.rates)))
-    known = {'velocity': start.velocity, 'disturbance': w}
-    state = State.at(start.position, np.eye(n), **known)
-    headings = np.array([v.fraction * v.attitude[:, 0] for v in flown])
-    positions, velocities = dynamics.translation_rollout(problem, state, headings)
-    np.testing.assert_allclose([v.position for v in flown], positions, atol=1e-12)
-    np.testing.assert_allclose([v.velocity for v in flown], velocities, atol=1e-12)
 
 
 # --- safe commands under gravity
@@ -213,19 +192,6 @@ def test_no_wind_drives_an_airspeed_below_the_floor(source):
     assert all(tick.status == 'optimal' for tick in log.ticks)
     assert min(flight.vehicle.fraction for flight in log.flights) >= 0.6 - 1e-9
     assert min(flight.speed for flight in log.flights) < 0.6
-
-
-def test_an_estimate_may_change_what_is_planned_with_from_tick_to_tick():
-    controller = Stepped(Problem())
-    seen = measured(launched(Model(), np.zeros(2), np.eye(2)))
-    goals = np.tile([2.0, 2.0], (5, 1))
-    for wind in ([0.0, 0.0], [0.4, 0.0]):
-        controller._compensator.disturbance = np.array(wind)
-        tick = controller.tick(seen, goals)
-        np.testing.assert_allclose(tick.state.disturbance, wind)
-        np.testing.assert_allclose(
-            tick.plan.positions[1], tick.state.rotation[:, 0] + wind, atol=1e-12
-        )
 
 
 def test_a_wind_of_another_dimension_is_refused():

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from orbimpc_ros.ros.planner.numbers import NUMBERS
+from orbimpc_ros.ros.planner.outputs import NUMBERS
 from orbimpc_ros.tool.topics import TYPES
 
 pytest.importorskip('rclpy')

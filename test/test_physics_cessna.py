@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
-from orbimpc_ros.sim.engines.engine import Start
+from orbimpc_ros.sim.engines import Start
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Scenario, departure, fixed

@@ -6,17 +6,16 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from planners import FRAMES, settings
 from stepping import targets
 
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
 
-FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000  # [s]
 
 
@@ -24,9 +23,8 @@ class Watched:
     """A planner without its node, that watches a goal at 10 Hz."""
 
     def __init__(self, **changes):
-        values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'horizon': 5} | changes
-        settings = planner_settings(values)
-        self.core, self.steps = Core(*planner_of(settings)), 0
+        given = settings(step=0.1, horizon=5, **changes)
+        self.core, self.steps = Core(*planner_of(given)), 0
         self.inputs = self.core.inputs
 
     def watch(self, goal, ticks):
@@ -71,13 +69,12 @@ def test_the_name_changes_when_the_goal_does():
 def test_another_forecast_begins_with_the_last_goal():
     watched = Watched()
     watched.watch(carried, 10)
-    values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_prediction': 'auto'}
-    watched.inputs.adopt(planner_settings(values))
-    assert watched.inputs.goal_model != ''
+    watched.inputs.adopt(settings(step=0.1, goal_prediction='auto'))
+    assert watched.inputs.heard['goal_model'] != ''
     held = np.tile(carried(1.0), (5, 1))
     np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
     watched.inputs.forget()
-    assert watched.inputs.goal_model == ''
+    assert watched.inputs.heard['goal_model'] == ''
 
 
 class Away:

@@ -20,7 +20,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.planner.numbers import NUMBERS
+from orbimpc_ros.ros.planner.outputs import NUMBERS
 from orbimpc_ros.ros.process import qos
 
 WING = QUICK | {
@@ -136,17 +136,13 @@ def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
 
 IN_A_CALLBACK = """
     import ctypes, os, signal, sys
-    from orbimpc_ros.ros.planner.compiling import leaving_at_signals
+    from orbimpc_ros.ros.entry import leave_at_signals
 
     def kill():
         os.kill(os.getpid(), signal.{signal})
 
-    handler = signal.getsignal(signal.{signal})
-    with leaving_at_signals():
-        pass
-    assert signal.getsignal(signal.{signal}) is handler
-    with leaving_at_signals():
-        ctypes.CFUNCTYPE(None)(kill)()  # as LLVM calls back: exceptions are dropped there
+    leave_at_signals()
+    ctypes.CFUNCTYPE(None)(kill)()  # as LLVM calls back: exceptions are dropped there
     sys.exit('it went on')
 """
 
@@ -162,8 +158,9 @@ BLOCKED = """
     import sys, time
     from orbimpc_ros.mpc.errors import BadInput
     from orbimpc_ros.ros import process
+    from orbimpc_ros.ros.lifecycle import Managed
 
-    class Blocked(process.Guarded):
+    class Blocked(Managed):
         def begin(self):
             self.declare_parameter('executor', 'wait_set')
             print('begins', flush=True)

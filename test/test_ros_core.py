@@ -10,6 +10,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from planners import FRAMES, settings
+
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.command import flaw
@@ -24,13 +26,11 @@ from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
-FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000 * SECOND  # [ns]
 
 
@@ -38,9 +38,8 @@ class Driven:
     """A core whose inputs are stamped and come when the test says."""
 
     def __init__(self, simulated=False, limits=None, **changes):
-        values = {row.name: row.default for row in PLANNER} | {'step': 0.1} | changes
-        settings = planner_settings(values)
-        self.core = Core(*planner_of(settings), simulated=simulated, **(limits or {}))
+        given = settings(**{'step': 0.1} | changes)
+        self.core = Core(*planner_of(given), simulated=simulated, **(limits or {}))
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         vehicle = launched(Model(), np.array(position), np.eye(2))
@@ -236,8 +235,7 @@ def test_with_a_floor_the_safe_command_circles_unless_a_stop_is_asked_for():
         ('circle', 1, 'hold_rate_zero', 'hold_rate_zero'),
     ):
         changes = {'floor.shape': shape, 'translation_order': order, 'safe_command': given}
-        values = {row.name: row.default for row in PLANNER} | changes
-        assert planner_settings(values).safe_command == wanted
+        assert settings(**changes).safe_command == wanted
 
 
 @pytest.mark.parametrize('kind', ['auto', 'hold_rate_zero', 'stop'])
@@ -457,46 +455,6 @@ def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
     assert refutation_messages(report) == {}
 
 
-def of_the_methods_word(report, bound):
-    """Return a report whose bound nobody has counted."""
-    proof = replace(report.decision.plan.proof, lower_bound=bound, checked=False, tree=None)
-    plan = replace(report.decision.plan, proof=proof)
-    return replace(report, decision=replace(report.decision, plan=plan, status=plan.status))
-
-
-def test_a_bound_that_was_not_counted_is_proved_after_the_command():
-    driven = still()
-    answered = driven.tick_again(1.0)
-    assert answered.decision.status == 'optimal'
-    word = of_the_methods_word(answered, answered.decision.plan.lower_bound)
-    assert word.decision.status == 'feasible'
-    assert (word.values['lower_bound'], word.values['gap']) == (0.0, 1.0)
-    report = driven.core.proved(word)
-    assert report.decision.status == 'optimal'
-    assert report.values['lower_bound'] == answered.values['lower_bound']
-    assert report.values['bound_checked'] is True
-    assert report.decision.reason == answered.decision.reason
-    known = driven.core.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
-    sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
-    verdict = verified(parsed(bytes(sent.data)))
-    assert verdict.holds
-    assert verdict.claimed == report.decision.plan.lower_bound > 0.0
-
-
-def test_a_bound_that_nothing_proves_is_the_methods_word():
-    driven = still()
-    answered = driven.tick_again(1.0)
-    word = of_the_methods_word(answered, 1.0001 * answered.decision.plan.objective)
-    report = driven.core.proved(word)
-    assert report.decision.status == 'feasible'
-    assert report.values['bound_checked'] is False
-    assert report.values['lower_bound'] == 0.0
-    assert report.decision.reason == WORD
-    assert report.decision.command == answered.decision.command
-    left_open = of_the_methods_word(answered, 0.5 * answered.decision.plan.objective)
-    assert driven.core.proved(left_open) is left_open  # there is nothing to gain
-
-
 BOXES = {'obstacles': [1.5, -1.0, 2.5, 1.6, 3.0, 1.2, 4.0, 3.0], 'floor.shape': 'circle'}
 
 
@@ -512,15 +470,6 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
         found.append((plan.objective, plan.lower_bound, plan.nodes))
         assert (plan.gap < 1e-6) == (deadline == 0.1)
     assert found[0] == found[1]
-
-
-def test_the_proof_of_a_bound_has_until_the_deadline():
-    driven = still()
-    answered = driven.tick_again(1.0)
-    word = of_the_methods_word(answered, answered.decision.plan.lower_bound)
-    end = driven.core._end
-    driven.core._limit = lambda: end
-    assert driven.core.proved(word).decision.reason == WORD
 
 
 def test_a_plan_needs_no_such_proof():

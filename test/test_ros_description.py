@@ -7,8 +7,9 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from planners import settings
+
 from orbimpc_ros.mpc.problem import Floor
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.description import doubts, summary
 
 WING = {
@@ -17,19 +18,14 @@ WING = {
 }  # fmt: skip
 
 
-def described(**changes):
-    values = {row.name: row.default for row in PLANNER} | changes
-    return planner_settings(values)
-
-
 def test_one_line_says_what_vehicle_the_planner_believes_in():
-    assert summary(described(**WING), simulated=True) == (
+    assert summary(settings(**WING), simulated=True) == (
         '15 m/s, at least 10 m/s (circle), at most 25 deg/s, 0.1 s x 10, 2D, rotation order 1, '
         'translation order 1, planned at each odometry, time of /clock, '
         'goals stale after 1 s once they stream, safe command loiter'
     )
     thrust = {'translation_order': 2, 'dimension': 3, 'mass': 7.0, 'goal_timeout': -1.0}
-    assert summary(described(**thrust), simulated=False) == (
+    assert summary(settings(**thrust), simulated=False) == (
         '1 m/s^2, 7 kg, 1 s x 5, 3D, rotation order 1, translation order 2, planned every step, '
         "the system's time, goals never stale, safe command stop"
     )
@@ -67,19 +63,19 @@ AIR = {'velocity_source': 'air'}
     ],
 )
 def test_the_start_up_line_says_what_moves_the_vehicle(changes, words, others):
-    line = summary(described(**changes), simulated=False)
+    line = summary(settings(**changes), simulated=False)
     assert words in line
     assert not others or others not in line
 
 
 def test_a_stop_below_the_floor_is_told():
-    told = summary(described(**WING, safe_command='stop'), simulated=False)
+    told = summary(settings(**WING, safe_command='stop'), simulated=False)
     assert told.endswith('safe command stop although that is below the floor')
 
 
 def test_what_is_hardly_meant_is_doubted():
     def doubted(**given):
-        return doubts(described(**{'step': 0.1} | given), given)
+        return doubts(settings(**{'step': 0.1} | given), given)
 
     assert doubted(max_rate=25.0) == [
         'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant'
@@ -101,7 +97,7 @@ def test_what_is_hardly_meant_is_doubted():
 
 def test_what_only_the_vehicles_maker_knows_is_asked_for():
     def doubted(**given):
-        return [each.split(' not given')[0] for each in doubts(described(**given), given)]
+        return [each.split(' not given')[0] for each in doubts(settings(**given), given)]
 
     thrust = {'translation_order': 2, 'dimension': 3, 'thrust_axis': 'z'}
     assert doubted(**thrust) == ['max_rate is']
@@ -123,7 +119,7 @@ def test_what_only_the_vehicles_maker_knows_is_asked_for():
 )
 def test_a_horizon_too_short_to_turn_round_is_doubted(horizon, shape, told):
     given = {'step': 0.5, 'horizon': horizon, 'max_rate': math.radians(25.0), 'floor.shape': shape}
-    found = doubts(described(**given), given)
+    found = doubts(settings(**given), given)
     assert [doubt.split(':')[0] for doubt in found] == told
     assert all(doubt.endswith('half a turn takes a horizon of 15') for doubt in found)
-    assert doubts(described(**given, objective='intercept'), given) == []  # it looks beyond
+    assert doubts(settings(**given, objective='intercept'), given) == []  # it looks beyond

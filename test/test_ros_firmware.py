@@ -9,7 +9,7 @@ import pytest
 from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
+from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion, to_quaternion
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.firmware import Setpoint
@@ -43,7 +43,7 @@ def test_axes_and_attitudes_there_and_back(rng):
         same(firmware.NED @ firmware.NED @ vector, vector)
         same(firmware.FRD @ firmware.FRD @ vector, vector)
         rotation = firmware.attitude(unit)
-        back = firmware.quaternion(rotation)
+        back = to_quaternion(firmware.NED @ rotation @ firmware.FRD)
         same(back * math.copysign(1.0, back @ unit), unit)
         # A vector of the body is the same one of the world, whichever axes it is written in.
         of_body = from_quaternion(unit, 3) @ (firmware.FRD @ vector)

@@ -10,18 +10,16 @@ import pytest
 pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Path
-from planners import QUICK, Bench
+from planners import FRAMES, QUICK, Bench, settings
 from std_srvs.srv import Trigger
 from stepping import stale_goal, targets
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
-FRAMES = Frames('odom', 'base_link')
 NUMBERS = (
     math.nan, math.inf, -math.inf, 0.0, -0.0, 1e308, -1e308, 5e-324, 1.0, -1.0, 1e7, 1e-3, 3e38,
 )  # fmt: skip
@@ -92,8 +90,7 @@ def finite(*arrays):
 @pytest.mark.parametrize('part', range(4))
 def test_whatever_comes_is_taken_whole_or_refused_whole(part):
     draw = random.Random(part)
-    values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_jump_limit': 50.0}
-    inputs = Inputs(planner_settings(values))
+    inputs = Inputs(settings(step=0.1, goal_jump_limit=50.0))
     makers = {'odom': odometry, 'goal': goal, 'goal_path': path}
     taken = 0
     for k in range(2500):

@@ -6,36 +6,31 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from planners import goal, odometry, settings, stamp
 from stepping import stale_goal, stale_odometry, targets
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.planner.inputs import Inputs
-from orbimpc_ros.sim.vehicle import Model, launched, measured
 
-FRAMES = Frames('odom', 'base_link')
-
-
-def stamp(seconds):
-    return Stamp(round(seconds * 1e9), FRAMES)
-
-
-def odometry(seconds):
-    start = launched(Model(), np.zeros(2), np.eye(2))
-    return messages.odometry_message(stamp(seconds), measured(start))
-
-
-def goal(seconds, x=5.0):
-    return messages.goal_message(stamp(seconds), np.array([x, 0.0]))
+NOW = 1_700_000_000 * SECOND  # [ns]
+UPRIGHT = (np.sqrt(0.5), 0, np.sqrt(0.5), 0)  # without a yaw
 
 
 @pytest.fixture
 def inputs():
-    values = {row.name: row.default for row in PLANNER}
-    given = {'step': 0.1, 'odom_timeout': 0.2, 'goal_timeout': 1.0}
-    return Inputs(planner_settings({**values, **given}))
+    return Inputs(settings(step=0.1, odom_timeout=0.2, goal_timeout=1.0))
+
+
+@pytest.fixture
+def default():
+    return Inputs(settings(step=0.1))
+
+
+@pytest.fixture
+def limited():
+    return Inputs(settings(step=0.1, goal_jump_limit=0.5, goal_prediction='velocity'))
 
 
 def ahead(inputs, steps, start=None):
@@ -44,21 +39,66 @@ def ahead(inputs, steps, start=None):
     return start + inputs.settings.problem.step * np.arange(1, steps + 1)
 
 
-def test_what_is_missing_is_said(inputs):
-    assert 'odometry' in inputs.missing
-    assert 'goal' in inputs.missing
-    inputs.update('odom', odometry(1.0), 0.0)
-    assert inputs.missing == 'a goal on goal or goal_path'
-    inputs.update('goal', goal(1.0), 0.0)
-    assert inputs.missing == ''
+def path(seconds, places):
+    return messages.goal_path_message(stamp(seconds), 0.1, [np.array(each) for each in places])
 
 
-def test_duplicate_and_reordered_stamps_are_refused_and_counted(inputs):
+def oriented(message, w, x, y, z):
+    pose = message.poses[-1].pose if hasattr(message, 'poses') else message.pose
+    turned = pose.orientation
+    turned.w, turned.x, turned.y, turned.z = map(float, (w, x, y, z))
+    return message
+
+
+def clock(seconds, lag=0.0):
+    """The node's clock, some seconds after it showed NOW."""
+    return RosTime(NOW + round(seconds * SECOND), lag)
+
+
+def stamped(make, seconds, *arguments):
+    message = make(1.0, *arguments)
+    message.header.stamp = messages.time_message(NOW + round(seconds * SECOND))
+    return message
+
+
+def typed(x, frame='', make=goal):
+    """A message as ``ros2 topic pub`` makes it of a pose alone."""
+    message = make(0.0, x) if make is goal else make(0.0)
+    message.header.frame_id = frame
+    return message
+
+
+def sent(inputs, *times):
+    for at in times:
+        inputs.update('odom', odometry(at), at)
+        assert inputs.update('goal', goal(at), at) == ''
+
+
+# --- order
+
+
+def test_what_is_missing_is_said_by_the_names_of_topics_as_they_are_resolved(default):
+    names = {'odom': '/boat/gps', 'goal': '/boat/goal', 'goal_path': '/boat/path'}
+    remapped = Inputs(default.settings, names)
+    assert remapped.missing == 'odometry on /boat/gps and a goal on /boat/goal or /boat/path'
+    assert remapped.update('odom', odometry(1.0), 0.0) == ''
+    assert remapped.missing == 'a goal on /boat/goal or /boat/path'
+    assert remapped.update('odom', odometry(1.0), 0.1).startswith('/boat/gps refused: duplicate')
+    assert remapped.refused == {'odom: duplicate stamp': 1}  # counts keep their names
+    remapped.update('odom', odometry(2.0), 0.2, clock(0.2))
+    assert remapped.untimed == '/boat/gps'
+    remapped.update('goal', goal(1.0), 0.0)
+    assert remapped.missing == ''
+
+
+def test_duplicate_and_reordered_stamps_are_refused_counted_and_never_fresh(inputs):
     assert inputs.update('odom', odometry(1.0), 0.0) == ''
     assert 'duplicate' in inputs.update('odom', odometry(1.0), 0.01)
     assert 'reordered' in inputs.update('odom', odometry(0.5), 0.02)
     assert inputs.refused == {'odom: duplicate stamp': 1, 'odom: reordered stamp': 1}
-    assert inputs.odometry.at == 0.0  # what was refused does not count as fresh
+    for now in np.arange(0.05, 1.0, 0.05):
+        assert inputs.update('odom', odometry(1.0), now)
+    assert stale_odometry(inputs, 1.0) == 'odometry is 1.00 s old'
 
 
 def test_a_sender_whose_clock_went_back_is_heard_once_the_old_is_stale(inputs):
@@ -74,126 +114,15 @@ def test_a_sender_whose_clock_went_back_is_heard_once_the_old_is_stale(inputs):
 @pytest.mark.parametrize('refused', [False, True])
 def test_a_goal_of_the_past_leaves_odometry_as_it_is(inputs, refused):
     """Neither one that is taken in nor one that is itself refused costs what has just come."""
-    values = {row.name: row.default for row in PLANNER}
-    inputs.adopt(planner_settings({**values, 'weights.attitude': 0.5}))
+    inputs.adopt(settings(**{'weights.attitude': 0.5}))
     inputs.update('goal', goal(100.0), 0.0)
     inputs.update('odom', odometry(101.0), 2.9)
     known, old = inputs.odometry, goal(50.0, x=7.0)
     if refused:
-        oriented(old, np.sqrt(0.5), 0, np.sqrt(0.5), 0)  # without a yaw
+        oriented(old, *UPRIGHT)
     assert bool(inputs.update('goal', old, 3.0)) == refused
     assert inputs.odometry is known
     assert inputs.latest['goal'].value.position[0] == (5.0 if refused else 7.0)
-
-
-def test_a_frozen_stamp_never_counts_as_fresh(inputs):
-    inputs.update('odom', odometry(1.0), 0.0)
-    for now in np.arange(0.05, 1.0, 0.05):
-        assert inputs.update('odom', odometry(1.0), now)
-    assert 'odometry' in stale_odometry(inputs, 1.0)
-
-
-def test_age_is_of_arrival(inputs):
-    inputs.update('odom', odometry(1e6), 0.0)  # a stamp far in the future
-    inputs.update('goal', goal(1e6), 0.0)
-    assert stale_odometry(inputs, 0.15) == ''
-    assert 'odometry' in stale_odometry(inputs, 0.25)
-    inputs.update('odom', odometry(1e6 + 1), 1.1)
-    assert 'goal' in stale_goal(inputs, 1.15)
-
-
-def test_a_source_stamped_like_the_odometry_is_waited_for(inputs):
-    inputs.update('goal', goal(1.0), 0.0)
-    inputs.update('odom', odometry(1.5), 0.0)
-    assert inputs.complete  # nothing says that they belong together
-    inputs.update('goal', goal(1.5), 0.0)
-    inputs.update('odom', odometry(2.0), 0.1)
-    assert not inputs.complete
-    inputs.update('goal', goal(2.0, x=6.0), 0.1)
-    assert inputs.complete
-    np.testing.assert_array_equal(targets(inputs, ahead(inputs, 3), 0.1), [[6.0, 0.0]] * 3)
-
-
-def accompanied(inputs, turns, shares):
-    """Take in odometry at 50 Hz; return on which turns a goal that has not come is waited for."""
-    waits = []
-    for turn in range(turns):
-        at = 1.0 + 0.02 * turn
-        inputs.update('odom', odometry(at), at)
-        if not inputs.complete:
-            waits.append(turn)
-        if shares(turn):
-            inputs.update('goal', goal(at), at)
-    return waits
-
-
-def test_a_source_in_lock_step_is_waited_for_from_its_first_message_on(inputs):
-    assert accompanied(inputs, 30, lambda turn: True) == list(range(30))
-    assert inputs.companions == ['goal']
-
-
-@pytest.mark.parametrize('every', [2, 5, 20])
-def test_a_slower_source_of_the_same_clock_is_waited_for_once(inputs, every):
-    assert accompanied(inputs, 200, lambda turn: turn % every == 0) == [0, 1]
-    assert inputs.companions == []
-
-
-def test_a_loss_now_and_then_does_not_end_lock_step(inputs):
-    waits = accompanied(inputs, 60, lambda turn: turn % 15 != 14)
-    assert waits == list(range(60))
-
-
-def test_a_source_that_stops_is_given_up_after_one_turn_in_vain(inputs):
-    waits = accompanied(inputs, 60, lambda turn: turn < 20)
-    assert waits == list(range(22))
-
-
-def test_a_source_that_speaks_again_is_waited_for_once_it_has_proved_itself(inputs):
-    waits = accompanied(inputs, 60, lambda turn: not 20 <= turn < 25)
-    assert waits[-1] == 59
-    assert not set(range(22, 30)) & set(waits)
-
-
-def test_a_forecast_from_outside_is_used_while_it_is_fresh(inputs):
-    inputs.update('goal', goal(0.0), 0.0)
-    inputs.update('odom', odometry(0.0), 0.0)
-    places = [np.array([k, 1.0]) for k in range(5)]
-    inputs.update('goal_path', messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
-    np.testing.assert_allclose(
-        targets(inputs, ahead(inputs, 3), 0.5), [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]]
-    )
-    np.testing.assert_array_equal(targets(inputs, ahead(inputs, 1), 1.5), [[5.0, 0.0]])
-
-
-def oriented(message, w, x, y, z):
-    pose = message.poses[-1].pose if hasattr(message, 'poses') else message.pose
-    turned = pose.orientation
-    turned.w, turned.x, turned.y, turned.z = map(float, (w, x, y, z))
-    return message
-
-
-def test_the_goal_is_turned_as_its_pose_or_the_last_of_a_fresh_path(inputs):
-    assert inputs.snapshot(0.0).wanted is None
-    inputs.update('goal', oriented(goal(0.0), np.sqrt(0.5), 0, 0, np.sqrt(0.5)), 0.0)
-    np.testing.assert_allclose(inputs.snapshot(0.0).wanted, [[0.0, -1.0], [1.0, 0.0]], atol=1e-9)
-    path = messages.goal_path_message(stamp(0.0), 0.1, [np.zeros(2), np.ones(2)])
-    inputs.update('goal_path', oriented(path, 0, 0, 0, 1), 0.0)
-    np.testing.assert_allclose(inputs.snapshot(0.5).wanted, -np.eye(2), atol=1e-9)
-    np.testing.assert_allclose(inputs.snapshot(1.5).wanted, [[0.0, -1.0], [1.0, 0.0]], atol=1e-9)
-
-
-def test_a_goal_that_has_no_yaw_is_refused_only_where_one_is_asked_for(inputs):
-    upright = (np.sqrt(0.5), 0, np.sqrt(0.5), 0)
-    assert inputs.update('goal', oriented(goal(1.0), *upright), 0.0) == ''
-    assert inputs.snapshot(0.0).wanted is None
-    values = {row.name: row.default for row in PLANNER}
-    inputs.adopt(planner_settings({**values, 'weights.attitude': 0.5}))
-    inputs.update('odom', odometry(1.0), 0.0)
-    assert inputs.missing == 'a goal with a yaw on goal or goal_path'
-    refusal = inputs.update('goal', oriented(goal(2.0), *upright), 0.1)
-    assert refusal.startswith('goal refused: pose.orientation is that of a vertical x axis')
-    assert inputs.update('goal', goal(3.0), 0.1) == ''
-    assert inputs.missing == ''
 
 
 def test_a_malformed_message_changes_nothing(inputs):
@@ -204,18 +133,30 @@ def test_a_malformed_message_changes_nothing(inputs):
     np.testing.assert_array_equal(inputs.forecast.at(np.array([1.0])), [[5.0, 0.0]])
 
 
-NOW = 1_700_000_000 * SECOND  # [ns]
+def test_stamps_that_nobody_sets_are_told_as_what_they_are(inputs):
+    assert inputs.update('odom', odometry(0.0), 0.0) == ''  # simulated time may begin at zero
+    refusal = inputs.update('odom', odometry(0.0), 0.1)
+    assert 'unset stamp: 0 again; set header.stamp to the time' in refusal
+    assert inputs.refused == {'odom: unset stamp': 1}
+    assert inputs.update('odom', odometry(NOW / SECOND), 0.2, clock(0.2)) == ''
+    refusal = inputs.update('odom', odometry(0.0), 100.0, clock(100.0))  # the good one is stale
+    assert 'unset stamp: 0; set header.stamp to the time' in refusal
+    assert inputs.odometry.stamp.nanoseconds == NOW
 
 
-def clock(seconds, lag=0.0):
-    """The node's clock, some seconds after it showed NOW."""
-    return RosTime(NOW + round(seconds * SECOND), lag)
+# --- age
 
 
-def stamped(make, seconds, *arguments):
-    message = make(1.0, *arguments)
-    message.header.stamp = messages.time_message(NOW + round(seconds * SECOND))
-    return message
+def test_age_is_of_arrival_whatever_the_stamp_and_where_time_stands_still(inputs):
+    inputs.update('odom', odometry(1e6), 0.0)  # a stamp far in the future
+    inputs.update('goal', goal(1e6), 0.0)
+    assert stale_odometry(inputs, 0.15) == ''
+    assert 'odometry' in stale_odometry(inputs, 0.25)
+    inputs.update('odom', odometry(1e6 + 1), 1.1)
+    assert 'goal' in stale_goal(inputs, 1.15)
+    inputs.update('odom', stamped(odometry, 0.0), 2.0, clock(0.0))
+    assert stale_odometry(inputs, 2.1, clock(0.0)) == ''
+    assert stale_odometry(inputs, 2.3, clock(0.0)) == 'odometry is 0.30 s old'
 
 
 def test_a_stamp_from_the_future_is_refused_and_counted(inputs):
@@ -228,15 +169,12 @@ def test_a_stamp_from_the_future_is_refused_and_counted(inputs):
     assert 'goal' not in inputs.latest
 
 
-def test_simulated_time_may_trail_by_a_step(inputs):
-    assert inputs.update('odom', stamped(odometry, 0.19), 0.0, clock(0.0, lag=0.1)) == ''
-    assert 'future' in inputs.update('odom', stamped(odometry, 0.3), 0.1, clock(0.0, lag=0.1))
-
-
-def test_before_time_starts_nothing_is_from_the_future(inputs):
-    assert inputs.update('odom', stamped(odometry, 0.0), 0.0, RosTime(None, 0.1)) == ''
+def test_simulated_time_may_trail_by_a_step_and_before_it_starts_nothing_is_of_the_future(inputs):
+    assert inputs.update('odom', stamped(odometry, 0.1), 0.0, RosTime(None, 0.1)) == ''
     assert not inputs.odometry.timed
     assert inputs.untimed == ''  # nor is anything known to be of another clock
+    assert inputs.update('odom', stamped(odometry, 0.19), 0.0, clock(0.0, lag=0.1)) == ''
+    assert 'future' in inputs.update('odom', stamped(odometry, 0.3), 0.1, clock(0.0, lag=0.1))
 
 
 def test_what_was_held_up_on_the_way_is_as_old_as_its_stamp(inputs):
@@ -244,12 +182,6 @@ def test_what_was_held_up_on_the_way_is_as_old_as_its_stamp(inputs):
     assert 'odometry is 0.50 s old' in stale_odometry(inputs, 5.0, clock(0.5))
     inputs.update('goal', stamped(goal, 0.0), 5.0, clock(1.5))
     assert 'the goal is 1.50 s old' in stale_goal(inputs, 5.0, clock(1.5))
-
-
-def test_age_is_of_arrival_too_where_time_stands_still(inputs):
-    inputs.update('odom', stamped(odometry, 0.0), 0.0, clock(0.0))
-    assert stale_odometry(inputs, 0.1, clock(0.0)) == ''
-    assert 'odometry is 0.30 s old' in stale_odometry(inputs, 0.3, clock(0.0))
 
 
 def test_stamps_of_another_clock_are_aged_by_arrival_and_told(inputs):
@@ -271,68 +203,108 @@ def test_a_source_once_timed_stays_so(inputs):
     assert inputs.untimed == 'odom'
 
 
-@pytest.fixture
-def default():
-    values = {row.name: row.default for row in PLANNER}
-    return Inputs(planner_settings({**values, 'step': 0.1}))
-
-
-def sent(inputs, *times):
-    for at in times:
-        inputs.update('odom', odometry(at), at)
-        assert inputs.update('goal', goal(at), at) == ''
-
-
-def test_a_goal_sent_by_hand_holds_until_the_next_one(default):
+def test_a_goal_sent_by_hand_holds_and_a_source_that_streams_and_stops_is_missed(default):
     sent(default, 1.0)
     assert stale_goal(default, 1e4) == ''
     sent(default, 60.0, 300.0, 301.5)  # once in a while is no stream
     assert stale_goal(default, 1e4) == ''
-
-
-def test_a_source_that_streams_and_stops_is_missed(default):
-    sent(default, 1.0, 1.5, 2.0)
-    assert stale_goal(default, 2.9) == ''
-    assert stale_goal(default, 3.1) == 'the goal is 1.10 s old'
-    sent(default, 10.0)  # now by hand
+    sent(default, 401.0, 401.5, 402.0)
+    assert stale_goal(default, 402.9) == ''
+    assert stale_goal(default, 403.1) == 'the goal is 1.10 s old'
+    sent(default, 410.0)  # now by hand
     assert stale_goal(default, 1e4) == ''
 
 
-def test_a_forecast_of_a_goal_that_moves_on_gets_stale_at_once():
-    values = {row.name: row.default for row in PLANNER}
-    moving = Inputs(planner_settings({**values, 'step': 0.1, 'goal_prediction': 'velocity'}))
-    sent(moving, 1.0)
-    assert stale_goal(moving, 2.1) == 'the goal is 1.10 s old'
-
-
-def test_a_timeout_that_was_asked_for_holds_for_every_goal(inputs):
-    sent(inputs, 1.0)
-    assert stale_goal(inputs, 2.1) == 'the goal is 1.10 s old'
+@pytest.mark.parametrize('given', [{'goal_prediction': 'velocity'}, {'goal_timeout': 1.0}])
+def test_a_goal_that_moves_on_or_has_a_timeout_gets_stale_at_once(given):
+    aged = Inputs(settings(step=0.1, **given))
+    sent(aged, 1.0)
+    assert stale_goal(aged, 2.1) == 'the goal is 1.10 s old'
 
 
 def test_a_timeout_below_zero_is_none():
-    values = {row.name: row.default for row in PLANNER}
-    patient = Inputs(planner_settings({**values, 'step': 0.1, 'goal_timeout': -1.0}))
+    patient = Inputs(settings(step=0.1, goal_timeout=-1.0))
     sent(patient, 1.0, 1.1, 1.2, 1.3)
     assert stale_goal(patient, 1e4) == ''
-    path = messages.goal_path_message(stamp(1.3), 0.1, [np.array([7.0, 1.0])])
-    assert patient.update('goal_path', path, 1.3) == ''
+    assert patient.update('goal_path', path(1.3, [(7.0, 1.0)]), 1.3) == ''
     assert stale_goal(patient, 1e4) == ''
     np.testing.assert_array_equal(targets(patient, ahead(patient, 1), 1e4), [[7.0, 1.0]])
 
 
-def test_stamps_that_nobody_sets_are_told_as_what_they_are(inputs):
-    assert inputs.update('odom', odometry(0.0), 0.0) == ''  # simulated time may begin at zero
-    refusal = inputs.update('odom', odometry(0.0), 0.1)
-    assert 'unset stamp: 0 again; set header.stamp to the time' in refusal
-    assert inputs.refused == {'odom: unset stamp': 1}
+# --- what belongs together
 
 
-def typed(x, frame='', make=goal):
-    """A message as ``ros2 topic pub`` makes it of a pose alone."""
-    message = make(0.0, x) if make is goal else make(0.0)
-    message.header.frame_id = frame
-    return message
+def test_a_source_stamped_like_the_odometry_is_waited_for(inputs):
+    inputs.update('goal', goal(1.0), 0.0)
+    inputs.update('odom', odometry(1.5), 0.0)
+    assert inputs.complete  # nothing says that they belong together
+    inputs.update('goal', goal(1.5), 0.0)
+    inputs.update('odom', odometry(2.0), 0.1)
+    assert not inputs.complete
+    inputs.update('goal', goal(2.0, x=6.0), 0.1)
+    assert inputs.complete
+    np.testing.assert_array_equal(targets(inputs, ahead(inputs, 3), 0.1), [[6.0, 0.0]] * 3)
+
+
+ALL = list(range(60))
+
+
+@pytest.mark.parametrize(
+    ('shares', 'waits'),
+    [
+        (lambda turn: True, ALL),  # in lock-step, from the first message on
+        (lambda turn: turn % 15 != 14, ALL),  # a loss now and then
+        *((lambda turn, every=every: turn % every == 0, [0, 1]) for every in (2, 5, 20)),  # slower
+        (lambda turn: turn < 20, ALL[:22]),  # it stops, and is given up after one turn in vain
+        (lambda turn: not 20 <= turn < 25, [*ALL[:22], *ALL[34:]]),  # 9 of 10 again
+    ],
+)
+def test_a_source_that_shares_every_stamp_is_waited_for(inputs, shares, waits):
+    """Odometry comes at 50 Hz; on some turns it waits for a goal that has not come."""
+    found = []
+    for turn in ALL:
+        at = 1.0 + 0.02 * turn
+        inputs.update('odom', odometry(at), at)
+        if not inputs.complete:
+            found.append(turn)
+        if shares(turn):
+            inputs.update('goal', goal(at), at)
+    assert found == waits
+
+
+# --- goals
+
+
+def test_a_forecast_from_outside_is_used_while_it_is_fresh(inputs):
+    inputs.update('goal', goal(0.0), 0.0)
+    inputs.update('odom', odometry(0.0), 0.0)
+    inputs.update('goal_path', path(0.0, [(k, 1.0) for k in range(5)]), 0.0)
+    wanted = [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]]
+    np.testing.assert_allclose(targets(inputs, ahead(inputs, 3), 0.5), wanted)
+    between = targets(inputs, ahead(inputs, 2, 0.05), 0.5)  # as where the plan begins later
+    np.testing.assert_allclose(between, [[1.5, 1.0], [2.5, 1.0]])
+    np.testing.assert_array_equal(targets(inputs, ahead(inputs, 1), 1.5), [[5.0, 0.0]])
+
+
+def test_the_goal_is_turned_as_its_pose_or_the_last_of_a_fresh_path(inputs):
+    assert inputs.snapshot(0.0).wanted is None
+    inputs.update('goal', oriented(goal(0.0), np.sqrt(0.5), 0, 0, np.sqrt(0.5)), 0.0)
+    np.testing.assert_allclose(inputs.snapshot(0.0).wanted, [[0.0, -1.0], [1.0, 0.0]], atol=1e-9)
+    inputs.update('goal_path', oriented(path(0.0, [(0.0, 0.0), (1.0, 1.0)]), 0, 0, 0, 1), 0.0)
+    np.testing.assert_allclose(inputs.snapshot(0.5).wanted, -np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(inputs.snapshot(1.5).wanted, [[0.0, -1.0], [1.0, 0.0]], atol=1e-9)
+
+
+def test_a_goal_that_has_no_yaw_is_refused_only_where_one_is_asked_for(inputs):
+    assert inputs.update('goal', oriented(goal(1.0), *UPRIGHT), 0.0) == ''
+    assert inputs.snapshot(0.0).wanted is None
+    inputs.adopt(settings(**{'weights.attitude': 0.5}))
+    inputs.update('odom', odometry(1.0), 0.0)
+    assert inputs.missing == 'a goal with a yaw on goal or goal_path'
+    refusal = inputs.update('goal', oriented(goal(2.0), *UPRIGHT), 0.1)
+    assert refusal.startswith('goal refused: pose.orientation is that of a vertical x axis')
+    assert inputs.update('goal', goal(3.0), 0.1) == ''
+    assert inputs.missing == ''
 
 
 @pytest.mark.parametrize('before', [None, 'typed', 'stamped'])
@@ -351,20 +323,17 @@ def test_a_goal_typed_without_a_stamp_or_a_frame_is_of_the_moment_it_comes(input
     assert inputs.latest['goal'].timed
 
 
-def test_a_goal_typed_in_a_wrong_frame_is_refused_and_so_is_odometry_without_one():
-    values = {row.name: row.default for row in PLANNER}
-    strict = Inputs(planner_settings({**values, 'frame_id': 'odom'}))
-    assert strict.update('goal', typed(2.0), 0.0) == ''
-    refusal = strict.update('goal', typed(3.0, 'map'), 1.0)
+def test_a_goal_typed_in_a_wrong_frame_is_refused_and_so_is_odometry_without_one(default):
+    assert default.update('goal', typed(2.0), 0.0) == ''
+    refusal = default.update('goal', typed(3.0, 'map'), 1.0)
     assert "header.frame_id is 'map'; allowed: 'odom'" in refusal
-    assert 'header.frame_id' in strict.update('odom', typed(0.0, make=odometry), 1.0)
-    assert strict.latest['goal'].value.position[0] == 2.0
+    assert 'header.frame_id' in default.update('odom', typed(0.0, make=odometry), 1.0)
+    assert default.latest['goal'].value.position[0] == 2.0
 
 
 def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
     """Where they lie is known, but not when they came there."""
-    values = {row.name: row.default for row in PLANNER}
-    moving = Inputs(planner_settings({**values, 'goal_prediction': 'velocity'}))
+    moving = Inputs(settings(goal_prediction='velocity'))
     moving.update('odom', odometry(1.0), 1.0)
     for at, message in ((1.0, typed(2.0)), (1.5, typed(4.0)), (9.0, goal(9.0, 6.0))):
         moving.update('odom', odometry(at + 0.1), at)
@@ -388,36 +357,7 @@ def test_the_last_goal_of_a_stream_is_not_kept_over_a_fresh_start(inputs):
     assert inputs.missing == 'odometry on odom and a goal on goal or goal_path'
 
 
-def test_odometry_that_loses_its_stamp_is_not_taken_for_the_beginning_of_time(inputs):
-    """Not even once the last good one is stale."""
-    good = odometry(NOW / SECOND)
-    assert inputs.update('odom', good, 0.0, clock(0.0)) == ''
-    refusal = inputs.update('odom', odometry(0.0), 100.0, clock(100.0))
-    assert 'unset stamp: 0; set header.stamp to the time' in refusal
-    assert inputs.odometry.stamp.nanoseconds == NOW
-
-
-def test_refusals_and_what_is_missing_name_the_topics_as_they_are_resolved(default):
-    names = {'odom': '/boat/gps', 'goal': '/boat/goal', 'goal_path': '/boat/path'}
-    remapped = Inputs(default.settings, names)
-    assert remapped.missing == 'odometry on /boat/gps and a goal on /boat/goal or /boat/path'
-    assert remapped.update('odom', odometry(1.0), 0.0) == ''
-    assert remapped.update('odom', odometry(1.0), 0.1).startswith('/boat/gps refused: duplicate')
-    assert remapped.refused == {'odom: duplicate stamp': 1}  # counts keep their names
-    remapped.update('odom', odometry(2.0), 0.2, clock(0.2))
-    assert remapped.untimed == '/boat/gps'
-
-
-LIMITED = {'goal_jump_limit': 0.5, 'goal_prediction': 'velocity'}
-
-
-@pytest.fixture
-def limited():
-    values = {row.name: row.default for row in PLANNER}
-    return Inputs(planner_settings({**values, 'step': 0.1, **LIMITED}))
-
-
-def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited):
+def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited, inputs):
     assert limited.update('goal', goal(1.0, x=5.0), 0.0) == ''
     assert limited.update('goal', goal(1.1, x=5.5), 0.1) == ''
     refusal = limited.update('goal', goal(1.2, x=9.0), 0.2)
@@ -426,38 +366,22 @@ def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited):
     assert limited.latest['goal'].value.position[0] == 5.5
     assert limited.update('goal', goal(2.2, x=9.0), 1.2) == ''  # it has really moved
     np.testing.assert_array_equal(limited.forecast.at(np.array([9.9])), [[9.0, 0.0]])
+    assert inputs.update('goal', goal(1.0, x=5.0), 0.0) == ''
+    assert inputs.update('goal', goal(1.1, x=-900.0), 0.1) == ''  # by default it may be anywhere
 
 
 def test_a_path_that_jumps_is_refused(limited):
-    def path(seconds, x):
-        places = [np.array([x + 0.1 * k, 0.0]) for k in range(20)]
-        return messages.goal_path_message(stamp(seconds), 0.1, places)
+    def along(seconds, x):
+        return path(seconds, [(x + 0.1 * k, 0.0) for k in range(20)])
 
-    assert limited.update('goal_path', path(1.0, 5.0), 0.0) == ''
-    assert limited.update('goal_path', path(1.2, 5.2), 0.2) == ''  # on the path
-    assert 'goal jump is 2 m' in limited.update('goal_path', path(1.4, 7.4), 0.4)
+    assert limited.update('goal_path', along(1.0, 5.0), 0.0) == ''
+    assert limited.update('goal_path', along(1.2, 5.2), 0.2) == ''  # on the path
+    assert 'goal jump is 2 m' in limited.update('goal_path', along(1.4, 7.4), 0.4)
 
 
 def test_a_path_that_has_really_moved_leaves_what_is_known_of_the_goal(limited):
-    def path(seconds, x):
-        return messages.goal_path_message(stamp(seconds), 0.1, [np.array([x, 0.0])])
-
     limited.update('odom', odometry(1.0), 0.0)
-    limited.update('goal_path', path(1.0, 9.0), 0.0)
+    limited.update('goal_path', path(1.0, [(9.0, 0.0)]), 0.0)
     limited.update('goal', goal(2.4, x=5.0), 1.4)
-    assert limited.update('goal_path', path(2.5, 20.0), 1.5) == ''
+    assert limited.update('goal_path', path(2.5, [(20.0, 0.0)]), 1.5) == ''
     np.testing.assert_array_equal(targets(limited, ahead(limited, 1), 2.7), [[5.0, 0.0]])
-
-
-def test_by_default_a_goal_may_be_anywhere(inputs):
-    assert inputs.update('goal', goal(1.0, x=5.0), 0.0) == ''
-    assert inputs.update('goal', goal(1.1, x=-900.0), 0.1) == ''
-
-
-def test_targets_begin_where_the_plan_does(inputs):
-    inputs.update('odom', odometry(0.0), 0.0)
-    places = [np.array([k, 1.0]) for k in range(5)]
-    inputs.update('goal_path', messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
-    np.testing.assert_allclose(
-        targets(inputs, ahead(inputs, 2, 0.05), 0.1), [[1.5, 1.0], [2.5, 1.0]]
-    )

@@ -11,22 +11,18 @@ pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose
+from planners import FRAMES, goal, odometry, settings
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.traffic import centre
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import Frames, Stamp, header
-from orbimpc_ros.ros.obstacles import read_obstacles, shown, stamp_of
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inputs import NAMED, Inputs
-from orbimpc_ros.ros.planner.obstacles import others
-from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.ros.obstacles import read_obstacle, shown, stamp_of
+from orbimpc_ros.ros.planner.inputs import Inputs, others
 
-FRAMES = Frames('odom', 'base_link')
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
 OTHER = '/uav2/plan'
 
@@ -46,21 +42,18 @@ def array(*markers):
 
 
 def body_of(given, dimension):
-    (change,) = read_obstacles(array(given), dimension, FRAMES)
-    assert not isinstance(change, BadInput), change
-    return change.seen.body
+    _, seen = read_obstacle(given, dimension, FRAMES)
+    return seen.body
 
 
 @pytest.fixture
 def inputs():
-    values = {row.name: row.default for row in PLANNER}
-    given = {'avoid': (OTHER,), 'avoid_radius': 1.0, 'forward': 20.0}
-    settings = planner_settings({**values, **given})
-    return Inputs(settings, others=(OTHER,))
+    given = settings(avoid=(OTHER,), avoid_radius=1.0, forward=20.0)
+    return Inputs(given, others=(OTHER,))
 
 
 def hazards(inputs, at=1.0):
-    return inputs.obstacles.traffic(at).hazards(at)
+    return inputs.traffic(at).hazards(at)
 
 
 # --- shapes
@@ -207,8 +200,8 @@ def test_a_reset_forgets_what_moved(inputs):
     inputs.update('obstacles', array(marker()), 0.0)
     inputs.update(OTHER, plan(1.0), 0.0)
     inputs.forget()
-    assert inputs.obstacles.traffic(1.0) is None
-    assert inputs.obstacles.stamps == {}
+    assert inputs.traffic(1.0) is None
+    assert inputs.traffic_stamps == {}
 
 
 def test_the_stamp_of_an_array_is_that_of_its_first_marker():
@@ -264,10 +257,8 @@ def test_a_fleet_may_share_its_list_of_plans():
 
 
 def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
-    values = {row.name: row.default for row in PLANNER}
-    settings = planner_settings({**values, 'avoid': ('/a/plan', '/c/plan'), 'avoid_radius': 1.0})
-    names = {name: name for name in NAMED} | {'plan': '/b/plan'}
-    inputs = Inputs(settings, names, ('/a/plan', '/c/plan'))
+    topics = '/a/plan', '/c/plan'
+    inputs = Inputs(settings(avoid=topics, avoid_radius=1.0), {'plan': '/b/plan'}, topics)
     inputs.update('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0, 3.0):
         inputs.update('odom', odometry(second), second)
@@ -280,10 +271,8 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
 
 def apart_by(step):
     """Return the inputs of a vehicle that plans so often, and avoids another."""
-    values = {row.name: row.default for row in PLANNER}
-    given = {'avoid': (OTHER,), 'avoid_radius': 1.0, 'step': step}
-    names = {name: name for name in NAMED} | {'plan': '/uav1/plan'}
-    return Inputs(planner_settings(values | given), names, (OTHER,))
+    given = settings(avoid=(OTHER,), avoid_radius=1.0, step=step)
+    return Inputs(given, {'plan': '/uav1/plan'}, (OTHER,))
 
 
 def test_who_has_measured_before_is_waited_for_until_its_plan_is_there():
@@ -324,12 +313,3 @@ def test_obstacles_of_the_odometrys_stamp_are_waited_for(inputs):
         assert inputs.complete == (second == 1.0)
         inputs.update('obstacles', array(marker(second)), second)
         assert inputs.complete
-
-
-def goal(seconds):
-    return messages.goal_message(Stamp(round(seconds * 1e9), FRAMES), np.array([5.0, 0.0]))
-
-
-def odometry(seconds):
-    vehicle = launched(Model(), np.zeros(2), np.eye(2))
-    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), measured(vehicle))

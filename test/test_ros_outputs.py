@@ -6,10 +6,10 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from planners import settings
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.ros.messages import Frames, Stamp, header
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.outputs import command_messages, outputs
 
 CRAFT = {
@@ -21,10 +21,6 @@ CRAFT = {
     'mass': 1.5,
 }
 STAMP = Stamp(7, Frames('odom', 'base_link', 'z'))
-
-
-def settings(**given):
-    return planner_settings({**{row.name: row.default for row in PLANNER}, **given})
 
 
 def told(fraction, **given):

@@ -20,7 +20,7 @@ from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.run.onboard import Onboard, tell
+from orbimpc_ros.tool.offline import aboard, tell
 from orbimpc_ros.tool.settings import config
 
 DEFAULTS = {row.name: row.default for row in SIM}
@@ -47,7 +47,7 @@ def test_parameters_make_the_aircraft_that_they_say():
 def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""
     values = settings.resolve(config('cessna.yaml')) | {'sideslip': believed}
-    planner, slip = Onboard(values), 0.04
+    planner, slip = aboard(values), 0.04
     turned = np.array([[math.cos(slip), -math.sin(slip)], [math.sin(slip), math.cos(slip)]])
     velocity = turned.T @ [45.0, 0.0]
     for k in range(5):
@@ -88,7 +88,7 @@ def test_the_cessna_meets_the_line():
     """No clock runs while its planner thinks: how busy the machine is makes no difference."""
     pytest.importorskip('jsbsim')
     values = settings.resolve(config('cessna.yaml'), [NEARER])
-    planner = Onboard(values, clock=lambda: 0.0)
+    planner = aboard(values, clock=lambda: 0.0)
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     while not flight.over:
         tell(planner, flight, 0)

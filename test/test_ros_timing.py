@@ -10,7 +10,7 @@ import numpy as np
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.ros.clock import Drift, Standstill
+from orbimpc_ros.ros.clock import Drift
 from orbimpc_ros.ros.planner.core import Timing
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, condition
 
@@ -29,14 +29,6 @@ def test_a_pause_between_two_looks_at_clocks_is_no_jump():
     assert drift.jump(0.0, 100.0, 0.0) == 0.0
     assert drift.jump(1.0, 101.8, 2.0) == 0.0  # read somewhere in between
     assert drift.jump(3.0, 103.0, 3.0) == 0.0
-
-
-def test_a_clock_stands_still_until_it_moves():
-    standstill = Standstill()
-    lasted = [
-        standstill.lasted(shown, now) for shown, now in ((7, 0.0), (7, 0.5), (8, 0.9), (8, 1.0))
-    ]
-    assert lasted == pytest.approx([0.0, 0.5, 0.0, 0.1])
 
 
 def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected():

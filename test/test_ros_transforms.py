@@ -14,6 +14,7 @@ from stepping import targets
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
+from planners import odometry, settings
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
 from visualization_msgs.msg import Marker, MarkerArray
@@ -23,12 +24,10 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inverse, matrix, stated
-from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.replay.recording import recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
 from orbimpc_ros.tool.topics import TREE, topics_of
@@ -38,13 +37,12 @@ QUARTER = math.pi / 2
 TURNED = f'map odom 10.0 0.0 0.0 0.0 0.0 {QUARTER}'  # odom's x is map's y
 
 
-def settings(**given):
-    values = {row.name: row.default for row in PLANNER}
-    return planner_settings({**values, 'avoid': (OTHER,), 'avoid_radius': 1.0, **given})
+def avoiding(**given):
+    return settings(**{'avoid': (OTHER,), 'avoid_radius': 1.0, **given})
 
 
 def inputs(**given):
-    return Inputs(settings(**given), others=(OTHER,))
+    return Inputs(avoiding(**given), others=(OTHER,))
 
 
 def tf(seconds, parent, child, place, yaw=0.0):
@@ -64,11 +62,6 @@ def goal(seconds, x, y, yaw=0.0):
     message = messages.goal_message(in_map(seconds), np.array([x, y]))
     message.pose.orientation = messages.quaternion(exp(np.array([0.0, 0.0, yaw])))
     return message
-
-
-def odometry(seconds):
-    stamp = Stamp(round(seconds * SECOND), Frames('odom', 'base_link'))
-    return messages.odometry_message(stamp, measured(launched(Model(), np.zeros(2), np.eye(2))))
 
 
 def seen(seconds, place, size=(1.0, 1.0, 1.0), kind=Marker.CUBE):
@@ -133,7 +126,7 @@ def test_a_path_an_obstacle_and_the_plan_of_another_are_moved():
     box.update('odom', odometry(1.0), 0.0)
     assert box.update('obstacles', seen(1.0, (10.0, 3.0, 0.0), (2.0, 1.0, 1.0)), 0.0) == ''
     assert box.update(OTHER, path, 0.0) == ''
-    cube, other = box.obstacles.traffic(1.0).hazards(1.0)
+    cube, other = box.traffic(1.0).hazards(1.0)
     np.testing.assert_allclose(cube.body.minimum + cube.moved(np.zeros(1))[0], [2.5, -1.0])
     there = other.body.centre + other.moved(np.array([0.5]))[0]
     np.testing.assert_allclose(there, [1.5, 0.0], atol=1e-9)
@@ -144,7 +137,7 @@ def test_the_velocity_of_an_obstacle_is_turned_with_it():
     for at in (1.0, 1.1, 1.2, 1.3):
         box.update('odom', odometry(at), at)
         box.update('obstacles', seen(at, (10.0, 3.0 + at, 0.0), kind=Marker.SPHERE), at)
-    (hazard,) = box.obstacles.traffic(1.3).hazards(1.3)
+    (hazard,) = box.traffic(1.3).hazards(1.3)
     moved = hazard.moved(np.array([1.0]))[0] - hazard.moved(np.array([0.0]))[0]
     np.testing.assert_allclose(moved, [1.0, 0.0], atol=1e-6)
 

@@ -33,11 +33,11 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
 
     A wind drags a fifth of its speed relative to the vehicle a second, besides what blows steadily.
     """
-    from orbimpc_ros.tool.run.onboard import Onboard
+    from orbimpc_ros.tool.offline import aboard
 
-    planner, log = Onboard(parameters, clock=time.process_time), []
-    for k in range(round(seconds / planner.period)):
-        now = k * planner.period
+    planner, log = aboard(parameters, clock=time.process_time), []
+    for k in range(round(seconds / planner.settings.period)):
+        now = k * planner.settings.period
         velocity = motion.velocity
         if parameters.get('velocity_source') == 'air':
             velocity = velocity - craft.blown
@@ -51,7 +51,7 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
         held = wanted if wanted * craft.forward >= band else 0.0
         dragged = 0.0 if wind is None else 0.2 * (next(wind) - motion.velocity)
         blown = replace(craft, blown=craft.blown + dragged)
-        motion = flown(blown, motion, held, command.body_rate, planner.period)
+        motion = flown(blown, motion, held, command.body_rate, planner.settings.period)
     return log
 
 

@@ -19,6 +19,7 @@ from geometry_msgs.msg import PoseStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 
 from orbimpc_ros.loop.state import Odometry as Measured
+from orbimpc_ros.mpc.geometry.rotations import to_quaternion
 from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
@@ -111,7 +112,7 @@ class Px4(Wing):
         known = {'xy_valid': True, 'v_xy_valid': True, 'z_global': True, 'ref_alt': 200.0}
         ned = dict(zip('xyz', map(float, firmware.NED @ place), strict=True))
         speeds = dict(zip(('vx', 'vy', 'vz'), map(float, firmware.NED @ velocity), strict=True))
-        unit = firmware.quaternion(rotation).astype(np.float32)
+        unit = to_quaternion(firmware.NED @ rotation @ firmware.FRD).astype(np.float32)
         east, north = WIND
         for message in (
             types.VehicleAttitude(timestamp_sample=at, q=unit),

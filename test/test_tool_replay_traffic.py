@@ -18,7 +18,7 @@ from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
+from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import Input, RecordedTick, Recording, published
 from orbimpc_ros.tool.replay.resolving import replayed
 

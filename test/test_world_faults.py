@@ -34,14 +34,6 @@ def of_kind(sent, odometry):
     return [each for each in sent if isinstance(each.content, Odometry) == odometry]
 
 
-def test_without_faults_everything_is_seen_as_it_is():
-    for flight, (goal, odometry) in views(Faults(), ticks=5):
-        np.testing.assert_array_equal(goal.content.position, flight.goal)
-        np.testing.assert_array_equal(odometry.content.position, flight.vehicle.position)
-        np.testing.assert_array_equal(odometry.content.attitude, flight.vehicle.attitude)
-        assert odometry.content.time == flight.vehicle.time
-
-
 def test_a_seed_decides_everything():
     faults = Faults(0.1, 0.1, 0.3, 0.4, 0.2, 0.2, 0.2, 1.0, 5.0)
     first, same, other = (

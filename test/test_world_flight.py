@@ -56,14 +56,6 @@ def test_a_flight_that_starts_later_is_the_same_flight():
     assert late.missed_at == early.missed_at + 30.0
 
 
-def test_ticks_run_out():
-    flight = departure(replace(retrieval(), max_ticks=2))
-    for expected in (False, True):
-        flight = flight.after(0.0, np.zeros(1))
-        assert flight.over == expected
-    assert not flight.captured
-
-
 @pytest.fixture(scope='module')
 def controller():
     return Planner(retrieval_problem())

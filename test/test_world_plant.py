@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp, trapezoid
 
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.plant import Gusts, Plant, lagged
+from orbimpc_ros.sim.plant import Gusts, Plant
 from orbimpc_ros.sim.vehicle import launched, measured
 from orbimpc_ros.sim.world import Airspeeds, Rope, Scenario, departure, fixed
 
@@ -126,19 +126,6 @@ def test_two_halves_of_a_step_are_the_step(n, order):
         np.testing.assert_allclose(getattr(whole, name), getattr(halves, name), atol=1e-9)
 
 
-def test_a_lag_takes_its_time_constant():
-    assert lagged(0.0, 1.0, 0.8, 0.8) == pytest.approx(1.0 - math.exp(-1.0))
-    assert lagged(0.2, 1.0, 0.0, 0.0) == 1.0
-    assert lagged(0.2, 1.0, 0.8, 0.0) == pytest.approx(0.2)
-    plant = plant_of(speed_lag=0.8, rate_lag=0.3)
-    slow = launched(plant, np.zeros(2), np.eye(2), fraction=0.0)
-    end = plant.flown(slow, 2.0, 1.0, np.zeros(1), 0.0)[-1]
-    assert end.position[0] == pytest.approx(15.0 * (2.0 - 0.8 * (1.0 - math.exp(-2.5))), abs=1e-8)
-    end = plant.flown(slow, 2.0, 0.0, np.ones(1), 0.0)[-1]
-    heading = 2.0 - 0.3 * (1.0 - math.exp(-2.0 / 0.3))
-    np.testing.assert_allclose(end.attitude, exp(np.array([heading])), atol=1e-12)
-
-
 @pytest.mark.parametrize('lag', [0.0, 0.4])
 def test_a_speed_changes_no_faster_than_the_limit(lag):
     plant = plant_of(speed_lag=lag, max_acceleration=3.0)
@@ -163,18 +150,6 @@ def test_it_turns_no_faster_than_it_can(n):
     np.testing.assert_allclose(end.body_rate, 0.4 * rate / np.linalg.norm(rate))
     small = 0.3 * rate / np.linalg.norm(rate)
     np.testing.assert_allclose(plant.flown(vehicle, 1.0, 1.0, small, 0.0)[-1].body_rate, small)
-
-
-def test_without_drag_free_fall_keeps_its_energy():
-    rng = np.random.default_rng(6)
-    plant = plant_of(3, 2, wind=[0.0, 0.0, -9.81])
-    vehicle = replace(drawn(plant, rng), fraction=0.0)
-    end = plant.flown(vehicle, 3.0, 0.0, rng.normal(size=3), 0.0)[-1]
-
-    def energy(v):
-        return 0.5 * v.velocity @ v.velocity + 9.81 * v.position[2]
-
-    assert energy(end) == pytest.approx(energy(vehicle), rel=1e-12)
 
 
 def test_odometry_measures_over_ground_or_through_the_air():

@@ -9,10 +9,10 @@ import pytest
 from scenarios import model_of
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import exp, skew
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
+from orbimpc_ros.sim.vehicle import Model, advance, launched
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 
@@ -30,15 +30,17 @@ def drawn(model, rng, attitude=None):
     )
 
 
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
 @pytest.mark.parametrize(('n', 'rotation', 'translation'), ALL_ORDERS)
-def test_flown_positions_are_a_rollout_of_the_planners_dynamics(n, rotation, translation):
+def test_the_vehicle_moves_as_the_planners_dynamics(n, rotation, translation, discretisation):
     rng = np.random.default_rng(1)
-    problem = Problem(n, rotation, translation, horizon=9, step=0.3, forward=1.7)
-    model = model_of(problem)
+    orders, w = (n, rotation, translation), rng.normal(size=n)
+    problem = Problem(*orders, 9, step=0.3, forward=1.7, discretisation=discretisation)
+    model = replace(model_of(problem), disturbance=tuple(w))
     flown = [drawn(model, rng)]
     for _ in range(problem.horizon):
         flown.append(advance(model, flown[-1], rng.uniform(), rng.normal(size=model.rates)))
-    state = State.at(flown[0].position, np.eye(n), velocity=flown[0].velocity)
+    state = State.at(flown[0].position, np.eye(n), velocity=flown[0].velocity, disturbance=w)
     headings = np.array([v.fraction * v.attitude[:, 0] for v in flown])
     positions, velocities = dynamics.translation_rollout(problem, state, headings)
     np.testing.assert_allclose([v.position for v in flown], positions, atol=1e-12)
@@ -77,16 +79,6 @@ def test_the_speed_fraction_is_clipped(asked):
     model = Model()
     vehicle = advance(model, launched(model, np.zeros(2), np.eye(2)), asked, np.zeros(1))
     assert vehicle.fraction == np.clip(asked, 0.0, 1.0)
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_odometry_speaks_of_the_body_frame(n):
-    model = Model(n, forward=2.0)
-    vehicle = launched(model, np.zeros(n), exp(np.full(model.rates, 0.7)), fraction=0.5)
-    odometry = measured(vehicle)
-    np.testing.assert_allclose(odometry.body_velocity, [1.0, *np.zeros(n - 1)], atol=1e-12)
-    turned = measured(advance(model, vehicle, 0.5, np.full(model.rates, 0.1)))
-    np.testing.assert_allclose(skew(turned.body_rate), skew(np.full(model.rates, 0.1)))
 
 
 def test_nonsense_is_refused():

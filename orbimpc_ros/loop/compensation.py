@@ -1,35 +1,26 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""What a vehicle does besides obeying at once: delay, lags, disturbances, turns within a step.
+r"""Compensation of delay, lags, disturbances and turns within a step.
 
 *Delay.* A measurement is moved on along the commands in force to the time of the next one.
 
-*Lags.* A body rate that follows its command by a first-order lag,
-:math:`\tau\dot\omega = c - \omega`, leaves the vehicle on the way that one without a lag takes a
-time :math:`\tau` later, from
+*Lags.* A body rate with a first-order lag, :math:`\tau\dot\omega = c - \omega`, leaves the vehicle
+on the way that one without a lag takes a time :math:`\tau` later, from
+:math:`\hat\theta = \theta + \tau\omega` with :math:`\dot{\hat\theta} = c`. A plan that starts from
+there, at that time, is made of commands that the vehicle follows within all limits.
 
-.. math::
-    \hat\theta = \theta + \tau\omega, \qquad \dot{\hat\theta} = c.
+*Defect.* An ``exact`` step takes the chord between the thrust axes at its ends; a vehicle turns
+along the arc, and its speed follows with a lag. Plans for a place are moved by the difference at
+their end (iterated defect correction).
 
-So a plan that starts from there, at that time, is made of commands: a vehicle that is sent them
-follows it, within all limits, and nothing is multiplied by the inverse of a lag.
-
-*Defect.* An ``exact`` step takes the chord between the thrust axes at its ends, and the speed
-changes evenly in it. A vehicle turns along the arc, and its speed follows the command of the step
-with a lag. At the end of a plan the two are a *defect* apart: whoever wants to be at a place plans
-for one that is moved by as much the other way, and so on (iterated defect correction).
-
-*Disturbance.* A Kalman filter on the model of the loop with a constant disturbance w for a state,
-which makes the loop offset-free:
+*Disturbance.* A Kalman filter with a constant disturbance w makes the loop offset-free:
 
 .. math::
     \dot s = v + w + \xi, \quad \dot w = \zeta \qquad\text{(order 1)}, \qquad
     \dot s = p, \quad \dot p = a + w + \xi, \quad \dot w = \zeta \qquad\text{(order 2)}
 
 with v or a what was commanded, along the measured attitude. Measured is the position, and at order
-2 the velocity. Every axis has the same covariance, so that one filter does for all of them. At
-order 1 the speed follows its commands from an airspeed that nobody measures who measures the
-velocity over ground: a wind along the axis looks like it. By how much it is off at the start is a
-state, too, which fades with the lag of the speed.
+2 the velocity; one covariance serves all axes. At order 1 the airspeed before the first command is
+a state, too, which fades with the lag of the speed.
 
 Mathematics: docs/mathematics.md, 7.3, 7.8, 7.9 and 7.10.
 """
@@ -64,17 +55,11 @@ SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
 
 
 class Interval(NamedTuple):
-    """An interval of time with one command in force.
+    """An interval of time with one command in force, or None where none is known."""
 
-    Attributes:
-        duration: [s].
-        command: in force all the while; None if none is known.
-        before: the command before it, whose speed or thrust was taken over when it ended.
-    """
-
-    duration: float
+    duration: float  # [s]
     command: Command | None
-    before: Command | None
+    before: Command | None  # whose speed or thrust was taken over when it ended
 
 
 class CommandHistory:
@@ -101,8 +86,7 @@ class CommandHistory:
     def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
         """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
 
-        Where nobody said when commands were sent, the last one counts as reached. ``begun`` is the
-        share before the first of them.
+        Without times the last command counts as reached; ``begun`` is the share before the first.
         """
         if not self._sent or lag == 0.0:
             return self.fraction
@@ -172,16 +156,9 @@ def advanced(
 
     Within an interval body rate and forward speed (or thrust) are constant, so that the vehicle
     flies an arc, integrated exactly. As in the discrete model, a commanded rate applies at once at
-    rotation order 1; everything else that a command says is taken over when the next command comes.
-    Until then the vehicle goes on as it was measured. Meanwhile the disturbance acts on it: speeds
-    through the air turn with the body, the wind does not.
-
-    Args:
-        problem: gives the orders and the full speed or thrust.
-        odometry: the measurement.
-        intervals: in order of time, since the measurement.
-        disturbance: a wind or an acceleration, shape (n,); None for none.
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+    rotation order 1; everything else of a command is taken over when the next command comes, and
+    until then the vehicle goes on as it was measured. Speeds through the air turn with the body,
+    the wind does not. Arguments are those of :func:`state_of`.
     """
     if not intervals:
         return odometry
@@ -190,48 +167,29 @@ def advanced(
     # Of a vehicle without inertia, what turns with the body is its velocity through the air.
     still = velocity_source == 'air' or problem.inertial
     carrying = np.zeros(problem.dimension) if still else blown
+    position, rate = odometry.position, odometry.body_rate
     through_air, velocity = body_velocity - attitude.T @ carrying, attitude @ body_velocity
-    motion = _Motion(odometry.position, attitude, velocity, through_air, odometry.body_rate)
-    for k, interval in enumerate(intervals):
-        if k and interval.before is not None:
-            taken_over = _forward(problem, interval.before.speed_fraction)
-            motion = motion._replace(through_air=taken_over, rate=interval.before.body_rate)
-        motion = _flown(problem, motion, interval, blown)
-    body_velocity = motion.through_air + motion.attitude.T @ carrying
+    for k, (time, command, before) in enumerate(intervals):
+        if k and before is not None:
+            through_air, rate = _forward(problem, before.speed_fraction), before.body_rate
+        turning = rate
+        if command is not None and problem.rotation_order == 1:
+            turning = command.body_rate
+        angle = time * turning
+        if problem.inertial:
+            push = _forward(problem, 0.0 if before is None else before.speed_fraction)
+            once, twice = turned(angle, push)
+            position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
+            velocity = velocity + time * (attitude @ once + blown)
+        else:
+            flown, _ = turned(angle, through_air)
+            position = position + time * (attitude @ flown + blown)
+        attitude = attitude @ exp(angle)
+    body_velocity = through_air + attitude.T @ carrying
     if problem.inertial:
-        body_velocity = motion.attitude.T @ motion.velocity
+        body_velocity = attitude.T @ velocity
     later = odometry.time + sum(interval.duration for interval in intervals)
-    place = motion.position, motion.attitude
-    return Odometry(later, *place, np.array(body_velocity), np.array(motion.rate))
-
-
-class _Motion(NamedTuple):
-    """A vehicle's motion: over ground, but for its velocity through the air in the body frame."""
-
-    position: Array
-    attitude: Array
-    velocity: Array
-    through_air: Array
-    rate: Array
-
-
-def _flown(problem: Problem, motion: _Motion, interval: Interval, blown: Array) -> _Motion:
-    """Return the motion after an interval, flown along an arc."""
-    time, command, before = interval
-    turning = motion.rate
-    if command is not None and problem.rotation_order == 1:
-        turning = command.body_rate
-    angle = time * turning
-    attitude, position, velocity = motion.attitude, motion.position, motion.velocity
-    if problem.inertial:
-        push = _forward(problem, 0.0 if before is None else before.speed_fraction)
-        once, twice = turned(angle, push)
-        position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
-        velocity = velocity + time * (attitude @ once + blown)
-    else:
-        flown, _ = turned(angle, motion.through_air)
-        position = position + time * (attitude @ flown + blown)
-    return _Motion(position, attitude @ exp(angle), velocity, motion.through_air, motion.rate)
+    return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
 
 
 def _forward(problem: Problem, fraction: float) -> Array:
@@ -244,11 +202,8 @@ def _forward(problem: Problem, fraction: float) -> Array:
 def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
     r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
 
-    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
-
-    Args:
-        phi: tangent vector, shape (1,) or (3,) [rad].
-        vector: v, shape (n,).
+    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`, with
+    :math:`\phi` of shape (1,) or (3,) [rad].
     """
     hat = skew(phi)
     across = hat @ vector
@@ -305,35 +260,18 @@ class Response:
         disturbance: Array | None = None,
         velocity_source: str = 'ground',
     ) -> Odometry:
-        """Return where a vehicle that does not lag would have to be to fly the same, a lag later.
+        """Return where a vehicle without lags would have to be to fly the same, a lag later.
 
-        Args:
-            problem: gives the orders and the full speed or thrust.
-            odometry: the measurement.
-            thrust: shares of full thrust, applied now and commanded (translation order 2).
-            disturbance: a wind or an acceleration, shape (n,); None for none.
-            velocity_source: what odometry measures: velocity over ``ground`` or through ``air``.
+        At translation order 2, ``thrust`` are the shares of full thrust applied now and commanded.
+        What a thrust that settles from f to c leaves is a speed of z tau (f - c), whenever it is
+        looked at; the turn that is left over turns the axis of it meanwhile. The other arguments
+        are those of :func:`state_of`.
         """
+        time = self.lead(problem)
         if not problem.inertial:
-            time = self.lead(problem)
             coming = [Interval(time, None, None)] if time > 0.0 else []
             return advanced(problem, odometry, coming, disturbance, velocity_source)
-        return self._settled_thrust(problem, odometry, thrust, disturbance)
-
-    def _settled_thrust(
-        self,
-        problem: Problem,
-        odometry: Odometry,
-        thrust: tuple[float, float],
-        disturbance: Array | None,
-    ) -> Odometry:
-        """Return the same for a vehicle that is pushed.
-
-        What a thrust that settles from f to c leaves is a speed of z tau (f - c), whenever it is
-        looked at; the turn that is left over turns the axis of it meanwhile.
-        """
         applied, commanded = thrust
-        time = self.lead(problem)
         pushed = problem.forward * (odometry.attitude @ exp(0.5 * time * odometry.body_rate))[:, 0]
         left = self.speed * (applied - commanded) * pushed
         push = commanded * pushed + (0.0 if disturbance is None else disturbance)
@@ -350,13 +288,7 @@ def held_back(problem: Problem, plan: Plan, before: Command | None, command: Com
     """Return what to send a vehicle that obeys at once, for the step that begins.
 
     At second order the model takes a command over at the end of a step: what is due in this one is
-    what was commanded before. With ``exact`` steps thrust changes evenly from one to the other.
-
-    Args:
-        problem: gives the orders.
-        plan: whose first step begins.
-        before: the command before; None if there is none.
-        command: of the plan's first step.
+    what was commanded ``before``. With ``exact`` steps thrust changes evenly from one to the other.
     """
     fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
     if problem.inertial:
@@ -374,14 +306,8 @@ def held_back(problem: Problem, plan: Plan, before: Command | None, command: Com
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
 
-    Zero where thrust is an acceleration, where rates are commanded a step ahead, and with ``euler``
-    steps, whose vehicle obeys as they have it.
-
-    Args:
-        problem: that the plan solves.
-        state: where it starts.
-        plan: to be followed.
-        lag: of the speed [s].
+    Its speed has a ``lag`` [s]. Zero where thrust is an acceleration, where rates are commanded a
+    step ahead, and with ``euler`` steps.
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
@@ -391,11 +317,7 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
 
 
 def _means(attitudes: Array) -> Array:
-    """Return the mean of the thrust axis in each step, shape (N, n), of one that turns evenly.
-
-    Args:
-        attitudes: at the ends of the steps, shape (N + 1, n, n).
-    """
+    """Return the mean of the thrust axis in each step, (N, n), that turns evenly between them."""
     turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
     if turns.shape[-1] == 2:
         half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
@@ -406,18 +328,12 @@ def _means(attitudes: Array) -> Array:
     return np.einsum('kij,kj->ki', attitudes[:-1], reached)
 
 
-def _speeds(step: float, told: Array, lag: float) -> Array:
-    """Return the mean share of full speed in each step, of one that follows what is told at it.
-
-    Args:
-        step: [s].
-        told: share now, and at the end of each step, shape (N + 1,).
-        lag: of a first-order response [s].
-    """
+def _speeds(step: float, commanded: Array, lag: float) -> Array:
+    """Return the mean share of full speed in each step, (N,), a lag behind commands, (N + 1,)."""
     left = math.exp(-step / lag) if lag else 0.0
     spread = lag / step * (1.0 - left)
-    now, means = float(told[0]), []
-    for wanted in told[1:].tolist():
+    now, means = float(commanded[0]), []
+    for wanted in commanded[1:].tolist():
         means.append(wanted + spread * (now - wanted))
         now = wanted + left * (now - wanted)
     return np.array(means)
@@ -438,21 +354,13 @@ ALIKE = 10.0  # [s] over which the errors of reported winds are alike
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations of the model, as shares of full speed or thrust z.
+    """Standard deviations of the model, as shares of full speed or thrust z."""
 
-    Attributes:
-        position: of a measured position, of z s (order 1) or z s^2 (order 2).
-        velocity: of a measured velocity (order 2), of z s.
-        model: of what commands do, over a second: gusts, gains, discretisation; of z.
-        drift: by how much the disturbance changes in a second, of z.
-        prior: of the disturbance before anything is known, of z.
-    """
-
-    position: float = 0.01
-    velocity: float = 0.01
-    model: float = 0.05
-    drift: float = 0.03
-    prior: float = 0.3
+    position: float = 0.01  # measured, of z s (order 1) or z s^2 (order 2)
+    velocity: float = 0.01  # measured (order 2), of z s
+    model: float = 0.05  # of what commands do, over a second: gusts, gains, discretisation
+    drift: float = 0.03  # by how much the disturbance changes in a second
+    prior: float = 0.3  # of the disturbance before anything is known
 
 
 MEASURED = NoiseModel(model=0.01)  # gusts are seen in the velocity, and commands have no part
@@ -464,9 +372,8 @@ class Estimator:
 
     Args:
         problem: gives the orders and the full speed or thrust.
-        lag: of speed or thrust [s]; see :class:`orbimpc_ros.loop.compensation.Response`.
+        lag: of speed or thrust [s].
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        noise: of the model; by default that of such a vehicle.
         measured: whether the measured speed is believed, through the air, not the commanded one.
 
     Attributes:
@@ -480,12 +387,11 @@ class Estimator:
         problem: Problem,
         lag: float = 0.0,
         velocity_source: str = 'ground',
-        noise: NoiseModel | None = None,
         *,
         measured: bool = False,
     ) -> None:
         usual = PUSHED if problem.inertial else NoiseModel()
-        self._noise = noise or (MEASURED if measured else usual)
+        self._noise = MEASURED if measured else usual
         self._problem, self._lag, self._as_measured = problem, lag, measured
         self._velocity_source = velocity_source
         self.reset()
@@ -525,10 +431,7 @@ class Estimator:
     def observe(self, odometry: Odometry, history: CommandHistory, given: Array) -> None:
         """Take in a measurement; stamps that do not increase are passed over.
 
-        Args:
-            odometry: as it was measured.
-            history: the commands, with the times when they were sent.
-            given: the disturbance that is known, shape (n,).
+        ``given`` is the disturbance that is known, shape (n,), here and below.
         """
         last = self._last
         if last is not None and odometry.time <= last.time:
@@ -545,12 +448,7 @@ class Estimator:
             self._correct(odometry, time)
 
     def hear(self, wind: WindReport, given: Array) -> None:
-        """Take in a reported wind, once; reports that follow soon add as little as they are new.
-
-        Args:
-            wind: as it was reported.
-            given: the disturbance that is known, shape (n,).
-        """
+        """Take in a reported wind, once; reports that follow soon add as little as they are new."""
         since = wind.time - self._reported
         if since <= 0.0:
             return
@@ -565,11 +463,7 @@ class Estimator:
         self._covariance = spread + variance * np.outer(gain, gain)
 
     def limit(self, given: Array) -> str:
-        """Keep the whole disturbance within what the vehicle can work against; tell it if needed.
-
-        Args:
-            given: the disturbance that is known, shape (n,).
-        """
+        """Keep the whole disturbance within what the vehicle can work against; return if it is."""
         problem, whole = self._problem, given + self._estimate[-1]
         known = REPORTED if self._reported > -math.inf else LARGEST
         size, most = float(np.linalg.norm(whole)), known * problem.forward
@@ -681,38 +575,21 @@ class Estimator:
             self._doubt()
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Where a plan starts, and how it was found.
+class Start(NamedTuple):
+    """Where a plan starts; the fields but the first and the last are those of a decision."""
 
-    Attributes:
-        odometry: what to plan from.
-        advanced: from the measurement to when the answer is in force [s].
-        led: from there on, for the vehicle's lag [s].
-        disturbance: known or estimated by now, shape (n,); None for none.
-        innovation: how far the measurement was from what was expected, in standard deviations;
-            None where no disturbance is estimated.
-        limited: that the estimate was limited, in words; empty if not.
-    """
-
-    odometry: Odometry
-    advanced: float
-    led: float
-    disturbance: Array | None
+    odometry: Odometry  # what to plan from
+    advanced: float  # [s]
+    led: float  # [s]
+    disturbance: Array | None  # shape (n,)
     innovation: float | None
-    limited: str
+    limited: str  # that the estimate was limited, in words; empty if not
 
 
 class Compensator:
     """Moves measurements on to where plans start, by the commands sent of late.
 
-    Args:
-        problem: gives the orders and the full speed or thrust.
-        response: lags of the vehicle.
-        given: the disturbance that is known, shape (n,); None for none.
-        estimated: whether what disturbs besides is estimated.
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        sideslip: whether odometry measures how a wing slips, which is believed.
+    Arguments are those of :class:`orbimpc_ros.loop.planner.Planner`.
 
     Attributes:
         history: the commands of late.
@@ -775,14 +652,10 @@ class Compensator:
         now: float | None = None,
         wind: WindReport | None = None,
     ) -> Start:
-        """Return where a plan starts.
+        """Return where a plan starts that follows a measurement by a ``latency`` [s].
 
-        Args:
-            measured: the latest measurement.
-            latency: from it to when the answer is in force [s].
-            now: when that is, on the clock of the commands sent [s]; None where delays are not
-                compensated.
-            wind: the last one that was reported; None without one.
+        ``now`` is when its command is in force, on the clock of the commands sent [s]; None where
+        delays are not compensated.
         """
         odometry = along_the_air(measured) if self._sideslip else measured
         limited = self._estimate(odometry, wind)

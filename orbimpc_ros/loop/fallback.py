@@ -3,9 +3,8 @@
 
 Without a floor ``max_rate`` bounds chords, and at a low speed a short chord is a wide angle: a plan
 may pass a body by a turn that is cut when it is flown. So each plan is *steered*: its headings are
-followed as fast as the vehicle turns. One whose first steps then meet a hazard gives way to a way
-that takes no search and does not. Where no plan is found at all, the clearest of these ways is
-flown: to stop is no way out of traffic, what moves comes on.
+followed as fast as the vehicle turns. Where its first steps then meet a hazard, a clear way that
+takes no search is flown instead; without any plan, the clearest of these ways.
 
 Mathematics: docs/mathematics.md, 7.7 and 7.12.
 """
@@ -41,14 +40,7 @@ CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
 
 
 def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
-    """Return whether the first steps of a plan stay clear of hazards when its turns are cut.
-
-    Args:
-        problem: gives the model and its limits.
-        state: from where, with the hazards.
-        goals: g_1..g_N, shape (N, n) [m].
-        plan: that passes its check.
-    """
+    """Return whether the first steps of a checked plan stay clear of hazards with turns cut."""
     if not cuts_turns(problem):
         return True
     return _suffices(problem, _room(problem, state, goals, plan, SURE_STEPS))
@@ -57,14 +49,7 @@ def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
 def cheapest_clear(
     problem: Problem, state: State, goals: Array, plans: Iterable[Plan]
 ) -> Plan | None:
-    """Return the cheapest of some plans that pass their check and are clear; None if none is.
-
-    Args:
-        problem: gives the model and its limits.
-        state: from where, with the hazards.
-        goals: g_1..g_N, shape (N, n) [m].
-        plans: from this very state.
-    """
+    """Return the cheapest of some plans that pass their check and are clear; None if none is."""
     known = problem, state, goals
     for each in sorted(plans, key=attrgetter('objective')):
         if holds(*known, each) and is_clear(*known, each):
@@ -77,14 +62,8 @@ def clear_instead(
 ) -> Plan:
     """Return the cheapest way that is clear when steered instead of a plan that is not.
 
-    Where none is, that way or plan whose first steps stay the farthest out of hazards.
-
-    Args:
-        problem: gives the model and its limits.
-        state: from where, with the hazards.
-        goals: g_1..g_N, shape (N, n) [m].
-        plan: to be replaced; its bound holds for what takes its place.
-        out_of_time: polled between ways; True ends the search after a few.
+    Where none is, that way or plan whose first steps stay the farthest out of hazards. The bound of
+    the plan holds for what takes its place.
     """
     known = problem, state, goals
     ways = [*_ways(*known, None, plan.projection, plan.proof, out_of_time)]
@@ -106,16 +85,8 @@ def clearest(
     """Return the way that stays out of hazards the most, and how far outside of them it is [m].
 
     Of ways that meet all else: the guess, straight ones and turns to all sides; None if none does.
-    The longest clear comes first, since what is met late can still be passed by a later plan. Who
-    begins inside can get no farther out than that: then where ways end decides.
-
-    Args:
-        problem: gives the model and its limits.
-        state: from where, with the hazards.
-        goals: g_1..g_N, shape (N, n) [m].
-        guess: a plan from this very state; None for none.
-        projection: ``nearest`` or ``thrust_aligned``.
-        out_of_time: polled between ways; True ends the search after a few.
+    The longest clear comes first, since what is met late can still be passed by a later plan. From
+    inside of a hazard all ways are as far out as their start: then where they end decides.
     """
     alone, known = replace(state, hazards=()), (problem, state, goals)
     found = [
@@ -231,11 +202,10 @@ def safe_command(
 
     Args:
         kind: ``auto``: as :func:`decided`; ``stop``: no speed or thrust, no turning;
-            ``hold_rate_zero``: the present speed, yet
-            at least the floor, no turning (with thrust, at translation order 2, that is to
-            coast); ``loiter``: a level circle at the least speed, or at full speed without a floor,
-            to which the speed changes as ``max_acceleration`` allows;
-            ``hover`` (order 2): the thrust that :func:`carrying` has, no turning.
+            ``hold_rate_zero``: the present speed, at least the floor, no turning (translation order
+            2: to coast); ``loiter``: a level circle at the least speed, or at full speed without a
+            floor, to which the speed changes as ``max_acceleration`` allows; ``hover`` (order 2):
+            the thrust that :func:`carrying` has, no turning.
         problem: gives floor and limits.
         attitude: the present one, shape (n, n).
         fraction: share of full speed commanded last, in [0, 1].
@@ -272,14 +242,9 @@ def entry_of_safety(problem: Problem, fraction: float) -> float:
 def carrying(problem: Problem, attitude: Array, acceleration: Array) -> float:
     """Return the share of full thrust that carries a vehicle against an acceleration, in [0, 1].
 
-    Not turned, for an attitude that is not measured any more must not be steered by: so much thrust
-    that along the acceleration nothing is left. Tilted so far that full thrust would not do that,
-    as much as leaves the least acceleration altogether.
-
-    Args:
-        problem: gives the full thrust.
-        attitude: the present one, shape (n, n).
-        acceleration: to be balanced, shape (n,) [m/s^2].
+    Not turned, since the attitude may not be measured any more: so much thrust that along the
+    acceleration, shape (n,) [m/s^2], nothing is left. Tilted so far that full thrust would not do
+    that, as much as leaves the least acceleration altogether.
     """
     weight = float(np.linalg.norm(acceleration))
     if weight == 0.0:

@@ -12,32 +12,26 @@ proves that nothing does. The first step whose plan comes well within the radius
 else the one whose plan comes closest, if that is within the radius.
 
 Where no step of the horizon has a catch, one is looked for beyond it, by as many steps that are
-longer. A vehicle that cannot stop finds so the way out and back to a goal inside its smallest
-circle. It keeps to the time at which it means to catch the goal, unless it can be sooner: whoever
-looks anew each time for any way that leads there may put it off for ever.
+longer: so a vehicle that cannot stop finds the way out and back to a goal inside its smallest
+circle. It keeps to the time at which it means to catch the goal, unless it can be sooner; to look
+anew each time could put the catch off for ever.
 
-Where the problem has a cone of approach, a catch counts only if its last heading is inside of it:
-then "none catches the goal" means none that is headed as it should be. Well within is then a catch
-that is inside of a narrower cone, too.
+With a cone of approach a catch counts only if its last heading is inside of it, and well within
+means inside of a narrower cone, too.
 
 A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
-wind and the model of the vehicle are no better than that, and another pass takes long. So is it
-with a plan: flown by the vehicle it ends where the discrete model does not
-(:mod:`orbimpc_ros.loop.compensation`), and is made anew for a goal that is so much nearer.
+wind and the model are no better than that. Plans, too, are made anew for a goal moved by their
+defect (:mod:`orbimpc_ros.loop.compensation`).
 
-Who can catch the goal at the end of a step, but not of the one before, can perhaps do it in
-between: steps that are a little shorter are tried, where it is known where the goal is then. Who
-cannot wait for it may pass it in between and be near it at neither end: wherever a step could have
-led past, the times within it are tried in turn, so finely that no radius is jumped over. A
-command is obeyed until the next tick, which may come after the first of these steps. Then none is
-tried but where turns are limited, or take place within a step; and none that would turn by more
-than half a turn until then.
+Between the ends of two steps, shorter steps are tried where it is known where the goal is then:
+before the end of a step that has a catch, and within steps that could have led past the goal, so
+finely that no radius is jumped over. A command is obeyed until the next tick, which may come after
+the first of these steps. Then none is tried but where turns are limited, or take place within a
+step; and none that would turn by more than half a turn until then.
 
-The first catch that there is ends at the rim of what counts as well within, no nearer to the goal
-than full speed leads. So it turns at once and as fast as it may, for a centimetre's sake. A vehicle
-whose turns take time to begin, and to end, swings about such plans. On demand a catch is *centred*:
-it ends at the same time, a little short of that, and heads through the middle of the goal. Then
-there is a little to spare, effort decides, and turns are gentle.
+The first catch turns at once and as fast as it may, for a centimetre's sake; a vehicle whose turns
+take time swings about such plans. On demand a catch is *centred*: it ends at the same time, a
+little short of that, and heads through the middle of the goal, so that turns are gentle.
 
 Mathematics: docs/mathematics.md, 7.10.
 """
@@ -93,8 +87,7 @@ class Intercept:
             time [s]; that of the first step past the horizon if none catches it at all. Where a
             catch between two ends is sooner, its time.
         sought: what both are about.
-        counted: up to when all that the bound rests on was counted again, by code that shares
-            nothing with the methods [s]; beyond that it is their word.
+        counted: up to when the bound was verified by code that shares nothing with the solvers [s].
     """
 
     time: float
@@ -104,7 +97,7 @@ class Intercept:
 
     @property
     def checked(self) -> bool:
-        """Return whether no part of the bound is the methods' word."""
+        """Return whether all of the bound was verified."""
         return self.bound <= self.counted
 
 
@@ -114,14 +107,10 @@ def steps_before(bound: float, step: float) -> int:
 
 
 def catching(problem: Problem, radius: float, end: float) -> Problem:
-    """Return the problem of coming as close as possible to the goal at a time.
+    """Return the problem of coming as close as possible to the goal at an end, counted in steps.
 
-    Args:
-        problem: what is solved where nothing is to be caught, with the cone of approach.
-        radius: within which the goal is caught [m].
-        end: when, counted in steps of ``problem``. Within a step all are shorter; beyond the
-            horizon as many are longer, and turns within them are integrated, however the shorter
-            ones are.
+    Within a step all are shorter; beyond the horizon as many are longer, and turns within them are
+    integrated, however the shorter ones are.
     """
     steps = min(math.ceil(end), problem.horizon)
     length = problem.step if end == steps else problem.step * end / steps
@@ -142,34 +131,19 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class InterceptQuery:
-    """What an intercept is looked for with.
+    """What an intercept is looked for with."""
 
-    Attributes:
-        task: of tracking the goal, without what moves.
-        motion: of the goal; None where it is known at the ends of the task's steps alone.
-        now: when the task begins, on the clock of the motion [s].
-        previous: the plan before; None without one.
-        pause: between ticks, in steps.
-        expected: the end at which the goal was to be caught so far, in steps; not above 0 if none.
-        most: plans that are tried, at most.
-    """
-
-    task: Task
-    motion: GoalMotion | None
-    now: float
+    task: Task  # of tracking the goal, without what moves
+    motion: GoalMotion | None  # None where the goal is known at the ends of the task's steps alone
+    now: float  # when the task begins, on the clock of the motion [s]
     previous: Plan | None = None
-    pause: float = math.inf
-    expected: float = 0.0
-    most: float = math.inf
+    pause: float = math.inf  # between ticks, in steps
+    expected: float = 0.0  # the end at which the goal was to be caught, in steps; 0 or less if none
+    most: float = math.inf  # plans that are tried
 
 
 class _Search:
-    """One search for an intercept: the plans tried so far, each with its task.
-
-    Args:
-        query: what is looked for.
-        intercepts: which poses and solves the problems.
-    """
+    """One search for an intercept: the plans tried so far, each with its task."""
 
     def __init__(self, query: InterceptQuery, intercepts: Interception) -> None:
         self._query, self._intercepts = query, intercepts
@@ -203,20 +177,21 @@ class _Search:
     def flown_on(self, target: Target, goals: Array) -> Plan | None:
         """Return the rest of the previous plan for a target and its goals, if it still holds."""
         task = self._query.task.within(self._intercepts.problem(target), goals)
-        plan = self._intercepts.shifted(task, self._query.previous)
+        plan = task.shifted(self._query.previous, self._intercepts.projection)
         if plan is None or not holds(*task.known, plan):
             return None
         answer = plan, plan.status, 'the catch planned before is flown on'
         self._tried.append((task, answer))
         return plan
 
-    def behind(self, plan: Plan) -> tuple[Task, Answer]:
+    def behind(self, plan: Plan | None) -> tuple[Task | None, Answer | None]:
         """Return the task that a plan was made for, and its answer."""
-        return next(each for each in self._tried if each[1][0] is plan)
+        found = (each for each in self._tried if plan is not None and each[1][0] is plan)
+        return next(found, (None, None))
 
 
 class Interception:
-    """Looks for the earliest catch.
+    """Looks for the earliest catch within a radius [m].
 
     Args:
         problem: what is solved where no catch is found, with the cone of approach of a catch.
@@ -224,10 +199,6 @@ class Interception:
         solvers: make and pose what is to be solved.
         lag: of the speed [s].
         centred: whether a catch leads through the middle of the goal, with a little to spare.
-
-    Attributes:
-        farthest: the last end at which a catch is looked for.
-        problem: returns the problem of :func:`catching` the goal at a :class:`Target`.
     """
 
     def __init__(
@@ -239,7 +210,7 @@ class Interception:
         *,
         centred: bool = False,
     ) -> None:
-        self._solvers = solvers
+        self._solvers, self.projection = solvers, solvers.projection
         self._tracked, self._radius, self._lag = problem, radius, lag
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
@@ -284,10 +255,6 @@ class Interception:
             self._made[target] = self._solver(target)
         return self._solvers.posed(task, self._made[target], previous)
 
-    def shifted(self, task: Task, previous: Plan | None) -> Plan | None:
-        """Return the rest of the previous plan for a task, if it fits."""
-        return task.shifted(previous, self._solvers.projection)
-
     def earliest(self, query: InterceptQuery) -> tuple[Task | None, Answer | None, Intercept]:
         """Return the task of the earliest catch with its answer, and how early one can be.
 
@@ -295,7 +262,7 @@ class Interception:
         """
         search = _Search(query, self)
         plan, catch = self._earliest(search)
-        return (*(search.behind(plan) if plan is not None else (None, None)), catch)
+        return (*search.behind(plan), catch)
 
     def _earliest(self, search: _Search) -> tuple[Plan | None, Intercept]:
         """Return the plan of the earliest catch, if one is found, and how early one can be.
@@ -328,8 +295,7 @@ class Interception:
     def _in_view(self, search: _Search) -> tuple[_Attempt, int, int]:
         """Return the first catch in the horizon, or the nearest miss, and the bound in steps.
 
-        Then up to where that was counted again. Each end before the bound is proved to have no
-        catch by itself: that there is none at an end says nothing of those before it.
+        Then up to where that was verified. Each end before the bound is proved to have no catch.
         """
         bound, counted, best = 1, 1, MISSED
         goals = search.goals(self._horizon)
@@ -436,10 +402,7 @@ class Interception:
         return np.asarray(plan.positions[-1] + astray - goals[-1])
 
     def _passing(self, search: _Search, end: int) -> _Attempt:
-        """Return the first catch in the step before an end that has none, or the nearest miss.
-
-        Who cannot wait for the goal passes it between the ends of steps.
-        """
+        """Return the first catch in the step before an end that has none, or the nearest miss."""
         best = MISSED
         for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
             best = min(best, self._at(search, float(end - away), GRAZE * self._radius), key=_miss)
@@ -531,14 +494,9 @@ class Interception:
     def _expected(self, target: Target, left: Array, change: Array, miss: float) -> float:
         """Return how near a plan will come to the goal if what is aimed at changes [m].
 
-        To first order, where the last one came as near to its aim as any; no plan for an aim that
-        changes by so much, which the defect does then too, is nearer by more than twice that.
-
-        Args:
-            target: of both.
-            left: from the end of the last plan to what it was aimed at, shape (n,) [m].
-            change: of that aim, shape (n,) [m].
-            miss: of the last plan, flown [m].
+        To first order, where the last one, which ``left`` so much to its aim, came as near to it as
+        any; no plan for an aim that changes by so much, which the defect does then too, is nearer
+        than the ``miss`` by more than twice that.
         """
         away, size = math.sqrt(left @ left), math.sqrt(change @ change)
         if away <= self._well(target.end):  # where any way will do, there may be nearer ones
@@ -563,8 +521,7 @@ def _first_turn(plan: Plan) -> float:
 class _Attempt(NamedTuple):
     """A plan that comes as close to the goal at an end as was found, and whether none catches it.
 
-    Without a plan, it misses by infinity, and the end is 0. That none does is ``checked`` where it
-    was counted again.
+    That none does is ``checked`` where it was verified.
     """
 
     plan: Plan | None = None

@@ -50,7 +50,7 @@ from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
-    from orbimpc_ros.mpc.proof.document import Certificate, Refutation
+    from orbimpc_ros.mpc.proof.document import Refutation
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
 CATCHES_AMONG = 16  # plans of a catch that are tried among hazards
@@ -107,8 +107,6 @@ class Decision(ByContent):
         cause: what kept the decision from being planned on fresh inputs, if anything did.
         catch: how soon the goal can be caught; None where none is looked for.
         infeasible: in what no trajectory is feasible, where that is the status.
-        certificate: of a bound that was not verified by the solver; None where that is not proved,
-            or need not be.
         refutation: proves that nothing is feasible, or is caught before a time, where the decision
             states that; None where it is not proved.
         advanced: from the measurement to the state that was planned from, but for ``led`` [s].
@@ -130,7 +128,6 @@ class Decision(ByContent):
     cause: Cause = Cause.NONE
     catch: Intercept | None = None
     infeasible: Sought | None = None
-    certificate: Certificate | None = None
     refutation: Refutation | None = None
     advanced: float = 0.0
     led: float = 0.0
@@ -153,41 +150,23 @@ class Decision(ByContent):
 
 @dataclass
 class _Memory:
-    """What a planner remembers of its last decisions.
+    """What a planner remembers of its last decisions."""
 
-    Attributes:
-        aim: where the last plan arrives, shape (n,) [m].
-        pace: duration of a step of the previous plan [s].
-        flown: steps since the start.
-        reached: share of full speed, by a vehicle that obeys commands; None before the first.
-        previous: the plan before; None without one.
-        goals: that it was made for.
-        wanted: the rotation of its end.
-        fallbacks: decisions since a plan was found.
-        planned: steps of the last plan that was found.
-        since: steps since it was found.
-        last: stamp of the last decision [s].
-        arriving: whether a plan has been found since the start.
-        catch: when the goal is to be caught [s].
-        route: the path that is followed; None without one.
-        along: how far along it the vehicle was [m].
-    """
-
-    aim: Array
-    pace: float
-    flown: float
-    reached: float | None = None
+    aim: Array  # where the last plan arrives, shape (n,) [m]
+    pace: float  # duration of a step of the previous plan [s]
+    flown: float  # steps since the start
+    reached: float | None = None  # share of full speed, by a vehicle that obeys commands
     previous: Plan | None = None
-    goals: Array | None = None
-    wanted: Array | None = None
-    fallbacks: int = 0
-    planned: int = 0
-    since: float = 0.0
-    last: float | None = None
-    arriving: bool = False
-    catch: float = 0.0
-    route: Route | None = None
-    along: float = 0.0
+    goals: Array | None = None  # that the previous plan was made for
+    wanted: Array | None = None  # the rotation of its end
+    fallbacks: int = 0  # decisions since a plan was found
+    planned: int = 0  # steps of the last plan that was found
+    since: float = 0.0  # steps since it was found
+    last: float | None = None  # stamp of the last decision [s]
+    arriving: bool = False  # whether a plan has been found since the start
+    catch: float = 0.0  # when the goal is to be caught [s]
+    route: Route | None = None  # the path that is followed
+    along: float = 0.0  # how far along it the vehicle was [m]
 
 
 class Planner:
@@ -336,11 +315,6 @@ class Planner:
         """Return by how long a plan starts ahead of the vehicle, for its lags [s]."""
         return self._compensator.response.lead(self.problem)
 
-    @property
-    def remaining(self) -> int:
-        """Return the steps left to plan a step after the last decision."""
-        return self._steps(self._memory.flown + (self._memory.last is not None))[0]
-
     def ends(self, time: float) -> Array:
         """Return the ends of the steps planned from a time [s] on, shape (N or less,) [s]."""
         count, step = self._steps(self._memory.flown + self._passed(time))
@@ -410,8 +384,7 @@ class Planner:
         if unsafe is not None or snapshot.odometry is None:
             self._change_speed(1.0)
             return self._safe(snapshot.odometry, Status.FAILED, unsafe or WAITING)
-        measured = snapshot.odometry, snapshot.latency, now, snapshot.wind
-        start = self._compensator.start(*measured)
+        start = self._compensator.start(snapshot.odometry, snapshot.latency, now, snapshot.wind)
         hazards, left_out = self._hazards(snapshot, start.odometry)
         lost = self._lost_goal(snapshot)
         if lost:
@@ -421,7 +394,7 @@ class Planner:
         self._memory.previous = decision.plan
         return replace(
             decision,
-            reason='; '.join(filter(None, (decision.reason, start.limited))),
+            reason=joined(decision.reason, start.limited),
             advanced=start.advanced,
             led=start.led,
             disturbance=start.disturbance,
@@ -493,7 +466,7 @@ class Planner:
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
         odd = self._compensator.odd_speed(odometry)
-        reason = Reason(Cause.NONE, '; '.join(filter(None, (words, held, shortened, odd))))
+        reason = Reason(Cause.NONE, joined(words, held, shortened, odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
@@ -510,7 +483,7 @@ class Planner:
         memory.route, memory.along = route, route.nearest(odometry.position, near, within)
         wind = self._compensator.disturbance
         wind = np.zeros(self.problem.dimension) if wind is None else wind
-        return route.paced(memory.along, odometry.time, forward, wind)
+        return Paced(route, memory.along, odometry.time, forward, wind)
 
     def _tracked(self, task: Task) -> tuple[Task, Answer]:
         """Return a task with as much of the reserve as there is a plan for, and its answer.
@@ -580,24 +553,28 @@ class Planner:
         """Return the task of the earliest catch and its answer; the given one's without any.
 
         It is looked for as if there were no hazards, which can only be sooner: its bound is one
-        among them, too. Where it leads through them, it is no catch. Among hazards it is looked for
-        in a few plans only: most of the time is for what has to keep clear of them.
-
-        ``pause`` is the time from the last decision, in steps; infinite at the first.
+        among them, too. Where it leads through them, it is no catch. Among hazards only a few plans
+        are tried. ``pause`` is the time from the last decision in steps, infinite at the first.
         """
         memory = self._memory
         now = memory.last or 0.0
         expected = (memory.catch - now) / task.problem.step
         if abs(expected - round(expected)) <= SNAP:
             expected = float(round(expected))
-        free = replace(task, state=replace(task.state, hazards=()))
+        alone = replace(task, state=replace(task.state, hazards=()))
         most = CATCHES_AMONG if task.state.hazards else math.inf
-        query = InterceptQuery(free, motion, now, memory.previous, pause, expected, most)
+        query = InterceptQuery(alone, motion, now, memory.previous, pause, expected, most)
         chosen, answer, catch = interception.earliest(query)
-        words = self._unmet(catch) if chosen is None else ''
+        words = ''
+        if chosen is None and self._approach.exists:
+            unmet = f'found no turn that meets the cone of a catch before {catch.bound:.4g} s'
+            words = f'approach: {unmet}'
         if chosen is not None and answer is not None and answer[0] is not None:
             chosen = replace(chosen, state=task.state)
-            if not task.state.hazards or _is_free(chosen, answer[0]):
+            free = not task.state.hazards or (
+                holds(*chosen.known, answer[0]) and is_clear(*chosen.known, answer[0])
+            )
+            if free:
                 memory.catch = now + chosen.problem.step * chosen.problem.horizon
                 memory.pace, memory.goals = chosen.problem.step, chosen.goals
                 return chosen, answer, catch
@@ -605,12 +582,6 @@ class Planner:
             catch = replace(catch, time=math.nan)
         task, (plan, status, why) = self._tracked(task)
         return task, (plan, status, joined(why, words)), catch
-
-    def _unmet(self, catch: Intercept) -> str:
-        """Return in words that no catch was found with a heading inside the cone of approach."""
-        if not self._approach.exists:
-            return ''
-        return f'approach: found no turn that meets the cone of a catch before {catch.bound:.4g} s'
 
     # --- without a new plan
 
@@ -639,14 +610,14 @@ class Planner:
             return self._arrive_softly(task, status, reason)
         if task.state.hazards and not reason.cause:
             return self._sidestep(task, status, reason)
-        return self._without_plan(task, status, reason)
+        return self._safe(task.state, status, reason)
 
     def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
         """Return the decision for the clearest way, if there is any that meets all else."""
         guess = task.guess or self._shifted(task)
         plan, apart = clearest(*task.known, guess, self._solvers.projection, task.late)
         if plan is None:
-            return self._without_plan(task, status, reason)
+            return self._safe(task.state, status, reason)
         reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')
         return self._following(task, plan, status, reason, Fallback.CLEAREST_WAY)
 
@@ -657,13 +628,13 @@ class Planner:
         eased = replace(eased, guess=self._shifted(eased))
         plan, _, _ = eased.solved()
         if plan is None:
-            return self._without_plan(task, status, reason)
+            return self._safe(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
         jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.arriving else 0.0
         if jump > task.problem.length_unit:
             jumped = f'the goal has jumped by {jump:.3g} m'
             reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
-            return self._without_plan(task, status, reason)
+            return self._safe(task.state, status, reason)
         memory.aim = task.goals[-1]
         reason = reason.and_so(f'the plan misses by {miss:.3g} m')
         return self._following(eased, plan, status, reason, Fallback.SOFT_ARRIVAL)
@@ -687,7 +658,7 @@ class Planner:
             problem = replace(problem, max_rate=self._max_rate)
         command = command_of(problem, task.state, plan)
         entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
-        wrong = '; '.join(command_violations(problem, plan, command, entry))
+        wrong = joined(*command_violations(problem, plan, command, entry))
         if not wrong and (last_look := flaw(problem, command, entry=entry)):
             wrong = f'not sent: {last_look}'
         if not wrong and self._compensator.response.lags:
@@ -695,14 +666,11 @@ class Planner:
             if last_look := flaw(problem, command, entry=entry):
                 wrong = f'not sent: {last_look}'
         if wrong:
-            return self._without_plan(task, Status.FAILED, Reason(Cause.COMMAND, wrong))
+            return self._safe(task.state, Status.FAILED, Reason(Cause.COMMAND, wrong))
         if problem.max_acceleration:
             memory.reached = entry
         known = task.problem, task.goals, reason.cause
         return Decision(status, reason.words, task.state, plan, command, fallback, *known)
-
-    def _without_plan(self, task: Task, status: Status, reason: Reason) -> Decision:
-        return self._safe(task.state, status, reason)
 
     def _safe(
         self,
@@ -712,10 +680,7 @@ class Planner:
     ) -> Decision:
         """Return the decision for the safe command, the only place where one is made.
 
-        Args:
-            measured: the state that was to be planned from, or whatever is known of the attitude.
-            status: of the solve.
-            reason: why there is no plan to follow.
+        ``measured`` is the state that was to be planned from, or what is known of the attitude.
 
         Raises:
             RuntimeError: the safe command itself must not be sent, which its own law excludes.
@@ -745,8 +710,3 @@ def _planned(problem: Problem) -> Problem:
     if orders != (3, 1, True) or limited:
         return problem
     return replace(problem, max_rate=0.0)
-
-
-def _is_free(task: Task, plan: Plan) -> bool:
-    """Return whether a plan that was made without hazards is clear of them, as it is flown."""
-    return holds(*task.known, plan) and is_clear(*task.known, plan)

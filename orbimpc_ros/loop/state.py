@@ -48,9 +48,6 @@ def along_the_air(odometry: Odometry) -> Odometry:
 
     A gust from the side turns the nose of a wing into it, and leaves its way over ground nearly as
     it is: what goes on is the velocity, and the nose is turned back to it.
-
-    Args:
-        odometry: in the plane, through the air.
     """
     ahead, aside = odometry.body_velocity.tolist()
     slip = np.array([math.atan2(aside, ahead)])
@@ -59,16 +56,7 @@ def along_the_air(odometry: Odometry) -> Odometry:
 
 
 def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:
-    """Return the speed through the air along the thrust axis [m/s].
-
-    What moves a vehicle across that axis is not its own doing, but the wind's or a slip's: it has
-    no part in R_0.
-
-    Args:
-        odometry: the measurement.
-        wind: shape (n,) [m/s]; None for none.
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-    """
+    """Return the speed through the air along the thrust axis [m/s]; across it only wind moves."""
     speed = float(odometry.body_velocity[0])
     if wind is None or velocity_source == 'air':
         return speed
@@ -133,8 +121,7 @@ def odd_speed(
 ) -> str:
     """Return that the measured speed is not one that the model knows, in words; else empty.
 
-    Such a speed counts as the nearest that it does: none, or full speed. Arguments as for
-    :func:`state_of`.
+    Such a speed counts as the nearest that it does: none, or full speed.
     """
     speed, full = airspeed(odometry, disturbance, velocity_source), problem.forward
     if problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
@@ -150,28 +137,18 @@ TELLING = 0.3  # of the speed: an error as given that is no noise
 
 @dataclass(frozen=True, eq=False)
 class WindReport(ByContent):
-    """A wind that somebody else has estimated.
+    """A wind that somebody else has estimated."""
 
-    Attributes:
-        time: stamp [s].
-        velocity: shape (n,) [m/s].
-        variance: along each axis [m^2/s^2]; NaN where it is not known.
-    """
-
-    time: float
-    velocity: Array
-    variance: float = math.nan
+    time: float  # stamp [s]
+    velocity: Array  # shape (n,) [m/s]
+    variance: float = math.nan  # along each axis [m^2/s^2]; NaN where it is not known
 
     def __post_init__(self) -> None:
         sealed(self.velocity)
 
 
 class VelocityFrameCheck:
-    """Compares velocities with the change of positions, over the last measurements.
-
-    Args:
-        given: what velocities are said to be in, ``body`` or ``world``.
-    """
+    """Compares velocities, given in the ``body`` or ``world`` frame, with changes of position."""
 
     def __init__(self, given: str) -> None:
         self._given = given

@@ -24,25 +24,15 @@ ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impo
 
 @dataclass(frozen=True)
 class Task:
-    """One optimisation.
-
-    Attributes:
-        problem: to be solved.
-        state: that plans start from.
-        goals: g_1..g_N, shape (N, n) [m].
-        knots: ends of its steps, counted in steps of the plan before from its start, shape (N,).
-        late: whether time is up; None without a deadline.
-        guess: a plan from this state; None where it would not help.
-        solver: of the problem.
-    """
+    """One optimisation."""
 
     problem: Problem
-    state: State
-    goals: Array
-    knots: Array
-    late: Late | None = None
-    guess: Plan | None = None
-    solver: Solver | None = None
+    state: State  # that plans start from
+    goals: Array  # g_1..g_N, shape (N, n) [m]
+    knots: Array  # ends of its steps, counted in steps of the plan before from its start, (N,)
+    late: Late | None = None  # whether time is up; None without a deadline
+    guess: Plan | None = None  # a plan from this state; None where it would not help
+    solver: Solver | None = None  # of the problem
 
     @property
     def known(self) -> tuple[Problem, State, Array]:
@@ -56,12 +46,7 @@ class Task:
         return shifted(*self.known, previous, self.knots, projection=projection)
 
     def within(self, problem: Problem, goals: Array) -> Task:
-        """Return the task of another number or length of steps, of which the first begins alike.
-
-        Args:
-            problem: with those steps.
-            goals: at their ends.
-        """
+        """Return the task of a problem with another number or length of steps, and their goals."""
         count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
         if step != self.problem.step:
             each = self.knots[1] - self.knots[0]
@@ -87,13 +72,7 @@ class Task:
 
 
 class Solvers:
-    """Solvers of one problem for every number and length of steps, each compiled once.
-
-    Args:
-        problem: with its usual number and length of steps.
-        projection: ``nearest`` or ``thrust_aligned``.
-        gap_tolerance: relative gap within which a plan counts as proved optimal.
-    """
+    """Solvers of one problem for every number and length of steps, each compiled once."""
 
     def __init__(
         self, problem: Problem, projection: str = 'thrust_aligned', gap_tolerance: float = 1e-4

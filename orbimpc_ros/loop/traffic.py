@@ -1,15 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What moves around the vehicle: bodies that are seen, other vehicles that publish plans.
+"""Moving obstacles: bodies that are seen, other vehicles that publish plans.
 
 Another vehicle flies what it planned last, and then on as between the last two points of that. One
-that has not published for longer than a timeout may have stopped on its way instead, as vehicles do
-whose planner is gone. From then on it is two hazards: one that flies on, and a ball around the way
-that it may have stopped on, which grows at half the speed. It is forgotten ``FORGOTTEN`` seconds
-later.
+that has not published for longer than a timeout may have stopped on its way. From then on it is two
+hazards: one that flies on, and a ball around the way that it may have stopped on, which grows at
+half the speed. It is forgotten ``FORGOTTEN`` seconds later.
 
-What grazes a body is inside of it after the next gust. So each body counts as larger later in a
-plan, when less is known of where both will be: by a *reserve*, which is kept as far as there is a
-plan that does. A plan that keeps it is, a step later, clear with room to spare.
+Each body counts as larger later in a plan, when less is known of where both will be: by a *reserve*
+that is kept as far as there is a plan that does.
 
 Mathematics: docs/mathematics.md, 7.11.
 """
@@ -54,12 +52,9 @@ def placed(body: Box | Ball, at: Array) -> Box | Ball:
 
 
 def position(times: Array, positions: Array, at: float) -> Array:
-    """Return where a track is at a time [s], shape (n,) [m]; beyond its ends it goes straight on.
+    """Return where a track of (K,) times [s] and (K, n) positions [m] is at a time [s], shape (n,).
 
-    Args:
-        times: of the track, increasing, shape (K,) [s].
-        positions: shape (K, n) [m].
-        at: the time [s].
+    Beyond its ends it goes straight on.
     """
     if len(times) == 1:
         return np.asarray(positions[0])
@@ -69,14 +64,7 @@ def position(times: Array, positions: Array, at: float) -> Array:
 
 
 def along(body: Box | Ball, times: Array, positions: Array, at: float) -> MovingObstacle:
-    """Return the hazard that a body on a track is from a time on.
-
-    Args:
-        body: wherever it is.
-        times: of the track, increasing, shape (K,) [s].
-        positions: of the body's middle, shape (K, n) [m].
-        at: when the hazard's own time begins [s].
-    """
+    """Return the hazard that a body is whose middle is on a track, from a time [s] on."""
     start, later = position(times, positions, at), times > at + SOON
     ahead, points = times[later] - at, positions[later]
     if not len(ahead):
@@ -87,19 +75,12 @@ def along(body: Box | Ball, times: Array, positions: Array, at: float) -> Moving
 
 @dataclass(frozen=True, eq=False)
 class ObservedBody(ByContent):
-    """A sighting of a body.
+    """A sighting of a body."""
 
-    Attributes:
-        name: by which the body is known again.
-        time: when it was there [s].
-        body: what it is and where.
-        lifetime: after which it is gone unless it is seen again [s]; infinite if it stays.
-    """
-
-    name: str
-    time: float
-    body: Box | Ball
-    lifetime: float = math.inf
+    name: str  # by which the body is known again
+    time: float  # when it was there [s]
+    body: Box | Ball  # what it is and where
+    lifetime: float = math.inf  # after which it is gone unless it is seen again [s]
 
 
 Track = tuple[ObservedBody, ...]  # the latest observations of a body
@@ -127,10 +108,16 @@ class Bodies:
         if track is None:
             if len(self._tracks) >= MOST:
                 raise BadInput('count', seen.name, f'one of {MOST} bodies')
-        elif not _news(track[-1], seen):
-            return ''
         else:
-            speed = _speed(track[-1], seen)
+            last = track[-1]
+            if seen.time < last.time:
+                raise BadInput('reordered stamp', seen.time, f'after {last.time:g} s, the last one')
+            if seen.time == last.time:
+                if seen.body != last.body:
+                    raise BadInput('duplicate id', seen.name, 'one place at a time')
+                return ''
+            way = float(np.linalg.norm(centre(seen.body) - centre(last.body)))
+            speed = way / (seen.time - last.time)
             if speed > fastest:
                 track = None
                 words = f'{seen.name} jumped at {speed:.3g} m/s: taken for a new body at rest'
@@ -155,55 +142,23 @@ class Bodies:
         return tuple(map(tuple, self._tracks.values()))
 
 
-def _news(last: ObservedBody, seen: ObservedBody) -> bool:
-    """Return whether a sighting is a later one, not the last one again.
-
-    Raises:
-        BadInput: it is neither.
-    """
-    if seen.time > last.time:
-        return True
-    if seen.time < last.time:
-        raise BadInput('reordered stamp', seen.time, f'after {last.time:g} s, the one before')
-    if seen.body != last.body:
-        raise BadInput('duplicate id', seen.name, 'one place at a time')
-    return False
-
-
-def _speed(last: ObservedBody, seen: ObservedBody) -> float:
-    way = centre(seen.body) - centre(last.body)
-    return float(np.linalg.norm(way)) / (seen.time - last.time)
-
-
-def _velocity(track: Track) -> Array:
-    """Return the slope of the straight line that fits the sightings best, shape (n,) [m/s]."""
-    places = np.array([centre(seen.body) for seen in track])
-    times = np.array([seen.time for seen in track])
-    past = times - times.mean()
-    moved: Array = past @ places / (past @ past) if len(track) > 1 else 0.0 * places[0]
-    return moved
-
-
 def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
-    last = track[-1]
-    place, velocity = centre(last.body), _velocity(track)
-    times, places = last.time + np.array([0.0, 1.0]), np.array([place, place + velocity])
-    return replace(along(last.body, times, places, at), unsure=0.0 if len(track) > 1 else unseen)
+    """Return a body on the straight line that fits its latest sightings best."""
+    last, places = track[-1], np.array([centre(seen.body) for seen in track])
+    stamps = np.array([seen.time for seen in track])
+    past = stamps - stamps.mean()
+    velocity = past @ places / (past @ past) if len(track) > 1 else 0.0 * places[0]
+    times, line = last.time + np.array([0.0, 1.0]), np.array([places[-1], places[-1] + velocity])
+    return replace(along(last.body, times, line, at), unsure=0.0 if len(track) > 1 else unseen)
 
 
 @dataclass(frozen=True, eq=False)
 class AgentTrajectory:
-    """A plan of another vehicle.
+    """A plan of another vehicle."""
 
-    Attributes:
-        time: when it was made [s].
-        times: increasing, shape (K,) [s].
-        positions: of the vehicle then, shape (K, n) [m].
-    """
-
-    time: float
-    times: Array
-    positions: Array
+    time: float  # when it was made [s]
+    times: Array  # increasing, shape (K,) [s]
+    positions: Array  # of the vehicle then, shape (K, n) [m]
 
     def __post_init__(self) -> None:
         sealed(self.times)
@@ -224,24 +179,16 @@ class AgentTrajectory:
 
 @dataclass(frozen=True)
 class Distance:
-    """How other vehicles are avoided.
+    """How other vehicles are avoided."""
 
-    Attributes:
-        radius: from the middle of one vehicle to that of the other: the sum of their radii [m].
-        timeout: after which a vehicle counts as silent [s].
-    """
-
-    radius: float
-    timeout: float
+    radius: float  # from the middle of one vehicle to that of the other [m]
+    timeout: float  # after which a vehicle counts as silent [s]
 
 
 def silence(name: str, agent: AgentTrajectory | None, due: float) -> str:
-    """Return in words what it means that a vehicle is not heard; empty if it is.
+    """Return what it means that a vehicle is not heard on the topic ``name``; empty if it is.
 
-    Args:
-        name: of the topic of its plans.
-        agent: its latest plan; None before the first.
-        due: when that is made at the latest by a vehicle that is heard [s].
+    Its latest plan, None before the first, is ``due`` at a time [s].
     """
     if agent is None:
         return f'nothing heard on {name}: not avoided'
@@ -262,18 +209,11 @@ def _stopped(agent: AgentTrajectory, at: float, radius: float) -> Ball:
 
 @dataclass(frozen=True)
 class Traffic:
-    """What is known of all that moves.
+    """What is known of all that moves."""
 
-    Attributes:
-        tracks: of bodies.
-        agents: plans of other vehicles.
-        unseen: speed assumed for a body that has been observed only once [m/s].
-        distance: how other vehicles are avoided.
-    """
-
-    tracks: tuple[Track, ...] = ()
-    agents: tuple[AgentTrajectory, ...] = ()
-    unseen: float = 0.0
+    tracks: tuple[Track, ...] = ()  # of bodies
+    agents: tuple[AgentTrajectory, ...] = ()  # plans of other vehicles
+    unseen: float = 0.0  # speed assumed for a body that has been observed only once [m/s]
     distance: Distance = Distance(0.0, math.inf)
 
     def hazards(self, at: float) -> list[MovingObstacle]:
@@ -292,15 +232,8 @@ def nearest(
 ) -> tuple[tuple[MovingObstacle, ...], int]:
     """Return the hazards that a vehicle may meet, and how many more there are.
 
-    Those are the ones whose way and its own reach can meet at one and the same time; the ones that
-    come nearest to where it is now, ``MAX_HAZARDS`` at most.
-
-    Args:
-        problem: gives the reach.
-        odometry: where the vehicle is when the hazards' time begins.
-        disturbance: a wind or an acceleration, shape (n,); None for none.
-        hazards: all there are.
-        horizons: how far ahead plans look, in horizons.
+    Those are the ones whose way and its own reach can meet at one and the same time, within so many
+    horizons; the ones that come nearest to where it is now, ``MAX_HAZARDS`` at most.
     """
     times = problem.step * np.arange(math.ceil(horizons * problem.horizon) + 1)
     speed = float(np.linalg.norm(odometry.body_velocity))
@@ -310,37 +243,25 @@ def nearest(
     for hazard in hazards:
         apart = outside(hazard, odometry.position[None], times)
         # In the course of a step a hazard may come closer than at both of its ends.
-        if (apart[:-1] - _fastest(hazard) * problem.step <= reached).any():
+        speeds = np.linalg.norm(np.diff(hazard.shifts, axis=0), axis=1) / np.diff(hazard.times)
+        if (apart[:-1] - float(speeds.max()) * problem.step <= reached).any():
             met.append((float(apart.min()), hazard))
     met.sort(key=lambda each: each[0])
     return tuple(hazard for _, hazard in met[:MAX_HAZARDS]), max(0, len(met) - MAX_HAZARDS)
 
 
 def outside(hazard: MovingObstacle, points: Array, times: Array) -> Array:
-    """Return how far points are outside of a hazard at times, shape (M,) [m]; negative inside.
+    """Return how far points, (M, n) or (1, n), are outside of a hazard at its own times, (M,) [m].
 
-    Args:
-        hazard: with its own time.
-        points: shape (M, n), or (1, n) for all times [m].
-        times: shape (M,) [s].
+    Negative inside.
     """
     return np.asarray(-hazard.body.depth(points - hazard.moved(times)))
 
 
-def _fastest(hazard: MovingObstacle) -> float:
-    speeds = np.linalg.norm(np.diff(hazard.shifts, axis=0), axis=1) / np.diff(hazard.times)
-    return float(speeds.max())
-
-
 def clearance(problem: Problem, state: State, positions: Array) -> float:
-    """Return the least distance of a plan from hazards and obstacles at the ends of its steps.
+    """Return the least distance of a plan, s_0..s_N, from hazards and obstacles at its ends [m].
 
-    Infinite without any; from a box, the distance from the face that it is farthest beyond [m].
-
-    Args:
-        problem: has the obstacles, and the step.
-        state: that the plan starts from, with its hazards.
-        positions: of the plan, s_0..s_N, shape (N + 1, n) [m].
+    Infinite without any; from a box, the distance from the face that it is farthest beyond.
     """
     times = problem.step * np.arange(len(positions))
     moving = [outside(each, positions, times).min() for each in state.hazards]

@@ -29,14 +29,13 @@ class Proof:
     """What is known of a plan's distance from the optimum.
 
     Attributes:
-        lower_bound: no trajectory of the problem costs less, by the method's word until it is
-            ``checked``; -inf where nothing was proved.
+        lower_bound: no trajectory of the problem costs less, as the search has it; -inf where
+            nothing was proved.
         nodes: relaxations solved on the way.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         cost_unit: the natural size of costs of the problem; 1e-5 of it are negligible.
         reason: why no more was proved, where there is more to say than the gap.
-        checked: whether the bound is no more than what was counted again, or proved in exact
-            arithmetic, by code that shares nothing with the method; else it is the method's word.
+        checked: whether the bound is no more than what the verifier makes of the tree.
         tree: which proves the bound, in the problem's own units; None where there is none.
     """
 
@@ -94,7 +93,7 @@ class Plan(ByContent):
     def lower_bound(self) -> float:
         """Return a cost that no trajectory of the problem undercuts; -inf if none was looked for.
 
-        A bound that nobody but its method has counted is none: no term of the cost is negative.
+        A bound that was not verified is none: no term of the cost is negative.
         """
         claimed = self.proof.lower_bound
         return claimed if self.proof.checked else min(0.0, claimed)
@@ -113,24 +112,19 @@ class Plan(ByContent):
     def status(self) -> Status:
         """Return whether it is proved optimal, within the gap tolerance, or merely feasible.
 
-        A bound that is the method's word proves nothing.
+        A bound that was not verified proves nothing.
         """
         proved = self.is_closed and self.proof.checked
         return Status.OPTIMAL if proved else Status.FEASIBLE
 
     @property
     def is_closed(self) -> bool:
-        """Return whether the bound is within the gap tolerance, whoever's word it is."""
+        """Return whether the bound is within the gap tolerance, verified or not."""
         return bool(self._gap_to(self.proof.lower_bound) <= self.proof.gap_tolerance)
 
     def _gap_to(self, bound: float) -> float:
         least = max(NEGLIGIBLE * self.proof.cost_unit, abs(self.objective), np.finfo(float).tiny)
         return (self.objective - bound) / least
-
-    @property
-    def is_the_methods_word(self) -> bool:
-        """Return whether it would be optimal if its bound were checked, which it is not."""
-        return self.is_closed and not self.proof.checked
 
     @property
     def speed_fraction(self) -> Array:

@@ -12,8 +12,8 @@ from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.process import Guarded
 
 
 @dataclass(frozen=True)
@@ -71,20 +71,6 @@ class Drift:
         return max(low - last_high, 0.0) + min(high - last_low, 0.0)
 
 
-class Standstill:
-    """Measures for how long a clock has stood still."""
-
-    def __init__(self) -> None:
-        self._shown: int | None = None
-        self._since = 0.0
-
-    def lasted(self, shown: int | None, now: float) -> float:
-        """Return how long a clock has shown the same [s]; ``now`` is of the steady clock [s]."""
-        if shown != self._shown:
-            self._shown, self._since = shown, now
-        return now - self._since
-
-
 class NodeClock:
     """Reads a node's clock.
 
@@ -98,10 +84,11 @@ class NodeClock:
         simulated: whether time comes from ``/clock``; that cannot change while the node runs.
     """
 
-    def __init__(self, node: Guarded, step: float, on_jump: Callable[[float], None]) -> None:
+    def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
         self._clock, self._step, self._on_jump = node.get_clock(), step, on_jump
         self.simulated = bool(node.get_parameter('use_sim_time').value)
-        self._drift, self._standstill = Drift(), Standstill()
+        self._drift = Drift()
+        self._stood: tuple[int, float] | None = None  # what was shown, and since when [ns], [s]
         threshold = JumpThreshold(
             min_forward=Duration(seconds=step),
             min_backward=Duration(nanoseconds=-1),
@@ -117,24 +104,22 @@ class NodeClock:
         return self._clock.now().nanoseconds
 
     @property
-    def seconds(self) -> float:
-        """Return what the clock shows [s]."""
-        return self.nanoseconds / SECOND
-
-    @property
     def now(self) -> RosTime:
         """Return the time, and how exact it is; simulated time is zero until it starts."""
-        shown = self.nanoseconds
+        shown = self._clock.now().nanoseconds
         return RosTime(shown or None, self._step) if self.simulated else RosTime(shown)
 
     def standstill(self, patience: float) -> str:
         """Return that simulated time has stood still for longer than ``patience`` [s], in words."""
         if not self.simulated:
             return ''
-        stood = self._standstill.lasted(self.nanoseconds, time.monotonic())
+        shown, now = self.nanoseconds, time.monotonic()
+        if self._stood is None or self._stood[0] != shown:
+            self._stood = shown, now
+        stood = now - self._stood[1]
         if stood <= patience:
             return ''
-        if self.nanoseconds:
+        if shown:
             return f'the clock has stood still for {stood:.2f} s'
         return (
             f'use_sim_time is true, and nothing has come on /clock for {stood:.2f} s: start what '
@@ -146,7 +131,7 @@ class NodeClock:
         if self.simulated:
             return
         before = time.monotonic()
-        jump = self._drift.jump(before, self.seconds, time.monotonic())
+        jump = self._drift.jump(before, self.nanoseconds / SECOND, time.monotonic())
         if jump:
             self._on_jump(jump)
 

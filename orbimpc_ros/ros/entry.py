@@ -11,10 +11,14 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Sequence
+import textwrap
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters.spec import ParameterSpec
 
 # What the tool and the general methods need beside ROS, NumPy and SciPy.
 OTHERS = ('clarabel', 'matplotlib', 'mcap', 'rosbags')
@@ -26,14 +30,37 @@ ROS = (
 PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
 TABLES = {'planner': 'orbimpc_ros.ros.parameters', 'sim': 'orbimpc_ros.sim.parameters'}
 DONE, BAD_INPUT = 0, 2  # exit codes
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+WIDTH = 80  # of --help
+TOPICS = {
+    'planner': 'Plans from odom and goal, and commands on cmd_vel (cmd_thrust at translation '
+    'order 2). Reports on tick, plan and /diagnostics; arrived and caught are events.',
+    'sim': 'Flies a vehicle by the commands on cmd_vel and cmd_thrust, and publishes odom, goal '
+    'and captured.',
+}
+USAGE = """\
+usage: {name} [--ros-args ARGUMENT...]
+
+{topics}
+
+arguments of ROS:
+  --params-file FILE   parameters, as in config/retrieval.yaml
+  -p NAME:=VALUE       one parameter; decimal numbers need a point: 1.0
+  -r FROM:=TO          another name of a topic, or __ns:=/NAMESPACE
+
+parameters (name, default, meaning):
+{parameters}
+
+exit codes: 0 done or ended by a signal, 1 failed, 2 bad input"""
 
 
 def leave_at_signals() -> None:
     """End this process at SIGINT and SIGTERM, without a word: it has not begun yet.
 
+    An exception would not do: raised by a handler inside one of LLVM's callbacks it is dropped.
     The handlers are installed even where SIGINT is ignored, as by a shell's background jobs.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, lambda _number, _frame: os._exit(0))
 
 
@@ -50,8 +77,9 @@ def sim() -> int:
 def _run(node: str) -> int:
     leave_at_signals()
     gc.disable()  # until the node runs: what a start makes is kept
+    plain = takewhile('--ros-args'.__ne__, sys.argv)
     try:
-        if asks_for_help(sys.argv):
+        if any(word in ('-h', '--help') for word in plain):
             signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as for `planner --help | head`
             print(_help(node))
             return DONE
@@ -65,18 +93,24 @@ def _run(node: str) -> int:
     return int(main())
 
 
-def asks_for_help(words: Sequence[str]) -> bool:
-    """Return whether a command line asks for help, before the arguments of ROS."""
-    plain = takewhile('--ros-args'.__ne__, words)
-    return any(word in ('-h', '--help') for word in plain)
-
-
 def _help(node: str) -> str:
-    from orbimpc_ros.ros.help import help_of
-
-    rows = getattr(import_module(TABLES[node]), node.upper())
+    """Return what ``--help`` of a node prints: topics, arguments, parameters, exit codes."""
+    specs = getattr(import_module(TABLES[node]), node.upper())
     name = Path(sys.argv[0]).name
-    return help_of(node, node if name == '__main__.py' else name, rows)
+    return USAGE.format(
+        name=node if name == '__main__.py' else name,
+        topics=textwrap.fill(TOPICS[node], WIDTH),
+        parameters='\n'.join(map(_help_on, sorted(specs, key=lambda spec: spec.name))),
+    )
+
+
+def _help_on(spec: ParameterSpec) -> str:
+    default, indent = spec.default, ' ' * 6
+    if isinstance(default, tuple):
+        default = f'[{", ".join(map(str, default))}]'
+    shown = str(default).lower() if isinstance(default, bool) else default
+    meaning = textwrap.wrap(spec.description, WIDTH - len(indent))
+    return f'\n{indent}'.join([f'  {spec.name}  {shown} {spec.unit}'.rstrip(), *meaning])
 
 
 def in_a_line(error: ModuleNotFoundError) -> str:

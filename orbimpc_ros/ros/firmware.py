@@ -23,7 +23,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 
 AUTOPILOTS = ('px4', 'arduplane')
 GRAVITY = 9.80665  # [m/s^2]
@@ -69,27 +69,18 @@ def setpoint(
     """
     turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
     heading = math.atan2(axis[1], axis[0]) - (step - period) * turn
-    return Setpoint(forward * command.speed_fraction, wrapped(heading), turn, altitude)
-
-
-def wrapped(angle: float) -> float:
-    """Return an angle in [-pi, pi] [rad]."""
-    return math.remainder(angle, 2.0 * math.pi)
+    heading = math.remainder(heading, 2.0 * math.pi)
+    return Setpoint(forward * command.speed_fraction, heading, turn, altitude)
 
 
 def bearing(angle: float) -> float:
     """Return an angle from north, to the right, of one from east, to the left; or back [rad]."""
-    return wrapped(0.5 * math.pi - angle)
+    return math.remainder(0.5 * math.pi - angle, 2.0 * math.pi)
 
 
 def attitude(unit: Array) -> Array:
     """Return the attitude, FLU to ENU, of a quaternion (w, x, y, z), FRD to NED."""
     return np.asarray(NED @ from_quaternion(unit, 3) @ FRD)
-
-
-def quaternion(rotation: Array) -> Array:
-    """Return the quaternion (w, x, y, z), FRD to NED, of an attitude, FLU to ENU."""
-    return to_quaternion(NED @ rotation @ FRD)
 
 
 def equivalent(altitude: float) -> float:
@@ -131,10 +122,8 @@ def lateral(wanted: Setpoint) -> dict[str, float]:
 def longitudinal(wanted: Setpoint, share: float, origin: float) -> dict[str, float]:
     """Return the fields of PX4's FixedWingLongitudinalSetpoint.
 
-    Args:
-        wanted: to be flown.
-        share: equivalent airspeed per true airspeed.
-        origin: altitude of the origin above mean sea level [m].
+    ``share`` is equivalent airspeed per true airspeed, ``origin`` the altitude of the origin above
+    mean sea level [m].
     """
     return {
         'altitude': origin + wanted.altitude,
@@ -148,9 +137,7 @@ def longitudinal(wanted: Setpoint, share: float, origin: float) -> dict[str, flo
 def guided(wanted: Setpoint, share: float) -> list[dict[str, float]]:
     """Return the fields of ArduPlane's commands in GUIDED, each a COMMAND_INT.
 
-    Args:
-        wanted: to be flown.
-        share: equivalent airspeed per true airspeed.
+    ``share`` is equivalent airspeed per true airspeed.
     """
     sideways = wanted.airspeed * wanted.turn
     heading = wanted.heading + AHEAD * sideways / GRAVITY

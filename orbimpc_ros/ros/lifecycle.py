@@ -1,23 +1,31 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A managed node: work that is set up, begun, ended and cleared away by lifecycle transitions.
+"""A managed node whose callbacks cannot end it, set up and ended by lifecycle transitions.
 
 rclpy's own managed node swallows what a transition raises, and ends spinning where one is asked
-for that is not possible: here both are said in a line, and the node goes on.
+for that is not possible: here both are logged in a line, and the node goes on.
 """
 
 from __future__ import annotations
 
+import functools
+import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.process import Guarded
+from orbimpc_ros.mpc.outcome import Cause, Reason
 
-ENDPOINTS = ('publisher', 'subscription', 'service', 'timer')
+ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
+FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
 SUCCESS, FAILURE, ERROR = (
     TransitionCallbackReturn.SUCCESS,
     TransitionCallbackReturn.FAILURE,
@@ -25,16 +33,34 @@ SUCCESS, FAILURE, ERROR = (
 )
 
 
-class Managed(LifecycleNodeMixin, Guarded):
-    """A guarded node with a life cycle.
+class Managed(LifecycleNodeMixin, Node):
+    """A node with a life cycle and guarded callbacks.
 
-    A subclass declares its parameters when it is made, and does the rest in the four methods
-    ``configure``, ``activate``, ``deactivate`` and ``clean_up``. What it creates while it is
-    configured is destroyed when that ends, however it ends.
+    A subclass declares its parameters when it is made, and does the rest in ``configure``,
+    ``activate``, ``deactivate``, ``clean_up`` and ``safe``. What it creates while it is configured
+    is destroyed when that ends, however it ends.
+
+    Attributes:
+        kind: what it is called unless it is renamed.
+        exit_code: the process ends with it as soon as it is not None.
+        steady: a clock that neither jumps nor stops, for everything that watches.
+        failures: callbacks that have failed so far.
+        active: whether it works; callbacks made by :meth:`at_work` do nothing otherwise.
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        Guarded.__init__(self, name, parameters)
+        try:
+            Node.__init__(self, name, parameter_overrides=list(parameters))
+        except InvalidParameterTypeException as error:  # of a parameter that every node has
+            wrong = next(each for each in self._parameter_overrides if each in str(error))
+            given = self._parameter_overrides[wrong].value
+            raise BadInput(wrong, given, 'true | false') from None
+        self.kind = name
+        self.exit_code: int | None = None
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.failures = 0
+        self.active = False
+        self._in_a_row: Counter[str] = Counter()
         self._lasting: set[Any] | None = None  # endpoints that it has unconfigured
         self._error: BaseException | None = None  # of the last transition
         LifecycleNodeMixin.__init__(self)
@@ -59,7 +85,72 @@ class Managed(LifecycleNodeMixin, Guarded):
     def clean_up(self) -> None:
         """Let go of what is not an endpoint of this node."""
 
-    # --- what it uses
+    def safe(self, reason: Reason) -> None:
+        """Do what is safe right now; the farewell and every failure call it."""
+
+    # --- callbacks
+
+    def steady_now(self) -> float:
+        """Return the time of the steady clock [s]."""
+        return time.monotonic()
+
+    def guard(self, callback: Callable[..., Any], *, at_work: bool = False) -> Callable[..., Any]:
+        """Return the callback, made to report what it raises instead of raising it.
+
+        Args:
+            callback: of a subscription, timer or service.
+            at_work: whether it is to do nothing while the node is not active.
+        """
+
+        @functools.wraps(callback)
+        def guarded(*arguments: Any) -> Any:
+            if at_work and not self.active:
+                return None
+            try:
+                result = callback(*arguments)
+            except BaseException as error:
+                self.failed(callback.__name__, error)
+                # A service has to answer: with the response as it came.
+                return arguments[1] if len(arguments) == 2 else None
+            self._in_a_row[callback.__name__] = 0
+            return result
+
+        return guarded
+
+    def at_work(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the callback, guarded, and made to do nothing while the node is not active."""
+        return self.guard(callback, at_work=True)
+
+    def every(self, period: float, callback: Callable[[], None]) -> Any:
+        """Call back every ``period`` [s] of the steady clock while the node is active."""
+        return self.create_timer(period, self.at_work(callback), clock=self.steady)
+
+    def failed(self, what: str, error: BaseException) -> None:
+        """Report a failure, do what is safe, and give up after too many in a row.
+
+        A panic in a library written in Rust is no ``Exception``, yet no reason to end at once.
+
+        Raises:
+            KeyboardInterrupt, SystemExit: if that is what the error is.
+        """
+        if isinstance(error, (KeyboardInterrupt, SystemExit)):
+            raise error
+        reason = f'{what} failed: {type(error).__name__}: {error}'
+        self._count(what, reason)
+        try:
+            self.safe(Reason(Cause.FAILURE, reason))
+        except Exception as worse:
+            self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
+
+    def _count(self, what: str, reason: str) -> None:
+        self.failures += 1
+        self._in_a_row[what] += 1
+        self.get_logger().error(reason)
+        if self._in_a_row[what] >= FAILURES_IN_A_ROW:
+            self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
+            self.exit_code = 1
+
+    # --- transitions
 
     def begin(self) -> None:
         """Configure and activate the node, unless somebody else is to do so.
@@ -80,8 +171,6 @@ class Managed(LifecycleNodeMixin, Guarded):
             if self._error is not None:
                 raise self._error
 
-    # --- transitions
-
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Set up, or clear away what was set up of it."""
         self._lasting = self._endpoints()
@@ -98,29 +187,22 @@ class Managed(LifecycleNodeMixin, Guarded):
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Be safe, then silent."""
-        return self._stopped()
+        result = self._tried(self.deactivate) if self.active else SUCCESS
+        self.active = False
+        return result
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Become as it was before it was configured."""
         return self._clear_away()
 
-    def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """End all work for good; the process stays until it is told to end."""
-        self._stopped()
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End all work for good; the process stays until a signal ends it."""
+        self.on_deactivate(state)
         return self._clear_away()
 
-    def on_error(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """After a transition that went wrong: silent and unconfigured."""
-        self._stopped()
-        return self._clear_away()
-
-    def _stopped(self) -> TransitionCallbackReturn:
-        if not self.active:
-            return SUCCESS
-        try:
-            return self._tried(self.deactivate)
-        finally:
-            self.active = False
+        return self.on_shutdown(state)
 
     def _clear_away(self) -> TransitionCallbackReturn:
         """Destroy what was created since the node was configured."""
@@ -144,7 +226,7 @@ class Managed(LifecycleNodeMixin, Guarded):
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a panic of a library written in Rust is no Exception
-            self._error = self._error or error  # what goes wrong first is what to tell
+            self._error = self._error or error  # what goes wrong first is what to report
             return FAILURE if isinstance(error, BadInput) else ERROR
         return SUCCESS
 

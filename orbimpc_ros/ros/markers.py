@@ -12,7 +12,6 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.traffic import centre
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import MovingObstacle, Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
@@ -34,76 +33,39 @@ def plan_markers(
 ) -> MarkerArray:
     """Return the plan as a line, its thrust as arrows, its obstacles and its floor.
 
-    Hazards are shown where they are at the start, with lines to where they will be at its end.
+    Hazards are shown where they are at the start, with lines to where they will be at its end. The
+    floor is what a step at less than the minimum speed would reach, around the vehicle.
     """
-    unit = problem.forward * problem.step
-    path = marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, problem.step)
+    unit, step = problem.forward * problem.step, problem.step
+    # A shorter plan has fewer arrows: all that was shown before is removed.
+    nothing = Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)
+    path = marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, step)
     path.scale.x = LINE * unit
     path.points = [point(each) for each in plan.positions]
-    return MarkerArray(
-        markers=[
-            _nothing(stamp),
-            path,
-            *_arrows(stamp, plan, unit, problem.step),
-            *_obstacles(stamp, problem),
-            *_hazards(stamp, problem, hazards),
-            *_floor(stamp, problem, plan.positions[0], unit),
-        ]
-    )
-
-
-def _arrows(stamp: Stamp, plan: Plan, unit: float, step: float) -> list[Marker]:
-    arrows = []
+    found = [nothing, path]
     for k, fraction in enumerate(plan.speed_fraction):
-        shaft = arrow(stamp, 'thrust', k, BLUE, step)
+        shaft = marker(stamp, 'thrust', k, Marker.ARROW, BLUE, step)
         shaft.pose = pose(plan.positions[k], plan.projected[k])
         # A viewer warns of an arrow of no length.
         shaft.scale = Vector3(x=max(0.5 * unit * fraction, 1e-3), y=0.05 * unit, z=0.05 * unit)
-        arrows.append(shaft)
-    return arrows
-
-
-def _obstacles(stamp: Stamp, problem: Problem) -> list[Marker]:
-    return [
-        shown(marker(stamp, 'obstacles', k, Marker.CUBE, RED, problem.step), body)
-        for k, body in enumerate(problem.obstacles)
-    ]
-
-
-def _hazards(stamp: Stamp, problem: Problem, hazards: Sequence[MovingObstacle]) -> list[Marker]:
-    times, found = problem.step * np.arange(problem.horizon + 1), []
+        found.append(shaft)
+    for k, body in enumerate(problem.obstacles):
+        found.append(shown(marker(stamp, 'obstacles', k, Marker.CUBE, RED, step), body))
+    times = step * np.arange(problem.horizon + 1)
     for k, hazard in enumerate(hazards):
-        found.append(
-            shown(marker(stamp, 'hazards', k, Marker.CUBE, RED, problem.step), hazard.body)
-        )
-        way = marker(stamp, 'ways', k, Marker.LINE_STRIP, RED, problem.step)
-        way.scale.x = LINE * problem.forward * problem.step
+        found.append(shown(marker(stamp, 'hazards', k, Marker.CUBE, RED, step), hazard.body))
+        way = marker(stamp, 'ways', k, Marker.LINE_STRIP, RED, step)
+        way.scale.x = LINE * unit
         way.points = [point(each) for each in centre(hazard.body) + hazard.moved(times)]
         found.append(way)
-    return found
-
-
-def _floor(stamp: Stamp, problem: Problem, center: Array, unit: float) -> list[Marker]:
-    """Return what a step at less than the minimum speed would reach, around the vehicle."""
-    lines = problem.floor.outline(problem.dimension)
-    if not lines:
-        return []
-    drawn = marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, problem.step)
-    drawn.scale.x = LINE * unit
-    drawn.pose.position = point(center)
-    pieces = [line[k : k + 2] for line in lines for k in range(len(line) - 1)]
-    drawn.points = [point(unit * end) for piece in pieces for end in piece]
-    return [drawn]
-
-
-def _nothing(stamp: Stamp) -> Marker:
-    """Return what removes all that was shown before: a shorter plan has fewer arrows."""
-    return Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)
-
-
-def arrow(stamp: Stamp, name: str, number: int, color: tuple[float, ...], step: float) -> Marker:
-    """Return an arrow at the origin, along x; its shape is still to be set."""
-    return marker(stamp, name, number, Marker.ARROW, color, step)
+    if lines := problem.floor.outline(problem.dimension):
+        floor = marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, step)
+        floor.scale.x = LINE * unit
+        floor.pose.position = point(plan.positions[0])
+        pieces = [line[k : k + 2] for line in lines for k in range(len(line) - 1)]
+        floor.points = [point(unit * end) for piece in pieces for end in piece]
+        found.append(floor)
+    return MarkerArray(markers=found)
 
 
 def marker(

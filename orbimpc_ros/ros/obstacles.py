@@ -10,8 +10,7 @@ everything is what it looks like from above.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -38,76 +37,32 @@ KINDS = {Marker.CUBE: 'CUBE', Marker.SPHERE: 'SPHERE', Marker.CYLINDER: 'CYLINDE
 FLAT = 0.02  # [m] height of what is shown of a plane
 
 
-@dataclass(frozen=True)
-class Gone:
-    """A body that is there no longer; every body if it has no name."""
-
-    name: str = ''
-
-
-@dataclass(frozen=True)
-class Spotted:
-    """A body in a message, and the stamp that its marker carries."""
-
-    stamp: Stamp
-    seen: ObservedBody
-
-
-Change = Spotted | Gone | BadInput
-
-
-def read_obstacles(
-    message: MarkerArray,
+def read_obstacle(
+    marker: Marker,
     dimension: int,
     frames: Frames,
-    most: int | None = None,
     placed: Callable[[Any], Any] = lambda marker: marker,
-) -> Iterator[Change]:
-    """Yield what markers say in their order: bodies seen or gone, or what is wrong with one.
+) -> tuple[Stamp, ObservedBody] | str | None:
+    """Return the body that a marker shows, with its stamp, or what it removes.
+
+    That is the name of a body, or None for all of them.
 
     Args:
-        message: with the markers.
-        dimension: 2 for what they look like from above.
-        frames: that they must be in.
-        most: so many are read; all by default.
+        marker: in a message on ``obstacles``.
+        dimension: 2 for what it looks like from above.
+        frames: that it must be in.
         placed: moves what has a header and a pose to the frame that it must be in.
-    """
-    for marker in message.markers[:most]:
-        yield _change(marker, dimension, frames, placed)
-
-
-def stamp_of(message: MarkerArray) -> int:
-    """Return the stamp of the first marker [ns], however nonsensical; 0 without any."""
-    first = next(iter(message.markers), None)
-    return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
-
-
-def _change(marker: Marker, dimension: int, frames: Frames, placed: Callable[[Any], Any]) -> Change:
-    try:
-        return _read(marker, dimension, frames, placed)
-    except BadInput as error:
-        return error
-
-
-def _name(marker: Marker) -> str:
-    """Return the name that a marker's namespace and number are to a body."""
-    if len(marker.ns) > LONGEST_FRAME:
-        raise BadInput('ns', repr(marker.ns), f'at most {LONGEST_FRAME} characters')
-    return f'{marker.ns}/{marker.id}'
-
-
-def _read(
-    marker: Marker, dimension: int, frames: Frames, placed: Callable[[Any], Any]
-) -> Spotted | Gone:
-    """Return what a marker says.
 
     Raises:
         BadInput: its action, kind, frame, stamp, pose, scale or lifetime is not acceptable.
     """
     if marker.action == Marker.DELETEALL:
-        return Gone()
+        return None
+    if len(marker.ns) > LONGEST_FRAME:
+        raise BadInput('ns', repr(marker.ns), f'at most {LONGEST_FRAME} characters')
+    name = f'{marker.ns}/{marker.id}'
     if marker.action == Marker.DELETE:
-        return Gone(_name(marker))
+        return name
     if marker.action != Marker.ADD:
         raise BadInput('action', marker.action, 'ADD or MODIFY (0) | DELETE (2) | DELETEALL (3)')
     if marker.type not in KINDS:
@@ -119,7 +74,13 @@ def _read(
     unit = np.array([q.w, q.x, q.y, q.z])
     turned = from_quaternion(unit / math.sqrt(unit @ unit), 3)
     body = _body(marker.type, place.position, turned, _scale(marker.scale), dimension)
-    return Spotted(stamp, ObservedBody(_name(marker), place.time, body, _lifetime(marker)))
+    return stamp, ObservedBody(name, place.time, body, _lifetime(marker))
+
+
+def stamp_of(message: MarkerArray) -> int:
+    """Return the stamp of the first marker [ns], however nonsensical; 0 without any."""
+    first = next(iter(message.markers), None)
+    return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
 
 
 def _scale(scale: Vector3) -> Array:

@@ -29,7 +29,11 @@ class PoseTwist(NamedTuple):
 
 
 class PoseTwistSynchronizer:
-    """Pairs poses with twists as odometry, stamped as the pose."""
+    """Pairs poses with twists as odometry, stamped as the pose.
+
+    Both methods return odometry as soon as there is some, and raise BadInput where a stamp is not
+    valid, or those of pose and twist are too far apart.
+    """
 
     def __init__(self) -> None:
         self._pose: tuple[int, PoseStamped] | None = None
@@ -38,20 +42,12 @@ class PoseTwistSynchronizer:
         self._twins = False  # whether stamps have been seen to be the same
 
     def pose(self, message: PoseStamped) -> PoseTwist | None:
-        """Take in a pose; return odometry if it has its twist.
-
-        Raises:
-            BadInput: the stamp is not valid, or that of the last twist too far away.
-        """
+        """Take in a pose; return odometry if it has its twist."""
         self._pose = nanoseconds(message.header.stamp, 'pose.header.stamp'), message
         return self._join(alone=not self._twins)
 
     def twist(self, message: TwistStamped) -> PoseTwist | None:
-        """Take in a twist; return odometry if a pose has waited for it.
-
-        Raises:
-            BadInput: the stamp is not valid, or that of the pose too far away.
-        """
+        """Take in a twist; return odometry if a pose has waited for it."""
         self._twist = nanoseconds(message.header.stamp, 'twist.header.stamp'), message
         return self._join(alone=self._joined_at < 0)
 

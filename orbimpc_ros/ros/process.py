@@ -1,35 +1,28 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A node as a process: start, signals, guarded callbacks, a last safe command, exit codes."""
+"""A node as a process: start, signals, a last safe command, exit codes."""
 
 from __future__ import annotations
 
 import ast
 import faulthandler
-import functools
 import gc
 import os
 import shlex
 import signal
 import sys
-import time
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import dropwhile, pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -42,9 +35,12 @@ from rclpy.utilities import get_default_context, remove_ros_args
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.ros.entry import BAD_INPUT, DONE, SIGNALS, leave_at_signals
 
-DONE, FAILED, BAD_INPUT = 0, 1, 2
-FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.lifecycle import Managed
+
+FAILED = 1  # exit code
 FAREWELLS = 3  # safe commands on the way out
 ACKNOWLEDGED = 1.0  # [s] the last messages have to arrive
 LIFE = 0.1  # [s] DDS gives signs of life of a planner so often, for who watches for them
@@ -119,98 +115,26 @@ def attached(
             node.destroy_node()
 
 
-class Guarded(Node):
-    """A node none of whose callbacks can end it, and that ends well.
+def executor_named(name: str, context: Context | None = None) -> Executor:
+    """Return a new executor, ``wait_set`` or ``events``; the context is by default rclpy's.
 
-    Attributes:
-        kind: what it is called unless it is renamed.
-        exit_code: the process ends with it as soon as it is not None.
-        steady: a clock that neither jumps nor stops, for everything that watches.
-        failures: callbacks that have failed so far.
-        active: whether it works; callbacks made by :meth:`at_work` do nothing otherwise.
+    Raises:
+        BadInput: this rclpy has no executor of events.
     """
-
-    def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        try:
-            super().__init__(name, parameter_overrides=list(parameters))
-        except InvalidParameterTypeException as error:  # of a parameter that every node has
-            wrong = next(each for each in self._parameter_overrides if each in str(error))
-            given = self._parameter_overrides[wrong].value
-            raise BadInput(wrong, given, 'true | false') from None
-        self.kind = name
-        self.exit_code: int | None = None
-        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.failures = 0
-        self.active = False
-        self._in_a_row: Counter[str] = Counter()
-
-    def begin(self) -> None:
-        """Begin to work; called once, before the node spins."""
-
-    def safe(self, reason: Reason) -> None:
-        """Do what is safe right now; the farewell and every failure call it."""
-
-    def steady_now(self) -> float:
-        """Return the time of the steady clock [s]."""
-        return time.monotonic()
-
-    def guard(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the callback, made to report what it raises instead of raising it."""
-
-        @functools.wraps(callback)
-        def guarded(*arguments: Any) -> Any:
-            try:
-                result = callback(*arguments)
-            except BaseException as error:
-                self.failed(callback.__name__, error)
-                # A service has to answer: with the response as it came.
-                return arguments[1] if len(arguments) == 2 else None
-            self._in_a_row[callback.__name__] = 0
-            return result
-
-        return guarded
-
-    def at_work(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the callback, guarded, and made to do nothing while the node is not active."""
-
-        @functools.wraps(callback)
-        def working(*arguments: Any) -> Any:
-            return callback(*arguments) if self.active else None
-
-        return self.guard(working)
-
-    def failed(self, what: str, error: BaseException) -> None:
-        """Report a failure, do what is safe, and give up after too many in a row.
-
-        A panic in a library written in Rust is no ``Exception``, yet no reason to end at once.
-
-        Raises:
-            KeyboardInterrupt, SystemExit: if that is what the error is.
-        """
-        if isinstance(error, (KeyboardInterrupt, SystemExit)):
-            raise error
-        reason = f'{what} failed: {type(error).__name__}: {error}'
-        self._count(what, reason)
-        try:
-            self.safe(Reason(Cause.FAILURE, reason))
-        except Exception as worse:
-            self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
-
-    def _count(self, what: str, reason: str) -> None:
-        self.failures += 1
-        self._in_a_row[what] += 1
-        self.get_logger().error(reason)
-        if self._in_a_row[what] >= FAILURES_IN_A_ROW:
-            self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
-            self.exit_code = FAILED
-
-    def every(self, period: float, callback: Callable[[], None]) -> Any:
-        """Call back every ``period`` [s] of the steady clock while the node is active."""
-        return self.create_timer(period, self.at_work(callback), clock=self.steady)
+    if name == 'wait_set':
+        return SingleThreadedExecutor(context=context)
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        allowed = 'wait_set: this rclpy is older than 7.1.4'
+        raise BadInput('executor', name, allowed) from None
+    return EventsExecutor(context=context)
 
 
-def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
+def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
     """Run a node until it is done or stopped, and return the exit code.
+
+    A signal during the start ends the process at once: nothing has been commanded yet.
 
     Args:
         make: creates the node; BadInput from it ends the process with code 2 and one line.
@@ -218,17 +142,21 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
     words = list(sys.argv if argv is None else argv)
+    leave_at_signals()
     try:
-        signals = _Signals()
         _require_files(words)
-        with _initialised(words):
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(initialised(words, context=get_default_context()))
+            except rclpy_implementation.UnknownROSArgsError as error:
+                unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
+                hint = f'allowed: {KNOWN_WORDS}'
+                raise BadInput.stating('command line', unknown, hint) from None
+            except RuntimeError as error:  # a malformed rule or parameter file
+                return _ended(error, BAD_INPUT)
             _require_ros_words(words)
-            node = _born(make)
-            signals.starting = False
-            return _live(node, signals)
-    except _Stopped:
-        return DONE
-    except (BadInput, _Unreadable) as error:
+            return _live(_begun(make))
+    except BadInput as error:
         return _ended(error, BAD_INPUT)
     except rclpy_implementation.RCLError as error:  # as where security is asked for and missing
         return _ended(f'the node cannot be created: {error}', FAILED)
@@ -246,62 +174,11 @@ def _ended(error: object, code: int) -> int:
     return code
 
 
-class _Stopped(KeyboardInterrupt):
-    """A signal during the start, when nothing has been commanded yet."""
-
-
-class _Unreadable(Exception):
-    """rclpy cannot read the command line, or a parameter file on it."""
-
-
-class _Signals:
-    """SIGINT and SIGTERM: they break off a start, and from then on are remembered.
-
-    The handlers are installed even where SIGINT is ignored, as by a shell's background jobs: who
-    stops a node has to reach it.
-
-    Attributes:
-        received: numbers of the signals so far.
-        starting: whether one breaks off what is being done.
-    """
-
-    def __init__(self) -> None:
-        self.received: list[int] = []
-        self.starting = True
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._take)
-
-    def _take(self, number: int, _frame: Any) -> None:
-        _end_within(LAST_RESORT)
-        self.received.append(number)
-        if self.starting and len(self.received) == 1:
-            raise _Stopped
-
-
 def _require_files(words: Sequence[str]) -> None:
     """Refuse a parameter file that is not there: rcl would log of its own parser, too."""
     for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
         if flag == '--params-file' and not Path(word).exists():
             raise BadInput.stating(word, 'no such file', '--params-file is to name one')
-
-
-@contextmanager
-def _initialised(words: Sequence[str]) -> Iterator[None]:
-    """Keep rclpy started with the command line as long as the block lasts.
-
-    Raises:
-        BadInput, _Unreadable: an unknown argument; a malformed rule or parameter file.
-    """
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(initialised(words, context=get_default_context()))
-        except rclpy_implementation.UnknownROSArgsError as error:
-            unknown = ' '.join(ast.literal_eval(str(error)))
-            problem, hint = f'unknown argument {unknown}', f'allowed: {KNOWN_WORDS}'
-            raise BadInput.stating('command line', problem, hint) from None
-        except RuntimeError as error:
-            raise _Unreadable(str(error)) from None
-        yield
 
 
 def _require_ros_words(words: Sequence[str]) -> None:
@@ -313,7 +190,7 @@ def _require_ros_words(words: Sequence[str]) -> None:
         raise BadInput.stating('command line', problem, hint)
 
 
-def _born(make: Callable[[], Guarded]) -> Guarded:
+def _begun(make: Callable[[], Managed]) -> Managed:
     """Return a new node that has begun; one whose start fails is destroyed.
 
     Left over, its publishers would be deleted by the interpreter's end, after the context's.
@@ -326,48 +203,58 @@ def _born(make: Callable[[], Guarded]) -> Guarded:
             node.begin()
         except BaseException:
             _end_within(LAST_RESORT)
-            with suppress(RuntimeError):  # of rclpy; what has failed before is what to tell
+            with suppress(RuntimeError):  # of rclpy; what has failed before is what to report
                 node.destroy_node()
             raise
         return node
 
 
-def _live(node: Guarded, signals: _Signals) -> int:
+def _live(node: Managed) -> int:
     """Spin a node until it is done or a signal comes, let it take its leave; return its code."""
-    _warn_of_range(node)
+    received = _signals()
+    if os.environ[RANGE] not in CLOSED:
+        node.get_logger().warning(f'{RANGE}={os.environ[RANGE]}: open to other machines')
+    if os.environ.get(PEERS):
+        node.get_logger().warning(f'{PEERS}={os.environ[PEERS]}: open to these machines')
     executor = executor_named(node.get_parameter('executor').value)
     executor.add_node(node)
     # What the start has made stays: each full collection would look through all of it, for 60 ms.
     gc.freeze()
     gc.enable()
-    while not signals.received and node.exit_code is None:
+    while not received and node.exit_code is None:
         _spin(node, executor)
     _end_within(LAST_RESORT)
-    if signals.received:
-        name = signal.Signals(signals.received[0]).name
-        node.get_logger().info(f'received {name}, stopping')
+    if received:
+        node.get_logger().info(f'received {signal.Signals(received[0]).name}, stopping')
     for _ in range(FAREWELLS):
         node.guard(node.safe)(Reason(Cause.SHUTDOWN, 'shutting down'))
-    _let_go(node)
+    # The last messages have to arrive, but a subscriber that hangs is not waited for.
+    end = node.steady_now() + ACKNOWLEDGED
+    for publisher in node.publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - node.steady_now())))
     executor.shutdown()
     node.destroy_node()
     return node.exit_code or DONE
 
 
-def executor_named(name: str, context: Context | None = None) -> Executor:
-    """Return a new executor, ``wait_set`` or ``events``; the context is by default rclpy's.
-
-    Raises:
-        BadInput: this rclpy has no executor of events.
-    """
-    if name == 'wait_set':
-        return SingleThreadedExecutor(context=context)
+def _spin(node: Managed, executor: Executor) -> None:
     try:
-        from rclpy.experimental.events_executor import EventsExecutor
-    except ImportError:
-        allowed = 'wait_set: this rclpy is older than 7.1.4'
-        raise BadInput('executor', name, allowed) from None
-    return EventsExecutor(context=context)
+        executor.spin_once(timeout_sec=SPIN)
+    except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
+        node.failed('spinning', error)
+
+
+def _signals() -> list[int]:
+    """Remember SIGINT and SIGTERM from now on; return the list of those received."""
+    received: list[int] = []
+
+    def take(number: int, _frame: Any) -> None:
+        _end_within(LAST_RESORT)
+        received.append(number)
+
+    for number in SIGNALS:
+        signal.signal(number, take)
+    return received
 
 
 def _end_within(patience: float) -> None:
@@ -377,25 +264,3 @@ def _end_within(patience: float) -> None:
     for minutes (#6513). A timer outside of Python sees to it: it needs no thread that answers.
     """
     faulthandler.dump_traceback_later(patience, exit=True)
-
-
-def _spin(node: Guarded, executor: Executor) -> None:
-    try:
-        executor.spin_once(timeout_sec=SPIN)
-    except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
-        node.failed('spinning', error)
-
-
-def _let_go(node: Guarded) -> None:
-    """Wait until the last messages have arrived, but not for a subscriber that hangs."""
-    end = node.steady_now() + ACKNOWLEDGED
-    for publisher in node.publishers:
-        left = max(0.0, end - node.steady_now())
-        publisher.wait_for_all_acked(Duration(seconds=left))
-
-
-def _warn_of_range(node: Guarded) -> None:
-    if os.environ[RANGE] not in CLOSED:
-        node.get_logger().warning(f'{RANGE}={os.environ[RANGE]}: open to other machines')
-    if os.environ.get(PEERS):
-        node.get_logger().warning(f'{PEERS}={os.environ[PEERS]}: open to these machines')

@@ -19,7 +19,6 @@ from orbimpc_ros.ros.messages import header
 
 if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner for it
     from orbimpc_ros.loop.planner import Decision
-    from orbimpc_ros.mpc.plan import Plan
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
@@ -60,29 +59,8 @@ class Report:
         decision = self.decision
         if decision.fallback is Fallback.SAFE_COMMAND:
             return ERROR
-        return (
-            WARN
-            if decision.fallback or decision.reason or decision.status is not Status.OPTIMAL
-            else OK
-        )
-
-    @property
-    def _catch_checked(self) -> bool:
-        """Return whether what is said of catches was counted again, or refuted."""
-        catch = self.decision.catch
-        return catch is not None and (catch.checked or self.decision.refutation is not None)
-
-    @property
-    def _catch(self) -> dict[str, object]:
-        """Return when the plan catches the goal, and before when nothing can, from its start [s].
-
-        Before when nothing can is said as far as it was counted again, or refuted.
-        """
-        catch = self.decision.catch
-        if catch is None:
-            return {'earliest_catch': math.nan, 'catch_bound': math.nan}
-        bound = catch.bound if self._catch_checked else catch.counted
-        return {'earliest_catch': catch.time, 'catch_bound': bound}
+        good = decision.status is Status.OPTIMAL and not (decision.fallback or decision.reason)
+        return OK if good else WARN
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -99,61 +77,53 @@ class Report:
 
         Attributes of the plan are NaN or empty without one. ``speed_fraction`` is |R_k e1| along
         the plan, k = 0..N; ``projection_distance`` the largest Frobenius distance from R_k to its
-        rotation, k = 1..N.
+        rotation, k = 1..N. ``catch_bound`` is the time before which nothing can catch the goal, as
+        far as that was counted again, or refuted.
         """
-        decision, plan = self.decision, self.decision.plan
-        refuted, wind = decision.refutation is not None, decision.disturbance
-        fractions = () if plan is None else tuple(plan.speed_fraction.tolist())
+        decision, plan, catch = self.decision, self.decision.plan, self.decision.catch
+        refuted, wind, case = decision.refutation is not None, decision.disturbance, decision.case
+        objective = lower_bound = gap = projection_distance = clear = math.nan
+        fractions: tuple[float, ...] = ()
+        if plan is not None:
+            objective, lower_bound, gap = plan.objective, plan.lower_bound, plan.gap
+            fractions = tuple(plan.speed_fraction.tolist())
+            projection_distance = float(plan.projection_distance[1:].max())
+        if case is not None and plan is not None:
+            clear = clearance(case.problem, case.state, plan.positions)
+        catch_checked = catch is not None and (catch.checked or refuted)
+        catch_bound = math.nan
+        if catch is not None:
+            catch_bound = catch.bound if catch_checked else catch.counted
         return {
             'status': decision.status,
             'reason': decision.reason,
-            'objective': math.nan if plan is None else plan.objective,
-            'lower_bound': math.nan if plan is None else plan.lower_bound,
-            'gap': math.nan if plan is None else plan.gap,
+            'objective': objective,
+            'lower_bound': lower_bound,
+            'gap': gap,
             'bound_checked': plan is not None and plan.proof.checked,
             'infeasible_checked': decision.infeasible is not None and refuted,
             'nodes': 0 if plan is None else plan.nodes,
             'solve_time_ms': self.solve_time_ms,
             'speed_fraction': fractions,
-            'projection_distance': math.nan if plan is None else _farthest(plan),
+            'projection_distance': projection_distance,
             'fallback': decision.fallback,
             'cause': decision.cause,
             'binding': self.binding,
             'advanced': decision.advanced,
-            **self._catch,
-            'catch_checked': self._catch_checked,
+            'earliest_catch': math.nan if catch is None else catch.time,
+            'catch_bound': catch_bound,
+            'catch_checked': catch_checked,
             'disturbance': () if wind is None else tuple(wind.tolist()),
             'innovation': math.nan if decision.innovation is None else decision.innovation,
             'goal_stamps': self.goal_stamps,
             'goal_counts': self.goal_counts,
             **({'goal_model': self.goal_model} if self.goal_model else {}),
-            **_traffic(decision),
-            'margins': _margins(decision),
+            'obstacles': 0 if decision.state is None else len(decision.state.hazards),
+            'clearance': clear,
+            'margins': {} if case is None or plan is None else margins(*case, plan),
             'obstacles_left_out': decision.left_out,
             'traffic_stamps': self.traffic_stamps,
         }
-
-
-def _traffic(decision: Decision) -> dict[str, object]:
-    """Return how many moving obstacles are planned with, and how clear the plan is of any."""
-    count = 0 if decision.state is None else len(decision.state.hazards)
-    least = math.nan
-    if decision.problem is not None and decision.state is not None and decision.plan is not None:
-        least = clearance(decision.problem, decision.state, decision.plan.positions)
-    return {'obstacles': count, 'clearance': least}
-
-
-def _margins(decision: Decision) -> dict[str, float]:
-    """Return how far inside of each limit the plan stays, by name."""
-    return (
-        {}
-        if decision.case is None or decision.plan is None
-        else margins(*decision.case, decision.plan)
-    )
-
-
-def _farthest(plan: Plan) -> float:
-    return float(plan.projection_distance[1:].max())
 
 
 def prices(decision: Decision) -> dict[str, float]:
@@ -209,19 +179,18 @@ def health_message(
         values: figures behind it, by key.
     """
     name = node.strip('/')
-    told = diagnostics(at, f'{name}: {task}', level, message, values)
-    told.status[0].hardware_id = name.rpartition('/')[0] or 'none'
-    return told
+    made = diagnostics(at, f'{name}: {task}', level, message, values)
+    made.status[0].hardware_id = name.rpartition('/')[0] or 'none'
+    return made
 
 
 def diagnostics(
     at: int, name: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Return one diagnostic status, stamped ``at`` [ns]."""
-    pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+    """Return one diagnostic status, stamped ``at`` [ns]; values that are no text become JSON."""
+    pairs = [
+        KeyValue(key=key, value=value if isinstance(value, str) else json.dumps(value))
+        for key, value in values.items()
+    ]
     status = DiagnosticStatus(name=name, level=level, message=message, values=pairs)
     return DiagnosticArray(header=header(at, ''), status=[status])
-
-
-def _text(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value)

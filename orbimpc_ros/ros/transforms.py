@@ -39,13 +39,7 @@ ON = 'tf: true (of /tf) or transforms (stated)'
 
 
 class Stated(NamedTuple):
-    """A stated transform.
-
-    Attributes:
-        parent: frame.
-        child: frame.
-        matrix: from the child to the parent, shape (4, 4).
-    """
+    """A stated transform: its frames, and the matrix from the child to the parent."""
 
     parent: str
     child: str
@@ -127,12 +121,12 @@ class _Edge:
             problem = f'{name} is known from {before:.3g} s later on only'
             hint = 'give stamps within its history'
             raise BadInput.stating('extrapolated transform', problem, hint)
-        at, transform = self.samples[k - 1]
-        found = matrix(*read_transform(transform, name))
-        if k < len(self.samples):
-            later, transform = self.samples[k]
-            then = matrix(*read_transform(transform, name))
-            return between(found, then, (stamp - at) / (later - at))
+        (at, found), *later = (
+            (stamp, matrix(*read_transform(transform, name)))
+            for stamp, transform in self.samples[k - 1 : k + 1]
+        )
+        for end, then in later:
+            return between(found, then, (stamp - at) / (end - at))
         if (age := (stamp - at) / SECOND) > patience:
             problem = f'{name} is {age:.3g} s older than the message'
             hint = f'at most transform_timeout, {patience:g} s'
@@ -151,12 +145,13 @@ class Transforms:
 
     def __init__(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
         self._edges: dict[str, _Edge] = {}
-        self.adopt(stated, patience, listening)
+        self._listening = listening
+        self.adopt(stated, patience)
 
-    def adopt(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
+    def adopt(self, stated: Iterable[Stated], patience: float) -> None:
         """Replace the stated transforms and the patience."""
         self._stated = {each.child: _Edge(each.parent, each.matrix) for each in stated}
-        self._patience, self._listening = patience, listening
+        self._patience = patience
 
     def forget(self) -> None:
         """Forget what holds for stamps alone."""
@@ -200,9 +195,8 @@ class Transforms:
         stamp = nanoseconds(message.header.stamp, 'header.stamp')
         move, head = self.between(frame, found, stamp if at is None else at), header(stamp, frame)
         if hasattr(message, 'poses'):
-            return Path(
-                header=head, poses=[_moved(each, move, each.header) for each in message.poses]
-            )
+            poses = [_moved(each, move, each.header) for each in message.poses]
+            return Path(header=head, poses=poses)
         return _moved(message, move, head)
 
     def between(self, target: str, source: str, stamp: int) -> Array:
@@ -212,7 +206,7 @@ class Transforms:
             BadInput: no transform leads from one to the other, or none of that moment.
         """
         up, down = self._ancestry(source), self._ancestry(target)
-        common = next((each for each in up if each in down), None)
+        common = next((frame for frame in up if frame in down), None)
         if common is None:
             hint = ON if not self._listening else 'publish it on /tf, or state it in transforms'
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)

@@ -20,29 +20,15 @@ AHEAD = 1.0  # [s] a command's stamp may be ahead of this clock
 
 @dataclass(frozen=True)
 class Order:
-    """A complete command.
+    """A complete command."""
 
-    Attributes:
-        stamp: of the odometry that it answers [ns].
-        fraction: share of full speed or thrust.
-        body_rate: shape (1,) or (3,) [rad/s].
-    """
-
-    stamp: int
-    fraction: float
-    body_rate: Array
+    stamp: int  # of the odometry that it answers [ns]
+    fraction: float  # share of full speed or thrust
+    body_rate: Array  # shape (1,) or (3,) [rad/s]
 
 
 class Orders:
-    """Turns messages into orders, at translation order 2 two messages with the same stamp.
-
-    Args:
-        model: of the vehicle.
-        frames: name the body axis that pushes.
-
-    Attributes:
-        latest: the last complete order, if any.
-    """
+    """Turns messages into orders, at translation order 2 two messages with the same stamp."""
 
     def __init__(self, model: Model, frames: Frames) -> None:
         self._model, self._frames = model, frames
@@ -69,11 +55,7 @@ class Orders:
         return self._complete()
 
     def take_force(self, message: WrenchStamped, now: int) -> bool:
-        """Take in ``cmd_thrust`` at ``now`` [ns] and return whether it completes an order.
-
-        Raises:
-            BadInput: a stamp, a number or a range is not acceptable.
-        """
+        """Take in ``cmd_thrust``, like :meth:`take_twist`."""
         stamp, force = read_force(message, self._frames)
         _require_past(stamp, now)
         full = self._model.mass * self._model.forward

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import NamedTuple
@@ -14,30 +14,20 @@ import numpy as np
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.engines import NoStart
-from orbimpc_ros.sim.engines.engine import Engine, Motion, Start, checked
+from orbimpc_ros.sim.engines import Engine, Motion, NoStart, Start, checked
 from orbimpc_ros.sim.vehicle import Continuous, Vehicle
 from orbimpc_ros.sim.world import Rope, fixed
 
 
 class Kind(NamedTuple):
-    """A vehicle in an engine.
+    """A vehicle in an engine."""
 
-    Attributes:
-        libraries: that it takes, by the names of their modules.
-        made_by: the class of the module in ``engines`` that has the vehicle's name.
-        dimension: in which it is flown.
-        translation_order: 1, it takes speeds; 2, thrusts.
-        moves_goal: whether the goal is a body of the engine, too.
-        extra: of this package, that has the libraries.
-    """
-
-    libraries: tuple[str, ...]
-    made_by: str
-    dimension: int
-    translation_order: int
-    moves_goal: bool = False
-    extra: str = 'physics'
+    libraries: tuple[str, ...]  # that it takes, by the names of their modules
+    made_by: str  # the class of the module in ``engines`` that has the vehicle's name
+    dimension: int  # in which it is flown
+    translation_order: int  # 1, it takes speeds; 2, thrusts
+    moves_goal: bool = False  # whether the goal is a body of the engine, too
+    extra: str = 'physics'  # of this package, that has the libraries
 
 
 ENGINES = {
@@ -48,62 +38,16 @@ ENGINES = {
 
 
 @dataclass(frozen=True)
-class EngineVehicle(Vehicle):
-    """The state of a vehicle in an engine; the engine holds the rest of it.
-
-    Attributes:
-        engine: that has it; it goes on with the last state alone.
-        motion: in space.
-    """
-
-    engine: Engine | None = None
-    motion: Motion | None = None
-
-    @property
-    def airspeed(self) -> float:
-        """Return how fast it moves through the air, up and down too [m/s]."""
-        return super().airspeed if self.motion is None else self.motion.airspeed
-
-    @property
-    def facts(self) -> Mapping[str, float]:
-        """Return its height, and what else the engine reports."""
-        more = {} if self.motion is None else self.motion.facts
-        return {'height': self.height, **more}
-
-    @property
-    def goal(self) -> Array | None:
-        """Return where the goal is, shape (n,) [m], if the engine moves it."""
-        known = None if self.motion is None else self.motion.goal
-        return None if known is None else known[: len(self.position)]
-
-    @property
-    def caught(self) -> bool | None:
-        """Return whether it has caught the goal, where the engine decides that."""
-        return None if self.motion is None else self.motion.caught
-
-    @property
-    def lost(self) -> bool:
-        """Return whether the goal can no longer be caught, as the engine decides."""
-        return self.motion is not None and self.motion.lost
-
-
-@dataclass(frozen=True)
 class EnginePlant(Continuous):
     """A vehicle in an engine, on its own inner loop; in the plane it is that of one altitude.
 
     Its wind is the steady one of the model, with turbulence on top.
-
-    Attributes:
-        engine: of :data:`ENGINES`.
-        turbulence: standard deviation of the air's velocity along each axis [m/s].
-        seed: of the turbulence, and of what else the engine draws.
-        rope: the goal, for engines that move it themselves: where it is at rest, and at the start.
     """
 
-    engine: str = 'cessna'
-    turbulence: float = 0.0
-    seed: int = 0
-    rope: Rope | None = None
+    engine: str = 'cessna'  # of :data:`ENGINES`
+    turbulence: float = 0.0  # standard deviation of the air's velocity along each axis [m/s]
+    seed: int = 0  # of the turbulence, and of what else the engine draws
+    rope: Rope | None = None  # the goal, for engines that move it themselves
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -150,21 +94,21 @@ class EnginePlant(Continuous):
         Raises:
             EngineFailure: the engine has failed.
         """
-        assert isinstance(vehicle, EngineVehicle)
         assert vehicle.engine is not None
         push, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
         motions = checked(engine, elapsed, engine.run(span, push, body_rate), span)
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
-    def _read(self, engine: Engine, motion: Motion, begun: float) -> EngineVehicle:
+    def _read(self, engine: Engine, motion: Motion, begun: float) -> Vehicle:
         """Return the state that a planner sees of a motion; the engine began at a time [s]."""
-        n, height, rate = self.dimension, 0.0, motion.body_rate
-        attitude = motion.attitude
+        n, height, climb = self.dimension, 0.0, 0.0
+        attitude, rate = motion.attitude, motion.body_rate
         if n == 2:
             yaw = math.atan2(attitude[1, 0], attitude[0, 0])
             attitude = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
             height, rate = float(motion.position[2]), np.array([motion.facts['turn']])
-        return EngineVehicle(
+            climb = float((motion.velocity - motion.air)[2])
+        return Vehicle(
             time=begun + motion.time,
             position=motion.position[:n],
             velocity=motion.velocity[:n],
@@ -173,8 +117,12 @@ class EnginePlant(Continuous):
             fraction=min(max(motion.push / self.forward, 0.0), 1.0),
             wind=motion.air[:n],
             height=height,
+            climb=climb,
+            facts={'height': height, **motion.facts},
+            goal=None if motion.goal is None else motion.goal[:n],
+            caught=motion.caught,
+            lost=motion.lost,
             engine=engine,
-            motion=motion,
         )
 
 

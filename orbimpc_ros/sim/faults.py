@@ -59,19 +59,12 @@ class Faults:
 
 
 class Delivery(NamedTuple):
-    """A message that reaches the planner.
+    """A message that reaches the planner."""
 
-    Attributes:
-        content: odometry or a sighting of the goal, at the true time of the measurement.
-        ticks: steps flown when it was sent.
-        age: time from the measurement to the tick that sent it [s].
-        late: whether it comes a tick after that.
-    """
-
-    content: Odometry | GoalObservation
-    ticks: int
-    age: float = 0.0
-    late: bool = False
+    content: Odometry | GoalObservation  # at the true time of the measurement
+    ticks: int  # steps flown when it was sent
+    age: float = 0.0  # time from the measurement to the tick that sent it [s]
+    late: bool = False  # whether it comes a tick after that
 
     @property
     def is_odometry(self) -> bool:
@@ -88,13 +81,7 @@ class Delivery(NamedTuple):
 
 
 class View:
-    """The messages that reach a planner, tick by tick.
-
-    Args:
-        faults: what goes wrong.
-        seed: of all chances.
-        step: between ticks [s].
-    """
+    """The messages that reach a planner, tick by tick, a ``step`` [s] apart."""
 
     def __init__(self, faults: Faults, seed: int, step: float) -> None:
         self.faults, self._seed = faults, seed
@@ -103,7 +90,8 @@ class View:
 
     def of(self, flight: Flight) -> list[Delivery]:
         """Return the messages of this tick, in order; to be called once a tick."""
-        self._past.append(_way(flight))
+        finely = isinstance(flight.scenario.model, Continuous) and flight.trail
+        self._past.append(flight.trail if finely else (flight.vehicle,))
         arriving, self._held_back = self._held_back, []
         draws = _Draws.of(self._seed, flight.ticks)
         if not self._hidden(flight.elapsed):
@@ -139,7 +127,8 @@ class View:
         if self._happens(draws, kind, 'dropout'):
             return []
         if self._happens(draws, kind, 'nan'):
-            sent = sent._replace(content=_poisoned(sent.content))
+            nowhere = np.full_like(sent.content.position, np.nan)
+            sent = sent._replace(content=replace(sent.content, position=nowhere))
         copies = [sent] * (2 if self._happens(draws, kind, 'duplicate') else 1)
         if self._happens(draws, kind, 'reorder'):
             self._held_back += [each._replace(late=True) for each in copies]
@@ -160,13 +149,6 @@ class View:
         return length > 0.0 and begin <= into < begin + length
 
 
-def _way(flight: Flight) -> tuple[Vehicle, ...]:
-    """Return the vehicle on its way through the last step, as finely as its model moves it."""
-    if isinstance(flight.scenario.model, Continuous) and flight.trail:
-        return flight.trail
-    return (flight.vehicle,)
-
-
 class _Draws(NamedTuple):
     """A tick's chances: uniform, shape (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
 
@@ -178,7 +160,3 @@ class _Draws(NamedTuple):
     def of(cls, seed: int, ticks: int) -> _Draws:
         rng = np.random.default_rng((seed, 0, ticks))
         return cls(rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3))
-
-
-def _poisoned(content: Odometry | GoalObservation) -> Odometry | GoalObservation:
-    return replace(content, position=np.full_like(content.position, np.nan))

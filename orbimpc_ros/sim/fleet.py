@@ -28,12 +28,10 @@ Parameters = dict[str, Any]
 def vehicles(count: int, seed: int = 0) -> dict[str, Parameters]:
     """Return the parameters in which the simulators of a fleet differ, by namespace: /uav1, ...
 
-    Args:
-        count: of vehicles, 1 to 64.
-        seed: of everything random; the ropes of the first vehicles do not depend on ``count``.
+    The ropes of the first vehicles do not depend on ``count``.
 
     Raises:
-        BadInput: fewer or more vehicles.
+        BadInput: not 1 to 64 vehicles.
     """
 
     def follower(heading: float, rng: np.random.Generator) -> Parameters:

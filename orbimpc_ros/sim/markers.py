@@ -8,7 +8,7 @@ from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.traffic import centre, placed
-from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, arrow, marker
+from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker
 from orbimpc_ros.ros.messages import Stamp, point, pose
 from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.sim.world import Flight
@@ -24,7 +24,7 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     swing = marker(stamp, 'rope', 1, Marker.LINE_STRIP, GREY, model.step)
     swing.scale.x = LINE * unit
     swing.points = [point(flight.scenario.rope.center), point(flight.goal)]
-    vehicle = arrow(stamp, 'vehicle', 0, BLUE, model.step)
+    vehicle = marker(stamp, 'vehicle', 0, Marker.ARROW, BLUE, model.step)
     vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
     vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)
     return MarkerArray(markers=[rope, swing, vehicle])

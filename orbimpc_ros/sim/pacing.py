@@ -29,14 +29,11 @@ NO_ANSWER = (
 class LockStep:
     """Flies a step as soon as the command for the newest odometry's own stamp is there.
 
-    The last odometry is answered too, though that command is not flown: so every run has the
-    same messages. Where faults leave nothing to answer, or lose the answer, the step is flown
-    on the last command, as long as that is in force, and without one after that. Odometry then
-    follows the clock and the goals at a distance: stamps no longer show the planner what belongs
-    together, and DDS keeps no order among topics.
-
-    At a ``rate`` the next step is not shown before its time, in which nothing else changes. With a
-    shared clock it is not shown before that clock has come to it.
+    The last odometry is answered too, so that every run has the same messages. Where faults leave
+    nothing to answer, or lose the answer, the step is flown on the last command while that is in
+    force. With faults odometry follows clock and goals at a distance: stamps no longer show what
+    belongs together, and DDS keeps no order among topics. At a ``rate``, or with a shared clock,
+    the next step is not shown before its time.
     """
 
     def __init__(self, simulation: FlightSimulation) -> None:
@@ -52,14 +49,11 @@ class LockStep:
         self.restart()
         self._node.every(LOOK, self.look)
         if self._paced:
-            self._warn_of_slowness(1.0 / self._settings.rate)
-            self._node.every(self._settings.scenario.model.step / self._settings.rate, self._on_due)
-
-    def _warn_of_slowness(self, steps: float) -> None:
-        if steps >= SHORTEST_TIMEOUT:
-            took = steps * self._settings.scenario.model.step
-            wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
-            self._node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
+            took = self._settings.scenario.model.step / self._settings.rate
+            self._node.every(took, self._on_due)
+            if self._settings.rate <= 1.0 / SHORTEST_TIMEOUT:
+                wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
+                self._node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
 
     def restart(self) -> None:
         """Start again as soon as planner and readers are there."""
@@ -181,11 +175,9 @@ class LockStep:
 class RealTime:
     """Flies a step when its time is over, on the command in force; waits for the first command.
 
-    A vehicle whose planner is gone must be safe. It is stopped when no command has come for
-    ``command_timeout``, or as soon as DDS misses signs of life from the last planner that
-    promised some, which shows a dead process long before a command is due. The step is then
-    flown in two pieces, so that the vehicle stands from that moment on. On a machine that is too
-    busy, living planners miss signs of life, too: the command is in force again with the next one.
+    The vehicle is stopped when no command has come for ``command_timeout``, or as soon as DDS
+    misses signs of life from the last planner that promised some, long before a command is due. On
+    a busy machine living planners miss some, too: the command is in force again with the next one.
     """
 
     def __init__(self, simulation: FlightSimulation) -> None:

@@ -28,15 +28,10 @@ class Gusts:
 
     Its correlation after t is exp(-t/memory). It depends on the time since the start alone: a seed
     brings the same gusts to whatever flies.
-
-    Attributes:
-        deviation: standard deviation along each axis [m/s], or [m/s^2] at translation order 2.
-        memory: correlation time [s].
-        seed: of the process.
     """
 
-    deviation: float = 0.0
-    memory: float = 3.0
+    deviation: float = 0.0  # standard, along each axis [m/s], or [m/s^2] at translation order 2
+    memory: float = 3.0  # correlation time [s]
     seed: int = 0
 
     def at(self, elapsed: float, dimension: int) -> Array:
@@ -44,14 +39,11 @@ class Gusts:
         index = elapsed / SAMPLE
         before = math.floor(index)
         share = index - before
-        earlier, later = (self._sample(k, dimension) for k in (before, before + 1))
-        gust: Array = self.deviation * ((1.0 - share) * earlier + share * later)
-        return gust
-
-    def _sample(self, index: int, dimension: int) -> Array:
-        number, place = divmod(index, BLOCK)
-        sample: Array = _block(self.seed, dimension, self.memory, number)[place]
-        return sample
+        earlier, later = (
+            _block(self.seed, dimension, self.memory, k // BLOCK)[k % BLOCK]
+            for k in (before, before + 1)
+        )
+        return np.asarray(self.deviation * ((1.0 - share) * earlier + share * later))
 
 
 @lru_cache(maxsize=64)
@@ -76,27 +68,17 @@ CALM = Gusts()
 class Plant(Continuous):
     """A vehicle in continuous time, pushed along its x axis.
 
-    Both orders of translation take their commands at once and follow them with a first-order lag,
-    and so do both orders of rotation: the orders of a :class:`Model` define what a command means
-    in the steps of a planner, which a vehicle does not have.
-
-    Attributes:
-        speed_lag: time constant of the speed (translation order 1) or the thrust (2) [s].
-        rate_lag: time constant of the body rate [s].
-        max_rate: it turns no faster [rad/s]; 0 for no limit.
-        max_acceleration: its speed changes no faster (order 1) [m/s^2]; 0 for no limit.
-        gain: speed or thrust that it reaches, a share of what is commanded.
-        drag: deceleration by its own velocity (order 2) [1/s].
-        gusts: on top of the steady wind (order 1) or acceleration (2).
+    Commands of all orders are taken at once and followed with first-order lags: the orders of a
+    :class:`Model` define what a command means in the steps of a planner.
     """
 
-    speed_lag: float = 0.0
-    rate_lag: float = 0.0
-    max_rate: float = 0.0
-    max_acceleration: float = 0.0
-    gain: float = 1.0
-    drag: float = 0.0
-    gusts: Gusts = CALM
+    speed_lag: float = 0.0  # time constant of the speed (translation order 1) or thrust (2) [s]
+    rate_lag: float = 0.0  # time constant of the body rate [s]
+    max_rate: float = 0.0  # it turns no faster [rad/s]; 0 for no limit
+    max_acceleration: float = 0.0  # its speed changes no faster (order 1) [m/s^2]; 0 for no limit
+    gain: float = 1.0  # speed or thrust that it reaches, a share of what is commanded
+    drag: float = 0.0  # deceleration by its own velocity (order 2) [1/s]
+    gusts: Gusts = CALM  # on top of the steady wind (order 1) or acceleration (2)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -180,18 +162,14 @@ class Plant(Continuous):
 
     def _pushed(self, now: _Actuated | Vehicle) -> Array:
         """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
-        pushed: Array = self.gain * self.forward * now.fraction * now.attitude[:, 0]
-        return pushed
+        return np.asarray(self.gain * self.forward * now.fraction * now.attitude[:, 0])
 
     def _accelerated(
         self, velocity: Array, pushes: Sequence[Array], dt: float
     ) -> tuple[Array, Array]:
         """Return the way [m] and the velocity [m/s] after a time, by Runge and Kutta's method.
 
-        Args:
-            velocity: now, shape (n,) [m/s].
-            pushes: accelerations now, after half the time and at its end, without drag.
-            dt: [s].
+        ``pushes`` are accelerations without drag now, after half the time and at its end.
         """
         first, second, third = pushes
         a = first - self.drag * velocity
@@ -211,14 +189,9 @@ class _Actuated(NamedTuple):
 
 
 def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:
-    """Return a first-order lag's value after ``dt`` [s], exactly.
+    """Return what a value becomes after ``dt`` [s] by a first-order lag [s], exactly.
 
-    Args:
-        value: now.
-        wanted: what it tends to.
-        lag: time constant [s]; 0 for none.
-        dt: [s].
-        limit: largest rate of change [1/s].
+    It changes by no more than a ``limit`` [1/s].
     """
     apart = wanted - value
     if math.isfinite(limit):

@@ -20,8 +20,9 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
+from orbimpc_ros.ros.process import DONE, FAILED, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines import EngineFailure
@@ -43,22 +44,17 @@ DEPTH = 10  # in lock-step no message may push another out
 class FlightSimulation:
     """A flight, shown on topics, that goes on a step at a time.
 
-    Args:
-        node: that publishes.
-        settings: of the simulator.
-        commands: its subscription to ``cmd_vel``.
-
     Attributes:
         flight: now.
         view: the messages of it that reach a planner.
         orders: the commands that have come.
         refused: commands refused so far, by topic and field.
-        waiting: for whoever is to be there before it begins.
+        waiting: for planner and readers before it begins.
         finished: whether the flight has ended.
         airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
 
-    def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
+    def __init__(self, node: Managed, settings: SimSettings, commands: Subscription) -> None:
         body = own_frame(settings.child_frame_id, node.get_namespace())
         settings = replace(settings, child_frame_id=body)
         self.node, self.settings = node, settings
@@ -80,7 +76,10 @@ class FlightSimulation:
         self.flight = departure(settings.scenario, time)
         self.view = View(settings.faults, settings.seed, settings.scenario.model.step)
         self.finished = False
-        self.airspeeds = _airspeeds_of(self.flight)
+        model = settings.scenario.model
+        self.airspeeds: Airspeeds | None = None
+        if isinstance(model, Continuous):
+            self.airspeeds = Airspeeds(model.stall_speed).seeing([self.flight.vehicle])
 
     def _create_publishers(self) -> None:
         create = self.node.create_publisher
@@ -200,22 +199,8 @@ def own_frame(body: str, namespace: str) -> str:
     return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
 
 
-def _airspeeds_of(flight: Flight) -> Airspeeds | None:
-    model = flight.scenario.model
-    if not isinstance(model, Continuous):
-        return None
-    return Airspeeds(model.stall_speed).seeing([flight.vehicle])
-
-
 def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> DiagnosticArray:
-    """Return the true state of a simulated vehicle, which odometry may not show.
-
-    Args:
-        at: the stamp [ns].
-        name: of the status.
-        flight: now.
-        airspeeds: of the flight so far.
-    """
+    """Return the true state of a simulated vehicle at a time [ns], as a status of a name."""
     vehicle, now = flight.vehicle, flight.vehicle.airspeed
     values = {
         'airspeed': now,
@@ -236,12 +221,7 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
 
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:
-    """Return the names of boxes and balls, counted from 1.
-
-    Args:
-        numbers: of obstacles, those of balls after those of the boxes.
-        boxes: how many there are.
-    """
+    """Return the names of touched boxes and balls, counted from 1, of which so many are boxes."""
     named = {'box': [k + 1 for k in sorted(numbers) if k < boxes]}
     named['ball'] = [k + 1 - boxes for k in sorted(numbers) if k >= boxes]
     plural = {'box': 'boxes', 'ball': 'balls'}

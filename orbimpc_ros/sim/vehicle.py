@@ -12,39 +12,24 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
+from orbimpc_ros.sim.engines import Engine
 
 
 @dataclass(frozen=True)
 class Model:
-    """How a vehicle answers to commands; the fields are named like those of the Problem.
+    """How a vehicle answers to commands; the fields are named like those of the Problem."""
 
-    Attributes:
-        dimension: n, 2 or 3.
-        rotation_order: 1, it turns at the commanded rate at once; 2, from the next step on.
-        translation_order: 1, the forward axis carries a velocity; 2, an acceleration.
-        step: h [s].
-        forward: z, full speed [m/s] (translation order 1) or thrust acceleration [m/s^2] (2).
-        mass: turns a thrust acceleration into a force [kg].
-        failsafe_fraction: share of full speed or thrust while no command is in force; a vehicle
-            that cannot stand still has one.
-        failsafe_rate: turn about the body's z axis meanwhile [rad/s].
-        disturbance: a wind in the world frame [m/s] (translation order 1) or an acceleration
-            [m/s^2] (2), n numbers; none if empty.
-        discretisation: ``euler`` or ``exact``, as in the Problem.
-        velocity_source: of odometry: over ``ground`` or through the ``air``.
-    """
-
-    dimension: int = 2
-    rotation_order: int = 1
-    translation_order: int = 1
-    step: float = 1.0
-    forward: float = 1.0
-    mass: float = 1.0
-    failsafe_fraction: float = 0.0
-    failsafe_rate: float = 0.0
-    disturbance: tuple[float, ...] = ()
-    discretisation: str = 'euler'
-    velocity_source: str = 'ground'
+    dimension: int = 2  # n, 2 or 3
+    rotation_order: int = 1  # 1, it turns at the commanded rate at once; 2, from the next step on
+    translation_order: int = 1  # 1, the forward axis carries a velocity; 2, an acceleration
+    step: float = 1.0  # h [s]
+    forward: float = 1.0  # z, full speed [m/s] (order 1) or thrust acceleration [m/s^2] (2)
+    mass: float = 1.0  # turns a thrust acceleration into a force [kg]
+    failsafe_fraction: float = 0.0  # share of full speed or thrust while no command is in force
+    failsafe_rate: float = 0.0  # turn about the body's z axis meanwhile [rad/s]
+    disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], n numbers or none
+    discretisation: str = 'euler'  # or ``exact``, as in the Problem
+    velocity_source: str = 'ground'  # of odometry, or ``air``
 
     def __post_init__(self) -> None:
         if self.disturbance:
@@ -84,7 +69,7 @@ class Model:
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at equal intervals of a time under one command, the last at its end.
+        """Return the vehicle at intervals of a time under one command, the last at its end.
 
         Args:
             vehicle: where it is.
@@ -129,27 +114,22 @@ class Continuous(Model):
 
 @dataclass(frozen=True)
 class Vehicle:
-    """The state of a simulated vehicle.
+    """The state of a simulated vehicle; what is in an engine goes on with its last state alone."""
 
-    Attributes:
-        time: since the start of its clock [s].
-        position: s, shape (n,) [m].
-        velocity: p, in the world frame, shape (n,) [m/s]; follows the rest at translation order 1.
-        attitude: Q, body to world, shape (n, n).
-        body_rate: omega, in the body frame, shape (1,) or (3,) [rad/s].
-        fraction: sigma, share of full speed or thrust now applied, in [0, 1].
-        wind: velocity of the air around it, shape (n,) [m/s]; still air if empty.
-        height: how far it is above the plane that it is to fly in [m]; 0 in space.
-    """
-
-    time: float
-    position: Array
-    velocity: Array
-    attitude: Array
-    body_rate: Array
-    fraction: float
-    wind: Array = field(default_factory=lambda: np.zeros(0))
-    height: float = 0.0
+    time: float  # since the start of its clock [s]
+    position: Array  # s, shape (n,) [m]
+    velocity: Array  # p, in the world frame, shape (n,) [m/s]; at order 1 it follows from the rest
+    attitude: Array  # Q, body to world, shape (n, n)
+    body_rate: Array  # omega, in the body frame, shape (1,) or (3,) [rad/s]
+    fraction: float  # sigma, share of full speed or thrust now applied, in [0, 1]
+    wind: Array = field(default_factory=lambda: np.zeros(0))  # shape (n,) [m/s]; still if empty
+    height: float = 0.0  # above the plane that it is to fly in [m]; 0 in space
+    climb: float = 0.0  # upwards through the air, out of that plane [m/s]
+    facts: Mapping[str, float] = field(default_factory=dict)  # further figures of it, by name
+    goal: Array | None = None  # shape (n,) [m]; None where the scenario decides where it is
+    caught: bool | None = None  # whether it has caught the goal; None where distance decides
+    lost: bool = False  # whether it can no longer catch the goal
+    engine: Engine | None = None  # that moves it
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.position))
@@ -171,27 +151,7 @@ class Vehicle:
     @property
     def airspeed(self) -> float:
         """Return how fast it moves through the air [m/s]."""
-        return float(np.linalg.norm(self.velocity - self.wind))
-
-    @property
-    def facts(self) -> Mapping[str, float]:
-        """Return further figures of it, by name."""
-        return {}
-
-    @property
-    def goal(self) -> Array | None:
-        """Return where the goal is, shape (n,) [m]; None where the scenario decides that."""
-        return None
-
-    @property
-    def caught(self) -> bool | None:
-        """Return whether it has caught the goal; None where its distance decides that."""
-        return None
-
-    @property
-    def lost(self) -> bool:
-        """Return whether it can no longer catch the goal."""
-        return False
+        return float(np.linalg.norm(np.append(self.velocity - self.wind, self.climb)))
 
 
 def launched(
@@ -226,18 +186,21 @@ def launched(
 def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
     """Return the vehicle one step later: flown from the old values, the command then taken over.
 
-    Args:
-        model: how it answers.
-        vehicle: where it is.
-        fraction: commanded share of full speed or thrust, clipped to [0, 1].
-        body_rate: commanded angular velocity in the body frame, shape (1,) or (3,) [rad/s].
+    The commanded share of full speed or thrust is clipped to [0, 1].
     """
     h = model.step
     pushed = model.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
     turning = body_rate if model.rotation_order == 1 else vehicle.body_rate
     attitude = nearest(vehicle.attitude @ exp(h * turning))  # nearest: no drift off SO(n)
     fraction = float(np.clip(fraction, 0.0, 1.0))
-    way, velocity = _moved(model, vehicle, pushed, model.forward * fraction * attitude[:, 0])
+    new = model.forward * fraction * attitude[:, 0]
+    mean = 0.5 * (pushed + new) if model.discretisation == 'exact' else pushed
+    way: Array = h * (mean + model.blown)
+    velocity: Array = new + model.wind
+    if model.translation_order == 2:
+        way, velocity = h * vehicle.velocity, vehicle.velocity + way
+        if model.discretisation == 'exact':
+            way = way + h * h * (pushed / 3.0 + new / 6.0 + 0.5 * model.blown)
     return Vehicle(
         vehicle.time + h,
         vehicle.position + way,
@@ -247,26 +210,6 @@ def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -
         fraction,
         model.wind,
     )
-
-
-def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Array, Array]:
-    """Return the way of a step and the velocity at its end, shape (n,) each.
-
-    Args:
-        model: decides whether speed or thrust changes at the end of the step, or all the while.
-        vehicle: at its begin.
-        old: speed or thrust at its begin, shape (n,).
-        new: at its end.
-    """
-    h = model.step
-    mean = 0.5 * (old + new) if model.discretisation == 'exact' else old
-    gained = h * (mean + model.blown)
-    if model.translation_order == 1:
-        return gained, new + model.wind
-    way = h * vehicle.velocity
-    if model.discretisation == 'exact':
-        way = way + h * h * (old / 3.0 + new / 6.0 + 0.5 * model.blown)
-    return way, vehicle.velocity + gained
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
@@ -283,12 +226,7 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
 
 
 def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
-    """Return perfect odometry of the vehicle; its twist is in the body frame.
-
-    Args:
-        vehicle: that is measured.
-        velocity_source: whether its velocity is that over ``ground`` or that through the ``air``.
-    """
+    """Return perfect odometry of the vehicle, over ``ground`` or through the ``air``."""
     velocity = vehicle.velocity
     if velocity_source == 'air':
         velocity = velocity - vehicle.wind

@@ -11,7 +11,7 @@ from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.process import Guarded
+from orbimpc_ros.ros.lifecycle import Managed
 
 SILENT = 2.0  # [s] of waiting are not worth a word
 MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
@@ -46,8 +46,8 @@ class Waiting:
 
     Args:
         node: that waits.
-        odometry: its publisher, with so many ``subscribers`` to wait for.
-        subscribers: of odometry, the planner's among them.
+        odometry: its publisher, with so many ``subscribers`` to wait for, the planner's among them.
+        subscribers: see ``odometry``.
         readers: how many to wait for by topic, beside those of the planner and of ``node``.
         goal: the publisher of goals, which a planner that is ready subscribes to.
         commands: the subscription to what a planner publishes, by which it is known.
@@ -55,7 +55,7 @@ class Waiting:
 
     def __init__(
         self,
-        node: Guarded,
+        node: Managed,
         odometry: Publisher,
         subscribers: int,
         readers: dict[str, int],

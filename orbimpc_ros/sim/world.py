@@ -22,21 +22,13 @@ ROUNDING = 1e-6  # of the stall speed
 
 @dataclass(frozen=True)
 class Rope:
-    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis."""
 
-    Attributes:
-        center: shape (n,) [m].
-        amplitude: shape (n,) [m].
-        frequency: f [Hz].
-        phase: shape (n,) [rad].
-        velocity: of the middle of the swing, shape (n,) [m/s]; zero if empty.
-    """
-
-    center: Array
-    amplitude: Array
-    frequency: float
-    phase: Array
-    velocity: Array = field(default_factory=lambda: np.zeros(0))
+    center: Array  # shape (n,) [m]
+    amplitude: Array  # shape (n,) [m]
+    frequency: float  # f [Hz]
+    phase: Array  # shape (n,) [rad]
+    velocity: Array = field(default_factory=lambda: np.zeros(0))  # shape (n,) [m/s]; zero if empty
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.center))
@@ -61,35 +53,22 @@ def fixed(point: Array) -> Rope:
 class Scenario:
     """A vehicle, its start and its goal.
 
-    Attributes:
-        model: how the vehicle answers to commands.
-        start: where it is at the start; its time is the start's.
-        rope: the goal, swinging or fixed.
-        capture_radius: the goal counts as caught within it [m].
-        max_ticks: steps after which the flight ends.
-        finish: ``capture``, it ends as soon as the goal is caught; ``arrival``, it ends after
-            ``max_ticks`` and has to be at the goal then.
-        arrival_radius: how far from the goal a vehicle that has arrived may be [m].
-        arrival_speed: and how fast [m/s]; 0 for any speed.
-        obstacles: boxes; a flight that touches one has failed.
-        traffic: balls, each moving evenly from the start on; the same holds for them.
-        approach: headings that count at a capture; where it has a cone, its direction is given.
-        rope_length: the rope hangs so far [m], half of it above the plane of flight, for vehicles
-            that may leave it.
+    A flight to a ``capture`` ends as soon as the goal is caught; one to an ``arrival`` ends after
+    ``max_ticks`` and has to be at the goal then. It fails if it touches a box or a ball.
     """
 
     model: Model
-    start: Vehicle
-    rope: Rope
-    capture_radius: float
-    max_ticks: int
+    start: Vehicle  # its time is the start's
+    rope: Rope  # the goal, swinging or fixed
+    capture_radius: float  # the goal counts as caught within it [m]
+    max_ticks: int  # steps after which the flight ends
     finish: str = 'capture'
-    arrival_radius: float = 0.05
-    arrival_speed: float = 0.0
+    arrival_radius: float = 0.05  # how far from the goal a vehicle that has arrived may be [m]
+    arrival_speed: float = 0.0  # and how fast [m/s]; 0 for any speed
     obstacles: tuple[Box, ...] = ()
-    traffic: tuple[MovingObstacle, ...] = ()
-    approach: Approach = field(default_factory=Approach)
-    rope_length: float = 0.0
+    traffic: tuple[MovingObstacle, ...] = ()  # balls, each moving evenly from the start on
+    approach: Approach = field(default_factory=Approach)  # headings that count at a capture
+    rope_length: float = 0.0  # the rope hangs so far, half of it above the plane of flight [m]
 
     def __post_init__(self) -> None:
         n = self.model.dimension
@@ -106,25 +85,17 @@ class Scenario:
 class Flight:
     """A scenario after some steps.
 
-    Attributes:
-        scenario: what is flown.
-        vehicle: where it is now.
-        ticks: steps flown.
-        miss: least distance to the goal during the last step [m]; infinite before the first.
-        missed_at: when that was [s].
-        headed: whether it was within the cone of approach then.
-        trail: the vehicle on its way through the last step, at its end last.
-        touched: numbers of the boxes, and on from there of the balls in the traffic, that it has
-            been in so far, farther than the tolerance of plans.
+    It has ``touched`` the boxes, and on from their count the balls, that it has been in so far,
+    farther than the tolerance of plans.
     """
 
     scenario: Scenario
-    vehicle: Vehicle
-    ticks: int = 0
-    miss: float = np.inf
-    missed_at: float = np.nan
-    headed: bool = False
-    trail: tuple[Vehicle, ...] = ()
+    vehicle: Vehicle  # now
+    ticks: int = 0  # steps flown
+    miss: float = np.inf  # least distance to the goal during the last step [m]
+    missed_at: float = np.nan  # when that was [s]
+    headed: bool = False  # whether it was within the cone of approach then
+    trail: tuple[Vehicle, ...] = ()  # the vehicle on its way through the last step, to its end
     touched: frozenset[int] = frozenset()
 
     @property
@@ -135,13 +106,9 @@ class Flight:
     @property
     def goal(self) -> Array:
         """Return where the goal is now, shape (n,) [m]."""
-        return self.goal_of(self.vehicle)
-
-    def goal_of(self, vehicle: Vehicle) -> Array:
-        """Return where the goal is at the time of a vehicle of this flight, shape (n,) [m]."""
-        if vehicle.goal is not None:
-            return vehicle.goal
-        return self.scenario.rope.at(vehicle.time - self.scenario.start.time)
+        if self.vehicle.goal is not None:
+            return self.vehicle.goal
+        return self.scenario.rope.at(self.elapsed)
 
     @property
     def _place(self) -> Array:
@@ -149,10 +116,6 @@ class Flight:
         height = self.vehicle.height
         past = max(0.0, abs(height) - 0.5 * self.scenario.rope_length)
         return np.append(self.vehicle.position, math.copysign(past, height))
-
-    @property
-    def _place_of_goal(self) -> Array:
-        return np.append(self.goal, 0.0)
 
     @property
     def distance(self) -> float:
@@ -170,10 +133,12 @@ class Flight:
 
         A flight that touched a box or a ball has failed.
         """
+        scenario, fastest = self.scenario, self.scenario.arrival_speed or np.inf
         if self.touched:
             return False
-        if self.scenario.finish == 'arrival':
-            return self._arrived
+        if scenario.finish == 'arrival':
+            there = self.distance <= scenario.arrival_radius and self.speed <= fastest
+            return there and self.ticks >= scenario.max_ticks
         return self.near and self.headed
 
     @property
@@ -186,19 +151,9 @@ class Flight:
         return self.miss <= self.scenario.capture_radius if judged is None else judged
 
     @property
-    def _arrived(self) -> bool:
-        fastest = self.scenario.arrival_speed or np.inf
-        near = self.distance <= self.scenario.arrival_radius and self.speed <= fastest
-        return near and self._out_of_ticks
-
-    @property
-    def _out_of_ticks(self) -> bool:
-        return self.ticks >= self.scenario.max_ticks
-
-    @property
     def over(self) -> bool:
         """Return whether the goal is caught or lost, or the steps are used up."""
-        return self.captured or self.vehicle.lost or self._out_of_ticks
+        return self.captured or self.vehicle.lost or self.ticks >= self.scenario.max_ticks
 
     def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
         """Return the flight one step later, the command taken over as the vehicle's model does.
@@ -206,8 +161,8 @@ class Flight:
         Args:
             fraction: commanded share of full speed or thrust.
             body_rate: commanded, shape (1,) or (3,) [rad/s].
-            held: how long into the step the command is in force [s]; after that the vehicle
-                does as its model has it without one: by default it stops.
+            held: how long into the step the command is in force [s]; after that the model's
+                failsafe is.
         """
         step = self.scenario.model.step
         if held >= step:
@@ -235,9 +190,8 @@ class Flight:
         before = self
         for vehicle in trail:
             now = replace(before, vehicle=vehicle)
-            near, share = closest_approach(
-                (before._place, now._place), (before._place_of_goal, now._place_of_goal)
-            )
+            goals = np.append(before.goal, 0.0), np.append(now.goal, 0.0)
+            near, share = closest_approach((before._place, now._place), goals)
             if near < miss and not (before.vehicle.caught or before.vehicle.lost):
                 begun = before.vehicle.time
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
@@ -263,19 +217,12 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
 
 @dataclass(frozen=True)
 class Airspeeds:
-    """The airspeeds of a flight so far.
+    """The airspeeds of a flight so far."""
 
-    Attributes:
-        stall_speed: below which a vehicle has stalled [m/s]; 0 for none.
-        least: [m/s]; infinite before anything was seen.
-        stalls: how often it fell below the stall speed.
-        stalled: whether it was below when last seen.
-    """
-
-    stall_speed: float
-    least: float = math.inf
-    stalls: int = 0
-    stalled: bool = False
+    stall_speed: float  # below which a vehicle has stalled [m/s]; 0 for none
+    least: float = math.inf  # [m/s]
+    stalls: int = 0  # how often it fell below the stall speed
+    stalled: bool = False  # whether it was below when last seen
 
     def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
         """Return the record with these vehicles, in order of time, added."""
@@ -289,14 +236,7 @@ class Airspeeds:
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:
-    """Return the numbers of the boxes that a straight path crosses.
-
-    Args:
-        boxes: counted from 0.
-        start: of the way, shape (n,) [m].
-        end: of the way, shape (n,) [m].
-        grazed: depth that does not count [m].
-    """
+    """Return the numbers of the boxes that a straight path is in, deeper than ``grazed`` [m]."""
     return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end, grazed))
 
 
@@ -308,29 +248,20 @@ def met(
 ) -> frozenset[int]:
     """Return the numbers of the balls that a straight path meets while they move evenly.
 
-    Args:
-        traffic: balls, counted from 0.
-        flown: the ends of the way, each of shape (n,) [m].
-        times: when the vehicle is there, since the start [s].
-        grazed: depth that does not count [m].
+    It is ``flown`` between two ``times`` since the start [s]; a ``grazed`` depth does not count.
     """
     if not traffic:
         return frozenset()
-    places = np.array([_middle(each) for each in traffic])
+    balls = [each.body for each in traffic if isinstance(each.body, Ball)]
+    places = np.array([ball.centre for ball in balls])
     velocities = np.array([each.shifts[1] / each.times[1] for each in traffic])
-    radii = np.array([each.body.radius for each in traffic if isinstance(each.body, Ball)])
-    radii = np.maximum(0.0, radii - grazed)
+    radii = np.maximum(0.0, np.array([ball.radius for ball in balls]) - grazed)
     away = flown[0] - places - times[0] * velocities
     drift = flown[1] - flown[0] - (times[1] - times[0]) * velocities
     squared = np.einsum('ji,ji->j', drift, drift)
     share = -np.einsum('ji,ji->j', away, drift) / np.where(squared > 0.0, squared, 1.0)
     nearest = away + np.clip(share, 0.0, 1.0)[:, None] * drift
     return frozenset(np.flatnonzero(np.einsum('ji,ji->j', nearest, nearest) < radii**2).tolist())
-
-
-def _middle(ball: MovingObstacle) -> Array:
-    assert isinstance(ball.body, Ball)
-    return ball.body.centre
 
 
 def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:

@@ -21,22 +21,17 @@ from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
 T = TypeVar('T')
+Ticks = tuple[tuple[float, dict[str, Any]], ...]
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
-# Keys of a tick that summaries and pictures need.
-NEEDED: dict[str, tuple[type, ...]] = {
-    'gap': (int, float),
-    'solve_time_ms': (int, float),
-    'speed_fraction': (list,),
-}
 NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
 
 
 class Encounter(NamedTuple):
-    """How close vehicle and rope were.
+    """A moment of vehicle and rope.
 
     Attributes:
         time: when [s].
-        distance: [m].
+        distance: between them [m].
         vehicle: where the vehicle was, shape (3,) [m].
         rope: where the rope was, shape (3,) [m].
     """
@@ -68,7 +63,7 @@ class History:
         plans: in order of time.
         forces: times [s] and forces [N] of the topic ``cmd_thrust``.
         ticks: times [s] and fields of the topic ``tick``.
-        captured: whether the simulator said that the job was done.
+        captured: whether the simulator reported the job as done.
         values: parameters of the run, by name.
         truth: the last fields of the topic ``truth``, which a vehicle in continuous time has.
     """
@@ -81,7 +76,7 @@ class History:
     ropes: Array
     plans: tuple[Planned, ...]
     forces: tuple[tuple[float, float], ...]
-    ticks: tuple[tuple[float, dict[str, Any]], ...]
+    ticks: Ticks
     captured: bool
     values: dict[str, Any]
     truth: Mapping[str, Any] = field(default_factory=dict)
@@ -93,30 +88,15 @@ class History:
 
     @property
     def radius(self) -> float:
-        """Return within what the simulator has the goal caught, or arrived at [m]."""
+        """Return the radius within which the simulator has the goal caught, or arrived at [m]."""
         name = 'arrival_radius' if self.arrives else 'capture_radius'
         return float(settings.of_sim(self.values)[name])
-
-    @property
-    def in_time(self) -> bool:
-        """Return whether every plan arrives at the goal, as one made at the start does."""
-        return (self.values['finish'], self.values['terminal']) == ('arrival', 'constraint')
-
-    @property
-    def headings(self) -> Array:
-        """Return the body's x axis in the world, shape (M, 3)."""
-        return self.attitudes[:, :, 0]
 
     @property
     def missed(self) -> tuple[float, float]:
         """Return how far from the goal [m] and how fast [m/s] the vehicle is at the end."""
         apart = self.positions[-1] - self.ropes[-1]
         return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
-
-    @property
-    def flown_ticks(self) -> list[dict[str, Any]]:
-        """Return the fields of the ticks whose command was flown: all but the last answer."""
-        return [fields for time, fields in self.ticks if time < self.times[-1]]
 
     @property
     def approaches(self) -> list[Encounter]:
@@ -144,17 +124,15 @@ class History:
 
     @property
     def near_misses(self) -> list[Encounter]:
-        """Return the local minima of the distance that came near and yet caught nothing."""
+        """Return the local minima of the distance that came near but were no catch."""
         radius, moments = self.radius, self.moments
         # The catch itself, where somebody else judged the contact, may be outside of the radius.
-        before_catch = self.end - (
-            0.0 if self.capture is None else 0.5 * float(self.values['step'])
-        )
+        margin = 0.0 if self.capture is None else 0.5 * float(self.values['step'])
         return [
             now
             for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
             if radius < now.distance <= NEAR * radius
-            and now.time <= before_catch
+            and now.time <= self.end - margin
             and before.distance > now.distance <= after.distance
         ]
 
@@ -166,12 +144,20 @@ class History:
     @property
     def capture(self) -> Encounter | None:
         """Return the approach that caught the rope; None too where the job is to arrive."""
-        caught = self.captured and not self.arrives
-        return self._approach(len(self.times) - 2) if caught and len(self.times) > 1 else None
+        caught = self.captured and not self.arrives and len(self.times) > 1
+        return self._approach(len(self.times) - 2) if caught else None
+
+    @property
+    def way(self) -> Array:
+        """Return the positions up to the capture, shape (M, 3) [m]."""
+        points = self.positions.copy()
+        if self.capture is not None:
+            points[-1] = self.capture.vehicle
+        return points
 
 
 def of_bag(path: Path, namespace: str = '') -> History:
-    """Return the history in a bag of ours.
+    """Return the history in a bag.
 
     Args:
         path: of the bag.
@@ -181,51 +167,39 @@ def of_bag(path: Path, namespace: str = '') -> History:
         BadInput: no bag, or one without odometry and goal.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    found = _by_topic(bags.of_vehicle(path, namespace, WANTED))
+    found: dict[str, list[Any]] = defaultdict(list)
+    for topic, content in bags.of_vehicle(path, namespace, WANTED):
+        found[topic].append(content)
     frames = Frames(thrust_axis=values['thrust_axis'])
     measured = _valid(read_odometry, found['odom'], frames)
     sighted = _valid(read_sighting, found['goal'], frames)
     if not measured or not sighted:
         wrong = 'goal' if measured else 'odom'
         raise BadInput.stating(str(path), f'no valid {wrong}', 'odometry and a goal are needed')
-    attitudes = np.array([o.attitude for o in measured])
-    times = np.array([o.time for o in measured])
+    attitudes = np.array([each.attitude for each in measured])
+    times = np.array([each.time for each in measured])
+    plans = [(seconds(m), [point(stamped.pose.position) for stamped in m.poses])
+             for m in found['plan'] if m.poses]  # fmt: skip
     return History(
         times=times,
-        positions=np.array([o.position for o in measured]),
+        positions=np.array([each.position for each in measured]),
         attitudes=attitudes,
-        velocities=np.einsum('kij,kj->ki', attitudes, [o.body_velocity for o in measured]),
-        rates=np.array([o.body_rate for o in measured]),
+        velocities=np.einsum('kij,kj->ki', attitudes, [each.body_velocity for each in measured]),
+        rates=np.array([each.body_rate for each in measured]),
         ropes=_at(times, sighted),
-        plans=_plans(found['plan']),
-        forces=_forces(found['cmd_thrust']),
-        ticks=_ticks(found['tick'], path),
+        plans=tuple(Planned(time, np.array(points)) for time, points in plans),
+        forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
+        ticks=tuple((seconds(m), fields(m)) for m in found['tick'] if m.status),
         captured=any(m.data for m in found['captured']),
         values=values,
-        truth=_last(found['truth']),
+        truth=next((fields(m) for m in reversed(found['truth']) if m.status), {}),
     )
-
-
-def _forces(messages: Iterable[Any]) -> tuple[tuple[float, float], ...]:
-    return tuple((seconds(m), pushed(m.wrench.force)) for m in messages)
-
-
-def _last(messages: Sequence[Any]) -> dict[str, str]:
-    """Return what the last of some diagnostics says; nothing without any."""
-    return next((fields(m) for m in reversed(messages) if m.status), {})
-
-
-def _by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, list[Any]]:
-    found: dict[str, list[Any]] = defaultdict(list)
-    for topic, content in messages:
-        found[topic].append(content)
-    return found
 
 
 def _valid(
     read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any], frames: Frames
 ) -> list[T]:
-    """Return what the planner, too, would take from messages, in order of time.
+    """Return what the planner would take from messages, too, in order of time.
 
     In a faulty run that is not all. In lock-step the simulator asks again where an answer is late:
     one of each stamp counts.
@@ -238,30 +212,8 @@ def _valid(
     return [found[at] for at in sorted(found)]
 
 
-def _ticks(messages: Iterable[Any], path: Path) -> tuple[tuple[float, dict[str, Any]], ...]:
-    return tuple((seconds(m), _fields(m, path)) for m in messages if m.status)
-
-
-def _fields(message: Any, path: Path) -> dict[str, Any]:
-    """Return the fields of a tick.
-
-    Raises:
-        BadInput: another version of it.
-    """
-    found = fields(message)
-    for name, kinds in NEEDED.items():
-        if not isinstance(found.get(name), kinds):
-            raise BadInput.stating(f'{path}: tick', f'without {name}', 'this version is needed')
-    return found
-
-
-def _plans(messages: Iterable[Any]) -> tuple[Planned, ...]:
-    found = ((m, [point(stamped.pose.position) for stamped in m.poses]) for m in messages)
-    return tuple(Planned(seconds(m), np.array(points)) for m, points in found if points)
-
-
 def _at(times: Array, seen: Sequence[GoalObservation]) -> Array:
-    """Return the goal at given times; between sightings it moves straight."""
+    """Return the goal at given times, shape (M, 3); between sightings it moves straight."""
     stamps = np.array([sighting.time for sighting in seen])
     places = np.array([sighting.position for sighting in seen])
     return np.column_stack([np.interp(times, stamps, column) for column in places.T])

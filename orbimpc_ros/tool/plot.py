@@ -38,9 +38,7 @@ def run(args: argparse.Namespace) -> int:
         for name, figure in figures.of_runs({'': flight}, args.dark).items()
     }
     if not args.no_animation:
-        pictures[ANIMATION] = lambda file: animation.write_gif(
-            list(animation.frames(flight, args.dark)), file
-        )
+        pictures[ANIMATION] = lambda file: animation.write_gif(flight, file, args.dark)
     folder = _folder(Path(args.out).resolve(), pictures)
     with writing_to(folder):
         for name, write in pictures.items():

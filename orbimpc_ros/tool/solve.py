@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_for, holds
+from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_of, holds
 from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     as_json = args.json or not sys.stdout.isatty()
     print(json.dumps(found, indent=1, allow_nan=False) if as_json else table(case, plan, found))
     if args.certificate:
-        _write(args.certificate, certificate_for(*case, plan, plan.lower_bound).text())
+        _write(args.certificate, certificate_of(*case, plan.proof).text())
     return 0
 
 

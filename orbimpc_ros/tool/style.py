@@ -1,8 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Looks for every picture: one for print, legible in grey, and one for dark pages.
 
-Figures are drawn in colours by place in the cycle, ``C0`` and so on; a look says what colour that
-is. So what draws a figure need not know on what it will be seen.
+Figures are drawn in colours by place in the cycle, ``C0`` and so on; a look has the colour of each.
 """
 
 from __future__ import annotations
@@ -17,22 +16,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
-from matplotlib.ticker import MaxNLocator
 
 from orbimpc_ros.tool import palette
 from orbimpc_ros.tool.files import write_whole
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
-PRINT = (
-    palette.INK,
-    palette.BLUE,
-    palette.SKY,
-    palette.ORANGE,
-    palette.GREEN,
-    palette.RED,
-    palette.GREY,
-    '#B5B5B5',
-)
+NAMES = ('INK', 'BLUE', 'SKY', 'ORANGE', 'GREEN', 'RED', 'GREY')
+PRINT = (*(getattr(palette, name) for name in NAMES), '#B5B5B5')
 DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
 PAGE = '#0D1117'  # dark
 DOTS_PER_INCH = 200
@@ -41,10 +31,10 @@ MAKER = 'orbimpc'  # noted in every picture
 
 def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
     """Return matplotlib's settings for a look: colours by place, the page's, the grid's."""
-    ink = colors[0]
+    inked = ('text.color', 'axes.edgecolor', 'axes.labelcolor', 'xtick.color', 'ytick.color')
     return {
+        **dict.fromkeys(inked, colors[0]),
         'font.size': 9.0,
-        'text.color': ink,
         'figure.facecolor': page,
         'axes.facecolor': page,
         'axes.prop_cycle': cycler(color=colors),
@@ -52,21 +42,12 @@ def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
         'axes.titlelocation': 'left',
         'axes.spines.top': False,
         'axes.spines.right': False,
-        'axes.edgecolor': ink,
-        'axes.labelcolor': ink,
         'axes.grid': True,
         'axes.axisbelow': True,
-        'xtick.color': ink,
-        'ytick.color': ink,
         'grid.color': grid,
-        'grid.linewidth': 0.6,
-        # A ground of the page's colour: grid lines would strike the words through.
         'legend.facecolor': page,
         'legend.edgecolor': 'none',
-        'legend.framealpha': 1.0,
-        'legend.fancybox': False,
         'legend.fontsize': 8.5,
-        'hatch.linewidth': 0.6,
     }
 
 
@@ -80,7 +61,7 @@ def look(dark: bool = False) -> AbstractContextManager:
 
 
 def save(figure: Figure, file: Path, dark: bool = False) -> None:
-    """Write a figure as PNG, in the look in which it was drawn; the file says whose it is.
+    """Write a figure as PNG, in the look in which it was drawn, with its maker in its metadata.
 
     Raises:
         OSError: the disk does not take it; a picture that was there stays.
@@ -95,7 +76,7 @@ def in_both_looks(draw: Callable[[bool], Figure], file: Path) -> None:
     """Write a picture for print, and beside it, ``name-dark.png``, one for dark pages.
 
     Args:
-        draw: makes the figure in the look that is set, and is told whether that is dark.
+        draw: makes the figure in the look that is set; its argument is whether that is dark.
         file: for print.
     """
     for dark in (False, True):
@@ -117,8 +98,3 @@ def halo() -> list[withStroke]:
 def headline(figure: Figure, text: str) -> None:
     """Put a line above the whole figure."""
     figure.suptitle(text, x=0.01, ha='left', fontsize=12.0, fontweight='bold')
-
-
-def whole_seconds() -> MaxNLocator:
-    """Return ticks at whole seconds for one axis."""
-    return MaxNLocator(integer=True, steps=[1, 2, 5, 10])

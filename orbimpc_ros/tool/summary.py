@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Flights in a few lines: what was caught or reached, what was touched, what a tick cost."""
+"""Flights in a few lines: captures, arrivals, collisions, and the time of ticks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import math
 import textwrap
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,12 @@ WIDTH, NAMES = 80, 14  # characters
 
 def text(history: History) -> str:
     """Return the summary of a run."""
-    rows = {'arrived' if history.arrives else 'captured': _end(history)}
+    rows = {_job(history): _end(history)}
     if not history.arrives:
-        rows['near misses'] = _near_misses(history)
-    return lines(rows | _touched(history) | _airspeeds(history) | _ticks([history]))
+        begun, misses = history.times[0], history.near_misses
+        places = ', '.join(f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses)
+        rows['near misses'] = f'{len(misses)}: {places}' if misses else '0'
+    return lines(rows | _contacts(history) | _ticks([history]))
 
 
 def of_fleet(flown: Mapping[str, History], late: Mapping[str, int]) -> str:
@@ -43,11 +44,21 @@ def of_fleet(flown: Mapping[str, History], late: Mapping[str, int]) -> str:
         for name, each in flown.items()
     }
     done = sum(each.captured for each in flown.values())
-    arrive = any(each.arrives for each in flown.values())
-    rows['arrived' if arrive else 'captured'] = f'{done} of {len(flown)}'
+    rows[_job(next(iter(flown.values())))] = f'{done} of {len(flown)}'
     ticks = _ticks(list(flown.values()))
     ticks['ticks'] += f', {sum(late.values())} late'
     return lines(rows | ticks)
+
+
+def story(flown: Mapping[str, History]) -> str:
+    """Return how flights ended, for a headline: a line for each, or for a fleet."""
+    job = _job(next(iter(flown.values()))).capitalize()
+    if len(flown) > 2:
+        return f'{job}: {sum(each.captured for each in flown.values())} of {len(flown)}'
+    return '\n'.join(
+        f'{name.replace("_", " ").capitalize() or job}: {_end(each)}'
+        for name, each in flown.items()
+    )
 
 
 def late(path: Path) -> dict[str, int]:
@@ -79,49 +90,45 @@ def _late(asked: Mapping[int, int], answered: Mapping[int, int]) -> int:
 
 def lines(rows: Mapping[str, str]) -> str:
     """Return rows of a name and a value each, within the width of a page."""
-    wrap = partial(textwrap.fill, width=WIDTH, subsequent_indent=' ' * NAMES)
-    return '\n'.join(wrap(f'{name:<{NAMES}}{value}') for name, value in rows.items())
+    return '\n'.join(
+        textwrap.fill(f'{name:<{NAMES}}{value}', WIDTH, subsequent_indent=' ' * NAMES)
+        for name, value in rows.items()
+    )
+
+
+def _job(history: History) -> str:
+    return 'arrived' if history.arrives else 'captured'
 
 
 def _end(history: History) -> str:
     capture, begun = history.capture, history.times[0]
     if history.arrives:
-        missed, speed = history.missed
+        missed, speed = map(_length, history.missed)
         done, when = 'yes' if history.captured else 'no', history.times[-1] - begun
-        return f'{done}, {length(missed)} from the goal at {length(speed)}/s, t = {when:.0f} s'
+        return f'{done}, {missed} from the goal at {speed}/s, t = {when:.0f} s'
     if capture is None:
         return 'no'
-    return f't = {capture.time - begun:.2f} s, {length(capture.distance)} from the rope'
+    return f't = {capture.time - begun:.2f} s, {_length(capture.distance)} from the rope'
 
 
-def length(metres: float) -> str:
-    """Return a length as people write it."""
+def _length(metres: float) -> str:
+    """Return a length in a unit that suits it."""
     if metres < 1e-3:
         return 'less than 1 mm'
     return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'
 
 
-def _near_misses(history: History) -> str:
-    misses, begun = history.near_misses, history.times[0]
-    places = ', '.join(f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses)
-    return f'{len(misses)}: {places}' if misses else '0'
-
-
-def _touched(history: History) -> dict[str, str]:
-    """Return what a vehicle in continuous time has touched, if there is anything to touch."""
-    found, values = history.truth.get('touched'), settings.of_sim(history.values)
-    if not (values['obstacles'] or values['traffic']) or not isinstance(found, list):
-        return {}
-    boxes = len(settings_from(VehicleParameters, values).boxes())
-    return {'touched': touched_in_words(found, boxes) or f'no {"box" if boxes else "ball"}'}
-
-
-def _airspeeds(history: History) -> dict[str, str]:
-    """Return how slow a vehicle in continuous time became, if it has a stall speed."""
-    least, stalls = (history.truth.get(name) for name in ('least_airspeed', 'stalls'))
-    if not isinstance(least, (int, float)) or not history.values['stall_speed']:
-        return {}
-    return {'airspeed': f'at least {least:.2f} m/s, {stalls} stalls'}
+def _contacts(history: History) -> dict[str, str]:
+    """Return collisions and stalls of a vehicle in continuous time that may have them."""
+    rows, truth, values = {}, history.truth, settings.of_sim(history.values)
+    touched = truth.get('touched')
+    if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
+        boxes = len(settings_from(VehicleParameters, values).boxes())
+        rows['touched'] = touched_in_words(touched, boxes) or f'no {"box" if boxes else "ball"}'
+    least = truth.get('least_airspeed')
+    if values['stall_speed'] and isinstance(least, (int, float)):
+        rows['airspeed'] = f'at least {least:.2f} m/s, {truth.get("stalls")} stalls'
+    return rows
 
 
 def _ticks(flown: Sequence[History]) -> dict[str, str]:
@@ -130,12 +137,13 @@ def _ticks(flown: Sequence[History]) -> dict[str, str]:
     if times.size:
         p50, p99 = np.percentile(times, (50, 99))
         spent = f'p50 {p50:.1f} ms, p99 {p99:.1f} ms, max {times.max():.1f} ms'
-    fallbacks = sum(bool(tick.get('fallback')) for each in flown for tick in each.flown_ticks)
+    # The last command is not flown.
+    commanded = [tick for each in flown for time, tick in each.ticks if time < each.times[-1]]
     return {
         'ticks': str(sum(len(_answers(each)) for each in flown)),
         'solve time': spent,
         'worst gap': f'{gaps.max():.1e}' if gaps.size else 'unknown',
-        'fallbacks': str(fallbacks),
+        'fallbacks': str(sum(bool(tick.get('fallback')) for tick in commanded)),
     }
 
 

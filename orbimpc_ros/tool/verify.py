@@ -13,7 +13,7 @@ import gc
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,7 +29,7 @@ from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import document, reading
 from orbimpc_ros.mpc.proof.document import Refutation
-from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.arguments import add_namespace
@@ -207,7 +207,8 @@ def _tick(
         return row._replace(outcome=FAILS, words=words)
     if known is not None and _is_of(known, posed):
         return _as_published(row, known)
-    return _certified(row, args, lambda: certificates_for(*posed, plan, claimed))
+    proof = replace(plan.proof, lower_bound=claimed)
+    return _certified(row, args, lambda: certificate_of(*posed, proof))
 
 
 def _is_about(earliest: float | None, tick: Decision) -> bool:
@@ -245,7 +246,7 @@ def _infeasible(
     known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), 1))
     if known is not None:
         return _as_published(row, known)
-    return _certified(row, args, lambda: [refutation_of(sought)])
+    return _certified(row, args, lambda: refutation_of(sought))
 
 
 def _catch(
@@ -269,7 +270,7 @@ def _catch(
         if known is not None:
             yield _as_published(row, known)
         else:
-            yield _certified(row, args, lambda: [catches_refuted(sought, count)])
+            yield _certified(row, args, lambda: catches_refuted(sought, count))
 
 
 def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
@@ -283,24 +284,20 @@ def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
 def _certified(
     row: TickVerdict,
     args: argparse.Namespace,
-    make: Callable[[], Iterable[document.Certificate | Refutation]],
+    make: Callable[[], document.Certificate | Refutation],
 ) -> TickVerdict:
-    """Return what becomes of a claim whose certificate is made now: the first that holds."""
-    made, found = None, row
+    """Return what becomes of a claim whose certificate is made now."""
     try:
-        for made in make():
-            try:
-                found = _verified(row.tick, reading.parsed(made.text().encode()))
-            except reading.Refused as error:
-                found = row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
-            if found.outcome == HOLDS:
-                break
-            if found.outcome == FAILS:  # no trajectory is known to cost less
-                words = f'no certificate: another search proves {found.proved!r}'
-                found = found._replace(outcome=NONE, words=words)
+        made = make()
+        found = _verified(row.tick, reading.parsed(made.text().encode()))
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
-    if args.out and made is not None:
+    except reading.Refused as error:
+        return row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
+    if found.outcome == FAILS:  # no trajectory is known to cost less
+        words = f'no certificate: another search proves {found.proved!r}'
+        found = found._replace(outcome=NONE, words=words)
+    if args.out:
         _write(Path(args.out), row, made)
     return found
 

@@ -29,8 +29,8 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.replay.accept import serialised
-from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.topics import TYPES, topics_of
 

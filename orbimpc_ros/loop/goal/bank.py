@@ -11,16 +11,17 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orbimpc_ros.loop.goal import families
-from orbimpc_ros.loop.goal.families import (
+from orbimpc_ros.loop.goal.fits import (
     ACCELERATION,
     CARRIER,
+    COSINE,
     DAMPED,
+    DRIFTING,
+    FIXED,
     NAMES,
     OSCILLATING,
     PLACE,
@@ -29,22 +30,21 @@ from orbimpc_ros.loop.goal.families import (
     THRUST,
     TINY,
     TURN,
-)
-from orbimpc_ros.loop.goal.fits import (
-    DRIFTING,
-    FIXED,
     UNKNOWN,
     Fits,
     Noise,
     Past,
     Placement,
     Spectrum,
+    arc,
+    circle,
+    columns,
     data_evidence,
 )
 from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array
 
-# GoalObservations of a new motion: even, for of older sightings every other one was weighed.
+# Sightings of a new motion: even, for of older sightings every other one was weighed.
 LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
 TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
 RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
@@ -53,11 +53,7 @@ ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
 
 
 class Changes:
-    """Compares one motion from the beginning with another, still, straight or bent, since lately.
-
-    Args:
-        n: dimension.
-    """
+    """Compares one motion with a new one, still, straight or bent, through the latest sightings."""
 
     def __init__(self, n: int) -> None:
         self._n = n
@@ -140,25 +136,6 @@ SPEED_OVER = 0.5  # [s]
 WORTHWHILE = 0.01  # units of the noise that a step should gain
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """Where a goal will be, and how well that is known.
-
-    Attributes:
-        positions: shape (N, n) [m].
-        covariances: of the goal itself, without the noise of sightings, shape (N, n, n) [m^2].
-        model: the likeliest motion, one of ``families.NAMES``.
-    """
-
-    positions: Array
-    covariances: Array
-    model: str
-
-    def __post_init__(self) -> None:
-        sealed(self.positions)
-        sealed(self.covariances)
-
-
 class Bank:
     """Predicts a goal from its sightings by all families of motion at once."""
 
@@ -169,7 +146,6 @@ class Bank:
         """Forget every sighting."""
         self._last: float | None = None
         self._n = 0
-        self._covariances: Array | None = None
         self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
         self._lately: list[tuple[float, Array]] = []
         self._fastest = 0.0  # speed seen [m/s]
@@ -194,38 +170,20 @@ class Bank:
         self._last = time
 
     def at(self, times: Array) -> Array:
-        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m]."""
-        return self.predicted(times).positions
+        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m].
 
-    def predicted(self, times: Array) -> Prediction:
-        """Return where the goal will be at ``times``, shape (N,) [s], and how well that is known.
-
-        The mean and covariance of the families' mixture.
+        The mean of the families' mixture.
         """
         used = np.flatnonzero(self._shares > NEGLIGIBLE)
-        if self._covariances is None:
-            self._covariances = self._fits.covariances(used)
         shares = self._shares[used] / self._shares[used].sum()
         rates, dampings = self._fits.rates[used, None], self._fits.dampings[used, None]
-        x = families.columns((times - self._epoch)[None], rates, dampings)
+        x = columns((times - self._epoch)[None], rates, dampings)
         places = self._within_speeds(x @ self._fitted[used], used, times)
         mean = (shares @ places.reshape(len(used), -1)).reshape(len(times), -1)
-        pairs = (x[..., :, None] * x[..., None, :]).reshape(len(used), len(times), -1)
-        within = shares @ (pairs @ self._covariances).reshape(len(used), -1)
-        covariances = within.reshape(len(times), self._n, self._n)
-        if len(used) > 1:
-            off = places - mean
-            covariances += np.einsum('k,kti,ktj->tij', shares, off, off)
-        return Prediction(mean + self._origin, covariances, self.model)
+        return np.asarray(mean + self._origin)
 
     def _within_speeds(self, places: Array, used: NDArray[np.intp], times: Array) -> Array:
-        """Return places no farther from the present ones than the fastest speed seen leads.
-
-        Args:
-            places: of families, shape (K, N, n) [m].
-            used: their numbers, shape (K,).
-            times: shape (N,) [s].
-        """
+        """Return places of families, (K, N, n) [m], within what the fastest speed seen leads to."""
         assert self._last is not None
         rows = self._fits.rows(self._last - self._epoch)[used, None]
         now = rows @ self._fitted[used]
@@ -269,11 +227,7 @@ class Bank:
             self._begin(np.array(times), np.array(seen), self._fits.noise())
 
     def _work(self, waited: float) -> None:
-        """Do what is due after a sighting: of two tasks one, or both where there is time.
-
-        Args:
-            waited: since the sighting before [s].
-        """
+        """Do what is due after a sighting: of two tasks one, or both after a wait [s]."""
         at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
         if at_leisure or not odd:
             for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
@@ -291,13 +245,7 @@ class Bank:
         self._waiting = []
 
     def _expected(self, position: Array, rows: Array, waited: float) -> bool:
-        """Return whether any motion that is likely at all has the goal near there.
-
-        Args:
-            position: seen, shape (n,) [m].
-            rows: columns of every family then, shape (K, 7).
-            waited: since the last sighting [s].
-        """
+        """Return whether any motion that is likely at all has the goal near there."""
         if _far(position, self._origin):
             return False
         off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
@@ -307,13 +255,7 @@ class Bank:
         return bool(np.any(near & (self._shares > LIKELY)))
 
     def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
-        """Start afresh with the first sightings of a motion.
-
-        Args:
-            times: shape (M,) [s].
-            seen: positions, shape (M, n) [m].
-            noise: what is known of it from before.
-        """
+        """Start afresh with the first sightings of a motion: times, (M,), and positions, (M, n)."""
         together = [not _far(each, seen[-1]) for each in seen]
         times, seen = times[together], seen[together]
         self._n = seen.shape[1]
@@ -344,7 +286,6 @@ class Bank:
         self._shares = shares / total
         self._changes.weigh(best + math.log(total), self._fits.noise())
         self._fitted: Array = self._fits.fitted
-        self._covariances = None
 
     def _reconsider(self) -> None:
         """Start afresh with a new motion, unless an oscillation explains it on a closer look."""
@@ -376,13 +317,8 @@ class Bank:
         if self._count < SWINGS_FROM:
             return
         self._tasks += 1
-        search = (
-            self._read,
-            self._seek_swing,
-            self._seek_carrier,
-            self._seek_damped,
-            self._seek_turn,
-        )
+        seek = self._seek_swing, self._seek_carrier, self._seek_damped, self._seek_turn
+        search = (self._read, *seek)
         if self._tasks % 2 and self._spectrum is not None:
             search[self._tasks // 2 % len(search)]()
         else:
@@ -444,19 +380,19 @@ class Bank:
     def _seek_turn(self) -> None:
         """Start a turn as an acceleration bends, or later as a swing, where that fits better."""
         fits, middle = self._fits, 0.5 * self._times[self._count - 1]
-        bend = families.arc(self._fitted[ACCELERATION], middle)
+        bend = arc(self._fitted[ACCELERATION], middle)
         if bend and middle * bend[0] < 1.0:
             if self._worse(TURN, ACCELERATION):
                 self._start(TURN, *bend)
         elif self._worse(TURN, SWING):
-            self._start(TURN, fits.rates[SWING], families.circle(fits.coefficients[SWING]))
+            self._start(TURN, fits.rates[SWING], circle(fits.coefficients[SWING]))
 
     def _worse(self, family: int, other: int) -> bool:
         fits = self._fits
         return not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[other]
 
     def _start(self, family: int, rate: float, coefficients: Array) -> None:
-        if coefficients[families.COSINE].any():
+        if coefficients[COSINE].any():
             placed = self._fits.placed(family, rate, 0.0, coefficients, self._past())
             self._waiting.append(placed)
 

@@ -1,11 +1,17 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Fits of all families to one stretch of sightings, kept up to date by sums.
+r"""Families of goal motion over one basis, and their fits to one stretch of sightings.
 
-A family's fit is Bayesian and linear about its present coefficients, frequency and damping: with
-the columns X, the residuals E, its Jacobian B and prior precisions \Gamma relative to the noise,
-A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E. The noise is unknown, with a gamma prior on its
-precision, so evidence and spread have closed forms. Frequency and damping move by Gauss-Newton:
-one family at a time, since its sums must then be made anew.
+Every family is :math:`g(t) = \sum_i x_i(t)\,\theta_i` over the seven columns
+
+.. math:: 1,\ t,\ t^2,\ C = e^{-\delta t}\cos\omega t,\ S = e^{-\delta t}\sin\omega t,\ tC,\ tS,
+
+whose last two are the directions in which :math:`\omega` and :math:`\delta` move coefficients. A
+family is given by its Jacobian B, the coefficients that each of its parameters moves.
+
+A fit is Bayesian and linear about the present coefficients: with the columns X, the residuals E and
+prior precisions \Gamma relative to the noise, A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E.
+The noise has a gamma prior on its precision, so that the evidence has a closed form. Sums grow by a
+term a sighting; when a frequency moves, those of its family are made anew.
 
 Mathematics: docs/mathematics.md, 7.4.
 """
@@ -13,24 +19,169 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orbimpc_ros.loop.goal import families
-from orbimpc_ros.loop.goal.families import (
-    COLUMNS,
-    COSINE,
-    FASTEST,
-    NAMES,
-    OSCILLATING,
-    SINE,
-    SIZE,
-    SLOWEST,
-    TINY,
-)
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.geometry.rotations import exp, skew
+
+NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
+STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
+OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be found
+ODDS = np.array([-5.0, 0.0, -5.0, -3.0, -5.0, -6.0, -6.0])  # logarithms, before any sighting
+COLUMNS = 7
+ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
+
+SLOWEST, FASTEST = 0.02, 4.0 * math.pi  # angular frequencies considered [rad/s]
+PLACE = 3.0  # prior standard deviations: of where a motion begins [m]
+SPEED = 5.0  # [m/s]
+THRUST = 1.0  # half an acceleration [m/s^2]
+SIZE, PUSH = 3.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
+PULSE = 1.0  # angular frequency and damping [1/s]
+TINY = 1e-12  # [1/m^2] in the place's stead, so that nothing is ever singular
+
+
+@lru_cache(maxsize=2)
+def layout(n: int) -> tuple[Array, Array, Array]:
+    """Return what is known of the families before any sighting, for n dimensions.
+
+    The P rows of a Jacobian are: place (n), velocity (n), then two coefficients of n (t^2, or
+    cosine and sine; for a circle its relative size and its attitude), angular frequency, damping.
+
+    Returns:
+        Which rows a family has, shape (K, P); the precision of the priors, shape (K, P), 1 in rows
+        that are not used; and the part of the Jacobian that never changes, shape (K, P, 7, n).
+    """
+    first, second, rate = 2 * n, 3 * n, 4 * n
+    used = np.zeros((len(NAMES), 4 * n + 2), dtype=bool)
+    used[:, :n] = True
+    used[[VELOCITY, ACCELERATION, CARRIER], n:first] = True
+    used[ACCELERATION, first:second] = True
+    used[TURN, first : first + 1 + n * (n - 1) // 2] = True
+    used[[SWING, CARRIER, DAMPED], first:rate] = True
+    used[list(OSCILLATING), rate] = True
+    used[DAMPED, rate + 1] = True
+    width = np.full(used.shape, PULSE)
+    width[:, :n], width[:, n:first], width[:, first:rate] = PLACE, SPEED, SIZE
+    width[ACCELERATION, first:second] = THRUST
+    precision = np.where(used, 1.0 / width**2, 1.0)
+    constant = np.zeros((*used.shape, COLUMNS, n))
+    for i in range(n):
+        constant[:, i, ONE, i] = 1.0
+        constant[[VELOCITY, ACCELERATION, CARRIER], n + i, LINEAR, i] = 1.0
+        constant[ACCELERATION, first + i, SQUARE, i] = 1.0
+        constant[[SWING, CARRIER, DAMPED], first + i, COSINE, i] = 1.0
+        constant[[SWING, CARRIER, DAMPED], second + i, SINE, i] = 1.0
+    return sealed(used), sealed(precision), sealed(constant)
+
+
+def shape_rows(family: int, n: int) -> tuple[int, int]:
+    """Return the first row of an oscillation's shape, and the one after its last."""
+    return 2 * n, 2 * n + 1 + n * (n - 1) // 2 if family == TURN else 4 * n
+
+
+def shape_precision(family: int, rate: float) -> float:
+    """Return the prior precision of an oscillation's shape at a frequency [rad/s], in 1/m^2.
+
+    A circle is as large as its speed makes it, a swing as its acceleration allows.
+    """
+    if family == TURN:
+        return (rate / SPEED) ** 2
+    return 1.0 / SIZE**2 + (rate * rate / PUSH) ** 2
+
+
+def columns(times: Array, rates: Array | float, dampings: Array | float) -> Array:
+    """Return the seven columns at ``times``, with a last axis of 7; the arguments broadcast."""
+    phase = rates * times
+    fading = np.exp(-dampings * times)
+    x = np.empty((*phase.shape, COLUMNS))
+    x[..., ONE] = 1.0
+    x[..., LINEAR] = times
+    x[..., SQUARE] = times * times
+    x[..., COSINE] = fading * np.cos(phase)
+    x[..., SINE] = fading * np.sin(phase)
+    x[..., T_COSINE] = times * x[..., COSINE]
+    x[..., T_SINE] = times * x[..., SINE]
+    return x
+
+
+def jacobian(family: int, coefficients: Array) -> Array:
+    """Return the coefficients that each parameter of an oscillation moves, shape (P, 7, n)."""
+    n = coefficients.shape[1]
+    rows = layout(n)[2][family].copy()
+    a, b, rate = coefficients[COSINE], coefficients[SINE], 4 * n
+    rows[rate, T_COSINE], rows[rate, T_SINE] = b, -a
+    if family == DAMPED:
+        rows[rate + 1, T_COSINE], rows[rate + 1, T_SINE] = -a, -b
+    if family == TURN:
+        # In metres of the rim, so that a circle of no size does not pass for a still goal.
+        radius = max(float(np.linalg.norm(a)), TINY)
+        rows[2 * n, COSINE], rows[2 * n, SINE] = a / radius, b / radius
+        for i, axis in enumerate(np.eye(n * (n - 1) // 2) / radius):
+            rows[2 * n + 1 + i, COSINE], rows[2 * n + 1 + i, SINE] = skew(axis) @ a, skew(axis) @ b
+    return rows
+
+
+def stepped(family: int, coefficients: Array, step: Array) -> Array:
+    """Return coefficients after a step of the parameters that are not frequency or damping."""
+    n = coefficients.shape[1]
+    place, velocity, first, second = step[: 4 * n].reshape(4, n)
+    moved = coefficients.copy()
+    moved[ONE] += place
+    moved[LINEAR] += velocity
+    if family == TURN:
+        rim = step[2 * n :] / max(float(np.linalg.norm(moved[COSINE])), TINY)
+        turned = exp(rim[1 : 1 + n * (n - 1) // 2])
+        moved[COSINE : SINE + 1] = (1.0 + rim[0]) * moved[COSINE : SINE + 1] @ turned.T
+    else:
+        moved[COSINE] += first
+        moved[SINE] += second
+    return moved
+
+
+def circle(coefficients: Array) -> Array:
+    """Return the circle nearest to an ellipse's coefficients, shape (7, n)."""
+    u, sizes, v = np.linalg.svd(coefficients[COSINE : SINE + 1], full_matrices=False)
+    nearest = coefficients.copy()
+    nearest[COSINE : SINE + 1] = sizes.mean() * u @ v
+    return nearest
+
+
+def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
+    """Return the frequency and coefficients of the turn that moves as an acceleration at a moment.
+
+    None if that is straight; ``coefficients`` are those of the family ``ACCELERATION``.
+    """
+    square = coefficients[SQUARE]
+    velocity = coefficients[LINEAR] + 2.0 * middle * square
+    speed = float(velocity @ velocity)
+    across = 2.0 * (square - (square @ velocity) / max(speed, TINY) * velocity)
+    rate = math.sqrt(float(across @ across) / max(speed, TINY))
+    if not SLOWEST < rate < FASTEST:
+        return None
+    outward, along = -across / rate**2, velocity / rate
+    c, s = math.cos(rate * middle), math.sin(rate * middle)
+    place = coefficients[ONE] + middle * coefficients[LINEAR] + middle**2 * square
+    turn = np.zeros_like(coefficients)
+    turn[ONE] = place - outward
+    turn[COSINE], turn[SINE] = c * outward - s * along, s * outward + c * along
+    return rate, turn
+
+
+def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Array:
+    """Return the same oscillations with time counted from a later moment [s], shape (K, 7, n).
+
+    Their middles are left as they are: the next fit finds them.
+    """
+    moved = coefficients.copy()
+    turn, fade = rates[:, None] * by, np.exp(-dampings[:, None] * by)
+    a, b = coefficients[:, COSINE], coefficients[:, SINE]
+    moved[:, COSINE] = fade * (a * np.cos(turn) + b * np.sin(turn))
+    moved[:, SINE] = fade * (b * np.cos(turn) - a * np.sin(turn))
+    return moved
+
 
 # [rad/s]; below, by ratios; above, apart by what twenty seconds tell from one another
 GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
@@ -40,14 +191,7 @@ FIXED, DRIFTING = 1, 2  # columns of a line that the middle of a swing follows
 
 
 class Spectrum:
-    """How well a swing of each frequency on the grid fits.
-
-    Args:
-        n: dimension.
-
-    Attributes:
-        count: sightings that it has.
-    """
+    """How well a swing of each frequency on the grid fits, after ``count`` sightings."""
 
     def __init__(self, n: int) -> None:
         # Of cosine and sine with 1, t and the positions, and with one another.
@@ -73,8 +217,7 @@ class Spectrum:
     def best(self, middle: int) -> tuple[float, float]:
         """Return the best angular frequency [rad/s] and its misfit [m^2].
 
-        Args:
-            middle: what the middle of the swing does, ``FIXED`` or ``DRIFTING``.
+        The ``middle`` of the swing is ``FIXED`` or ``DRIFTING``.
         """
         # Against orthonormal columns of the line, what it explains is a sum of squares.
         unit = np.linalg.inv(np.linalg.cholesky(self._line[:middle, :middle]))
@@ -86,12 +229,7 @@ class Spectrum:
         return float(GRID[found]), self._square - float(np.sum(known**2) + explained[found])
 
     def _explained(self, unit: Array, known: Array) -> Array:
-        """Return what a swing explains beyond a line, with a prior on its size, (F,) [m^2].
-
-        Args:
-            unit: from columns of the line to orthonormal ones, shape (middle, middle).
-            known: their products with the positions, shape (middle, n).
-        """
+        """Return what a swing explains beyond a line, with a prior on its size, (F,) [m^2]."""
         prior, middle = (ASSUMED / SIZE) ** 2, len(unit)
         u, v = unit @ self._cosines[:middle], unit @ self._sines[:middle]
         one, two = self._cosines[2:] - known.T @ u, self._sines[2:] - known.T @ v
@@ -112,39 +250,23 @@ Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n)
 
 
 class Placement(NamedTuple):
-    """Where a family is to be put.
-
-    Attributes:
-        family: its number.
-        rate: angular frequency [rad/s].
-        damping: [1/s].
-        coefficients: shape (7, n).
-        gram: products of its columns, summed over sightings, shape (7, 7).
-        moments: their products with the positions, shape (7, n).
-        jacobian: shape (P, 7, n).
-        moved: whether it got there by a step, so that its frequency has its price.
-    """
+    """Where a family is to be put; ``moved`` there by a step, its frequency has its price."""
 
     family: int
-    rate: float
-    damping: float
-    coefficients: Array
-    gram: Array
-    moments: Array
-    jacobian: Array
+    rate: float  # [rad/s]
+    damping: float  # [1/s]
+    coefficients: Array  # shape (7, n)
+    gram: Array  # products of its columns, summed over sightings, shape (7, 7)
+    moments: Array  # their products with the positions, shape (7, n)
+    jacobian: Array  # shape (P, 7, n)
     moved: bool
 
 
 class Noise(NamedTuple):
-    """What is known of the noise of sightings: a gamma distribution of its precision.
+    """What is known of the noise of sightings: a gamma distribution of its precision."""
 
-    Attributes:
-        share: half as many numbers as would tell as much.
-        scale: half the sum of their squares [m^2].
-    """
-
-    share: float
-    scale: float
+    share: float  # half as many numbers as hold as much information
+    scale: float  # half the sum of their squares [m^2]
 
     @property
     def variance(self) -> float:
@@ -158,11 +280,7 @@ RECALLED = 8.0  # most that an earlier motion's noise counts for
 
 
 class Fits:
-    """The families fitted to a stretch of sightings.
-
-    Args:
-        n: dimension.
-        noise: what is known of it from before.
+    """The families fitted to a stretch of sightings in n dimensions.
 
     Attributes:
         known: which families have been placed, shape (K,).
@@ -178,14 +296,15 @@ class Fits:
     """
 
     def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
-        self._n, self._layout, self._noise = n, families.layout(n), noise
-        size, rows = len(NAMES), self._layout.used.shape[1]
+        self._n, self._noise = n, noise
+        self._used, prior, constant = layout(n)
+        size, rows = self._used.shape
         self.known = np.ones(size, dtype=bool)
         self.known[list(OSCILLATING)] = False
         self.weighed = self.known.copy()
         self.rates, self.dampings = np.zeros(size), np.zeros(size)
         self.coefficients = np.zeros((size, COLUMNS, n))
-        self._jacobian = self._layout.constant.copy()
+        self._jacobian = constant.copy()
         self._transposed = np.ascontiguousarray(
             self._jacobian.transpose(0, 2, 3, 1).reshape(size, COLUMNS, n * rows)
         )
@@ -197,14 +316,14 @@ class Fits:
         self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
         self.misfit = self.noises = self.evidence = np.zeros(size)
         self._diagonal = np.arange(rows)
-        precision = np.where(self._layout.used, noise.variance * self._layout.precision, 1.0)
-        self._prior = families.ODDS + 0.5 * np.sum(np.log(precision), axis=1)
+        precision = np.where(self._used, noise.variance * prior, 1.0)
+        self._prior = ODDS + 0.5 * np.sum(np.log(precision), axis=1)
         self._free = precision  # but for the place, which may be anywhere
         self._free[:, :n] = TINY * noise.variance
 
     def rows(self, time: float) -> Array:
         """Return the columns of every family at a time, shape (K, 7)."""
-        return families.columns(np.full(len(NAMES), time), self.rates, self.dampings)
+        return columns(np.full(len(NAMES), time), self.rates, self.dampings)
 
     def add(self, rows: Array, position: Array) -> None:
         """Add a sighting, given its ``rows``, shape (K, 7)."""
@@ -222,18 +341,9 @@ class Fits:
         past: Past,
         moved: bool = False,
     ) -> Placement:
-        """Return a family at a frequency, damping and coefficients, with its sums over the past.
-
-        Args:
-            family: its number.
-            rate: [rad/s].
-            damping: [1/s].
-            coefficients: shape (7, n).
-            past: all sightings.
-            moved: whether it got there by a step.
-        """
-        x = families.columns(past[0], rate, damping)
-        rows = families.jacobian(family, coefficients)
+        """Return a family at a frequency, damping and coefficients, with its sums over the past."""
+        x = columns(past[0], rate, damping)
+        rows = jacobian(family, coefficients)
         return Placement(family, rate, damping, coefficients, x.T @ x, x.T @ past[1], rows, moved)
 
     def put(self, to: Placement) -> None:
@@ -245,24 +355,24 @@ class Fits:
         self.known[family], self.weighed[family] = True, to.moved
         self._jacobian[family] = to.jacobian
         self._transposed[family] = to.jacobian.transpose(1, 2, 0).reshape(COLUMNS, -1)
-        first, last = families.shape_rows(family, n)
-        size = self._noise.variance * families.shape_precision(family, to.rate)
+        first, last = shape_rows(family, n)
+        size = self._noise.variance * shape_precision(family, to.rate)
         self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
         self._free[family, first:last] = size
-        if family != families.TURN:
-            self._pull[family, n : 2 * n] = to.coefficients[families.LINEAR]
+        if family != TURN:
+            self._pull[family, n : 2 * n] = to.coefficients[LINEAR]
             self._pull[family, first:last] = to.coefficients[COSINE : SINE + 1].ravel()
 
     def moved(self, family: int, past: Past) -> Placement:
         """Return a family after a Gauss-Newton step, shortened to where linearity ends."""
         n, step = self._n, self._step[family]
         span = float(past[0][-1] - past[0][0]) or 1.0
-        rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == families.TURN else 0.0
+        rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == TURN else 0.0
         radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
         step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
         rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
         damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
-        coefficients = families.stepped(family, self.coefficients[family], step)
+        coefficients = stepped(family, self.coefficients[family], step)
         return self.placed(family, rate, damping, coefficients, past, True)
 
     def begin_later(self, by: float, past: Past) -> None:
@@ -270,9 +380,9 @@ class Fits:
 
         Places may be counted from elsewhere as well: every family is linear in where it is.
         """
-        kept = families.later(self.fitted, self.rates, self.dampings, by)
+        kept = later(self.fitted, self.rates, self.dampings, by)
         self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
-        x = families.columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
+        x = columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
         self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
         for family in OSCILLATING:
             if self.known[family]:
@@ -305,7 +415,7 @@ class Fits:
         self.evidence = self._prior - spread + data
         self.evidence[~self.weighed] = -np.inf
         if self.count < BENT_FROM:
-            self.evidence[families.ACCELERATION] = -np.inf
+            self.evidence[ACCELERATION] = -np.inf
         self.gain = np.where(self.known, explained / self.noises, 0.0)
 
     def noise(self) -> Noise:
@@ -314,7 +424,7 @@ class Fits:
         As many numbers as its parameters take are fitted exactly, and teach nothing.
         """
         best = int(np.argmax(self.evidence))
-        left = 0.5 * (self.count * self._n - int(self._layout.used[best].sum()))
+        left = 0.5 * (self.count * self._n - int(self._used[best].sum()))
         if left <= 0.0:
             return self._noise
         share, scale = self._noise.share + left, self._noise.scale + 0.5 * float(self.misfit[best])
@@ -335,24 +445,13 @@ class Fits:
         white = moved @ self._root.transpose(0, 2, 1)
         return np.sum(white * white, axis=(1, 2))
 
-    def covariances(self, used: NDArray[np.intp]) -> Array:
-        """Return the covariances of the coefficients of ``used`` families, (K, 49, n^2) [m^2]."""
-        white = self._root[used] @ self._jacobian[used].reshape(len(used), self._root.shape[1], -1)
-        full = (self.noises[used, None, None] * white.transpose(0, 2, 1)) @ white
-        shape = (len(used), COLUMNS, self._n, COLUMNS, self._n)
-        return full.reshape(shape).swapaxes(2, 3).reshape(len(used), COLUMNS**2, self._n**2)
-
 
 def data_evidence(
     misfit: Array, numbers: Array | float, share: Array | float, scale: Array | float
 ) -> Array:
-    """Return the part of the evidence that the misfit decides; the noise is integrated out.
+    """Return the part of the evidence that the misfit [m^2] of so many numbers decides.
 
-    Args:
-        misfit: [m^2].
-        numbers: how many were fitted: sightings times dimensions.
-        share: of the prior of the noise.
-        scale: of the same [m^2].
+    The noise, with a prior of ``share`` and ``scale`` [m^2], is integrated out.
     """
     shape = share + 0.5 * numbers
     prior = share * np.log(scale) - log_gamma(share) - 0.5 * numbers * math.log(2.0 * math.pi)

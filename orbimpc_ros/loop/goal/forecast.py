@@ -7,7 +7,7 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,36 +17,14 @@ from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 
-LATEST = 3  # sightings that a velocity is fitted to
 
-
-@dataclass
-class Hold:
-    """The paper's forecast: the goal stays where it was seen last."""
-
-    last: GoalObservation | None = field(default=None, init=False)
-
-    def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting."""
-        self.last = sighting
-
-    def at(self, times: Array) -> Array:
-        """Return the last position seen, once for each of ``times`` [s], shape (N, n) [m]."""
-        assert self.last is not None
-        return np.tile(self.last.position, (len(times), 1))
-
-    def reset(self) -> None:
-        """Forget every sighting."""
-        self.last = None
-
-
-@dataclass
 class Velocity:
     """The goal goes on in the straight line that fits its latest sightings best."""
 
-    _latest: deque[GoalObservation] = field(
-        default_factory=lambda: deque(maxlen=LATEST), init=False
-    )
+    LATEST = 3  # sightings
+
+    def __init__(self) -> None:
+        self._latest: deque[GoalObservation] = deque(maxlen=self.LATEST)
 
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting."""
@@ -67,7 +45,13 @@ class Velocity:
         self._latest.clear()
 
 
-FORECASTS: dict[str, type[Forecast]] = {
+class Hold(Velocity):
+    """The paper's forecast: the goal stays where it was seen last."""
+
+    LATEST = 1
+
+
+FORECASTS: dict[str, Callable[[], Forecast]] = {
     'hold': Hold,
     'velocity': Velocity,
     'harmonic': Harmonic,

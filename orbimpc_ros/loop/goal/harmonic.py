@@ -58,17 +58,11 @@ class Harmonic:
 
 
 class _Fit(NamedTuple):
-    """The model at frequencies in increasing order, averaged over noises and sizes of swing.
+    """The model at frequencies in increasing order, averaged over noises and sizes of swing."""
 
-    Attributes:
-        frequencies: shape (F,) [Hz].
-        evidence: logarithms, shape (F,).
-        predicted: positions, shape (F, N, n) [m].
-    """
-
-    frequencies: Array
-    evidence: Array
-    predicted: Array
+    frequencies: Array  # shape (F,) [Hz]
+    evidence: Array  # logarithms, shape (F,)
+    predicted: Array  # positions, shape (F, N, n) [m]
 
     def joined(self, other: _Fit) -> _Fit:
         frequencies = np.concatenate([self.frequencies, other.frequencies])

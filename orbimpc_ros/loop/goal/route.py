@@ -8,7 +8,7 @@ an airspeed V in a wind w makes
     \dot s = t \cdot w + \sqrt{V^2 - |w - (t \cdot w) t|^2}
 
 over ground. Where that is not positive, or not real, the path cannot be followed: the goal stays,
-and who keeps near it heads into the wind and is blown off as little as can be.
+and a vehicle near it heads into the wind.
 """
 
 from __future__ import annotations
@@ -75,10 +75,7 @@ class Route:
     def nearest(self, position: Array, near: float | None = None, within: float = 0.0) -> float:
         """Return the distance along the path at which it is nearest to a position [m].
 
-        Args:
-            position: shape (n,) [m].
-            near: look no farther from there than ``within`` along the path [m]; None anywhere.
-            within: see ``near`` [m].
+        Only points ``within`` a distance of ``near`` along the path count, if there are any [m].
         """
         away = position - self.positions[:-1]
         lengths = np.diff(self._ends)
@@ -97,27 +94,16 @@ class Route:
         """Return the end of the path for all times, shape (N, n) [m]: where it leads in the end."""
         return np.repeat(self.positions[-1:], len(times), axis=0)
 
-    def paced(self, along: float, time: float, airspeed: float, wind: Array) -> Paced:
-        """Return a goal that moves along the path.
-
-        Args:
-            along: the path, where it begins [m].
-            time: then [s].
-            airspeed: to follow at [m/s].
-            wind: shape (n,) [m/s].
-        """
-        return Paced(self, along, time, airspeed, wind)
-
 
 @dataclass(frozen=True, eq=False)
 class Paced:
-    """A goal that moves along a path; see :meth:`Route.paced`."""
+    """A goal that moves along a path."""
 
     route: Route
-    along: float
-    time: float
-    airspeed: float
-    wind: Array
+    along: float  # where it begins [m]
+    time: float  # then [s]
+    airspeed: float  # to follow at [m/s]
+    wind: Array  # shape (n,) [m/s]
 
     def at(self, times: Array) -> Array:
         """Return where the goal is at times that increase, shape (N,) [s], as shape (N, n) [m]."""
@@ -142,11 +128,9 @@ class Paced:
         return max(0.0, ahead + math.sqrt(left)) if left > 0.0 else 0.0
 
     def trouble(self, times: Array, max_rate: float) -> str:
-        """Return why the path cannot be followed up to times, in words; empty if it can be.
+        """Return why the path cannot be followed up to times, (N,) [s]; empty if it can be.
 
-        Args:
-            times: ends of steps, shape (N,) [s].
-            max_rate: largest turn [rad/s]; 0 for no limit.
+        ``max_rate`` is the largest turn [rad/s]; 0 for no limit.
         """
         along = np.concatenate([[self.along], self._distances(times)])
         speeds = [self._speed(each) for each in along]

@@ -21,7 +21,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell
-from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.disjunction import Disjunction
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
@@ -147,13 +146,8 @@ def steps_are_exchangeable(problem: Problem) -> bool:
     )
 
 
-def inverse_hessian(problem: Problem) -> Array:
-    """Return H^-1, shape (N, N); infinite where H is singular.
-
-    H is the Hessian of the quadratic part of the objective in R_1..R_N, positions eliminated. It
-    is the same for each coordinate of R_k e1.
-    """
-    hessian = Condensed(problem).hessian
+def inverse_hessian(hessian: Array) -> Array:
+    """Return H^-1, shape (N, N); infinite where H is singular."""
     if not np.linalg.cond(hessian) <= WORST_CONDITION:  # of no curvature it is not a number
         return np.full(hessian.shape, np.inf)
     return np.asarray(np.linalg.inv(hessian))

@@ -58,12 +58,19 @@ class ChoiceTree:
     Args:
         posed: what is searched.
         program: its relaxation.
+        condensed: the quadratic of the problem, with its Hessian H.
         inverse: H^-1, shape (N, N).
         ordered: whether steps that can be exchanged are searched in the order of their faces.
     """
 
     def __init__(
-        self, posed: Posed, program: Relaxed, inverse: Array, *, ordered: bool = False
+        self,
+        posed: Posed,
+        program: Relaxed,
+        condensed: Condensed,
+        inverse: Array,
+        *,
+        ordered: bool = False,
     ) -> None:
         self._posed, self._program, self._inverse, self._ordered = posed, program, inverse, ordered
         problem = self._problem = posed.problem
@@ -71,7 +78,7 @@ class ChoiceTree:
         axial = problem.rotation_order == 1 and weights.input == weights.attitude == 0.0
         self._width = n if n == 2 or axial else coordinate_count(n)
         self._arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
-        self._condensed = Condensed(problem)
+        self._condensed = condensed
         self._lengths = length_weights(problem)[1:]
         self._begin = -math.pi / problem.floor.faces if problem.floor.shape == 'polygon' else 0.0
         self._turn = FULL
@@ -406,7 +413,8 @@ class ChoiceTree:
         if len(pull):
             force += problem.maps.arrival[: len(pull), 1:].T @ pull
         point = np.zeros((steps, self._width))
-        point[:, : found.point.shape[1]] = found.point[:, : self._width]
+        if not empty:  # where nothing is the cost has no say, and its point may be anywhere
+            point[:, : found.point.shape[1]] = found.point[:, : self._width]
         made = Held(point, share, (), force, (pull, slide, tether), empty)
         asked = self._asked(choice) if any(row >= 0 for row, *_ in rows) else []
         for row, _, size in rows:

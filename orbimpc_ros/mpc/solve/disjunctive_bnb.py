@@ -22,6 +22,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
@@ -37,7 +38,6 @@ from orbimpc_ros.mpc.solve.branching import (
 from orbimpc_ros.mpc.solve.choice_tree import ChoiceTree
 from orbimpc_ros.mpc.solve.disjunction import Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.dives import Dives
-from orbimpc_ros.mpc.solve.hull_tangent import HullTangent
 from orbimpc_ros.mpc.solve.incumbent import Incumbent, arrives, is_accurate
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -80,7 +80,8 @@ class DisjunctiveSearch:
         self.disjunctions = disjunctions_of(problem)
         self.takes_guess = bool(self.disjunctions) or among  # one relaxation needs none
         self._exchangeable = steps_are_exchangeable(problem)
-        self._inverse = inverse_hessian(problem)
+        self._condensed = Condensed(problem)
+        self._inverse = inverse_hessian(self._condensed.hessian)
         self._curvature = inverse_curvatures(problem, self.disjunctions, self._inverse)
         slots = [slot for d in self.disjunctions for slot in d.slots]
         self.turns = Turns(problem) if problem.turns_are_angles else None
@@ -89,7 +90,6 @@ class DisjunctiveSearch:
         self.program = _program(problem, slots, coasting, among)
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         self.scout = Scout(problem) if among else None
-        self._tangent = HullTangent(problem) if HullTangent.applies(problem) else None
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -119,7 +119,9 @@ class DisjunctiveSearch:
 
     def _tree(self, posed: Posed) -> ChoiceTree:
         """Return what writes the proof of a search."""
-        return ChoiceTree(posed, self.program, self._inverse, ordered=self._exchangeable)
+        return ChoiceTree(
+            posed, self.program, self._condensed, self._inverse, ordered=self._exchangeable
+        )
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of the one relaxation that is all of the problem."""
@@ -137,10 +139,7 @@ class DisjunctiveSearch:
         accurate = arrives if solved else is_accurate
         if not accurate(self.problem, goals, trajectory):
             return Found(None, np.inf, relaxed.bound, 1)
-        known = found.proof
-        if self._tangent is not None:
-            known = self._tangent.at(request, relaxed.x, relaxed.bound)
-        return replace(found, proof=self._root(request) if known is None else known)
+        return found if found.proof is not None else replace(found, proof=self._root(request))
 
     def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""

@@ -102,8 +102,6 @@ class Solver:
         Where the method fails, or the plan it proposes does not pass the check, the guess and the
         plans to go straight on or straight to the goal stand in for it, as far as they pass; else,
         unless there is proved to be none, plans that turn at an even rate or arrive after a turn.
-        Without a deadline, or with a patient one, a bound that closes the gap and cannot be counted
-        again is proved in exact arithmetic, as far as there are certificates.
 
         Args:
             state: where the plan starts; its dimension is the problem's.
@@ -118,12 +116,6 @@ class Solver:
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
         query = self._query(state, goals, guess, out_of_time)
-        plan, hurried = self._checked(query), out_of_time is not None and not self._patient
-        return self._proved(query, plan) if plan.is_the_methods_word and not hurried else plan
-
-    def _checked(self, query: _Query) -> Plan:
-        """Return the best plan that passes the check."""
-        state, goals = query.state, query.goals
         try:
             found = self._found(query)
         except Infeasible as error:
@@ -140,17 +132,6 @@ class Solver:
             return plan  # not just as near as costs of this size count
         instead = replace(plan.proof, reason=_joined(plan.proof.reason, STANDS_IN))
         return self._cheapest(query, instead, plan.objective) or plan
-
-    def _proved(self, query: _Query, plan: Plan) -> Plan:
-        """Return a plan with the proof in exact arithmetic of its bound, if there is one."""
-        # Imported here: hardly any plan needs it, and starts are spared a tenth of a second.
-        from orbimpc_ros.mpc.proof.prove import WORD, certificates_for, held, patient
-
-        known = self.problem, query.state, query.goals, plan, plan.proof.lower_bound
-        made = held(lambda: certificates_for(*known, query.out_of_time or patient))
-        proof = plan.proof
-        reason = proof.reason if made else _joined(proof.reason, WORD)
-        return replace(plan, proof=replace(proof, checked=made is not None, reason=reason))
 
     def propose(
         self,

@@ -48,21 +48,6 @@ class Ageing(Enum):
 
 
 @dataclass(frozen=True)
-class FrameTree:
-    """How other frames are known.
-
-    Attributes:
-        heard: whether from ``/tf``.
-        stated: those that hold for ever.
-        timeout: for how long the last transform of ``/tf`` holds [s].
-    """
-
-    heard: bool
-    stated: tuple[Stated, ...]
-    timeout: float
-
-
-@dataclass(frozen=True)
 class PlannerSettings(VehicleParameters):
     """The planner's parameters, each a field, and what follows from them.
 
@@ -241,16 +226,6 @@ class PlannerSettings(VehicleParameters):
         return self.horizon_mode == 'shrinking'
 
     @cached_property
-    def on_odometry(self) -> bool:
-        """Return whether to plan at each odometry instead of every period."""
-        return self.trigger == 'odom'
-
-    @cached_property
-    def is_pose_twist(self) -> bool:
-        """Return whether odometry comes as a pose and a twist."""
-        return self.odometry == 'pose_twist'
-
-    @cached_property
     def period(self) -> float:
         """Return how often to plan, at most a step [s]."""
         return self.plan_period or self.step
@@ -322,14 +297,14 @@ class PlannerSettings(VehicleParameters):
         return self.message_frames(self.velocity_frame)
 
     @cached_property
-    def tree(self) -> FrameTree:
-        """Return how other frames are known: each stated one lies in one other."""
+    def stated_transforms(self) -> tuple[Stated, ...]:
+        """Return the transforms that are stated: each frame lies in one other."""
         found = tuple(map(stated, self.transforms))
         children = [each.child for each in found]
         for child in children:
             if children.count(child) > 1:
                 raise BadInput('transforms', list(self.transforms), f'{child} in one parent')
-        return FrameTree(self.tf, found, self.transform_timeout)
+        return found
 
     @cached_property
     def distance(self) -> Distance:
@@ -353,7 +328,7 @@ def planner_settings(values: Values) -> PlannerSettings:
             raise BadInput(name, given, allowed)
     for topic in settings.avoid:
         _require_topic(topic)
-    for made in ('problem', 'approach', 'disturbance', 'frames', 'tree'):
+    for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
         getattr(settings, made)  # raises
     return settings
 

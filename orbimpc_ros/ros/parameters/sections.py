@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 if TYPE_CHECKING:
-    from orbimpc_ros.ros.process import Guarded
+    from orbimpc_ros.ros.lifecycle import Managed
 
 PARAMETERS = 'ros__parameters'
 NODES = ('planner', 'sim')  # one file may serve both
 
 
-def unused_sections(node: Guarded, words: Sequence[str] | None = None) -> list[str]:
+def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[str]:
     """Return the sections of parameter files that no node of this kind takes, and their files.
 
     Left out are sections for the other kind of node, and those that differ from a used one in
@@ -48,7 +48,7 @@ def unused_sections(node: Guarded, words: Sequence[str] | None = None) -> list[s
     return unused
 
 
-def warn_of_unused(node: Guarded) -> None:
+def warn_of_unused(node: Managed) -> None:
     """Say which sections of the parameter files do not reach a node."""
     for section in unused_sections(node):
         name = node.get_fully_qualified_name()

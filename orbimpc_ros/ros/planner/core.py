@@ -6,6 +6,7 @@ The node, replays and flights in one process share it.
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 import time
@@ -53,21 +54,6 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
     if settings.avoid:
         planner.expect_hazards()
     return settings, planner
-
-
-class Work:
-    """A clock that goes on by the looks at it, of which a search takes one after each part.
-
-    What it limits is the same on every machine, however busy.
-    """
-
-    def __init__(self) -> None:
-        self._looks = 0
-
-    def __call__(self) -> float:
-        """Return how long the work so far is taken to last [s]."""
-        self._looks += 1
-        return LOOK * self._looks
 
 
 class Timing:
@@ -136,7 +122,7 @@ class Core:
         others: Sequence[str] = (),
     ) -> None:
         self.settings, self.planner = settings, planner
-        self.inputs = Inputs(settings, names or {}, tuple(others))
+        self.inputs = Inputs(settings, names, others)
         self.timing = Timing()
         self._simulated, self._counted = simulated, counted
         self._clock, self._unlimited = clock or time.perf_counter, clock is None
@@ -158,9 +144,10 @@ class Core:
     ) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
         known = self.inputs.odometry
-        age = 0.0 if known is None else known.age(now, ros)
-        odometry = None if known is None else known.value
-        return self.planner.unsafe(Snapshot(odometry, odometry_age=age, stop=stop))
+        if known is None:
+            return self.planner.unsafe(Snapshot(stop=stop))
+        age = known.age(now, ros)
+        return self.planner.unsafe(Snapshot(known.value, odometry_age=age, stop=stop))
 
     def decide(
         self,
@@ -182,7 +169,13 @@ class Core:
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
         if fresh:
             snapshot = replace(snapshot, odometry_age=0.0)
-        self._set_limit(begun)
+        deadline = math.inf if self._unlimited else self.settings.deadline
+        self._limit, self._end = self._clock, begun + deadline
+        if self._counted and self.inputs.in_step:
+            # A clock that goes on by the looks at it, of which a search takes one after each part:
+            # what it limits is the same on every machine, however busy.
+            self._limit = (LOOK * looks for looks in itertools.count(1)).__next__
+            self._end = min(deadline, LONGEST)
         at = None if ros.nanoseconds is None else ros.nanoseconds / SECOND + taking
         decision = self.planner.step(snapshot, at, self._is_late)
         if not decision.planned:
@@ -204,12 +197,6 @@ class Core:
     def sent(self, command: Command, at: float) -> None:
         """Note that a command was published at a time of the ROS clock [s]."""
         self.planner.sent(command, at)
-
-    def _set_limit(self, begun: float) -> None:
-        deadline = math.inf if self._unlimited else self.settings.deadline
-        self._limit, self._end = self._clock, begun + deadline
-        if self._counted and self.inputs.in_step:
-            self._limit, self._end = Work(), min(deadline, LONGEST)
 
     def _is_late(self) -> bool:
         return self._limit() > self._end

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 
@@ -24,25 +23,27 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
         settings: of the planner.
         simulated: whether time comes from /clock.
     """
-    problem = settings.problem
-    return ', '.join(
-        (
-            *_vehicle(problem, settings.mass),
-            *_surroundings(settings),
-            f'{problem.step:g} s x {problem.horizon}',
-            *([] if problem.discretisation == 'euler' else ['integrated exactly']),
-            f'{problem.dimension}D',
-            f'rotation order {problem.rotation_order}',
-            f'translation order {problem.translation_order}',
-            _pace(settings),
-            *_loop(settings),
-            'time of /clock' if simulated else "the system's time",
-            f'goals {_ageing(settings)}',
-            f'safe command {_safe_command(settings)}',
-            *(['commands nothing: a dry run'] if settings.dry_run else []),
-            *(['commands nothing until it is engaged'] if settings.gated else []),
-        )
-    )
+    problem, response = settings.problem, settings.response
+    every = 'step' if settings.period == problem.step else f'{settings.period:g} s'
+    at_odometry = settings.trigger == 'odom'
+    parts = [
+        *_vehicle(settings),
+        *_surroundings(settings),
+        f'{problem.step:g} s x {problem.horizon}',
+        problem.discretisation == 'exact' and 'integrated exactly',
+        f'{problem.dimension}D',
+        f'rotation order {problem.rotation_order}',
+        f'translation order {problem.translation_order}',
+        'planned at each odometry' if at_odometry else f'planned every {every}',
+        response.lags and f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)',
+        settings.estimated and 'disturbance estimated',
+        'time of /clock' if simulated else "the system's time",
+        f'goals {_ageing(settings)}',
+        f'safe command {_safe_command(settings)}',
+        settings.dry_run and 'commands nothing: a dry run',
+        settings.gated and 'commands nothing until it is engaged',
+    ]
+    return ', '.join(part for part in parts if isinstance(part, str) and part)
 
 
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
@@ -52,27 +53,11 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         settings: of the planner.
         given: values that were given at the start, by parameter.
     """
-    rate, shape = settings.problem.max_rate, settings.problem.floor.shape
-    found = []
+    problem, found = settings.problem, []
+    rate, floor = problem.max_rate, problem.floor
     if rate > BRISK:
         asked = f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant'
         found.append(f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: {asked}')
-    found += _untold(settings, given)
-    if not settings.capture_radius:  # whoever intercepts looks beyond the horizon
-        found += _short_sight(settings.problem)
-    if given.get('approach.cone', 0.0) and not settings.approach.exists:
-        asked = f'approach.cone is {given["approach.cone"]:g} and objective track'
-        found.append(f'{asked}: it has no effect')
-    for name in ('floor.fraction', 'floor.faces'):
-        unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
-        if unused and given.get(name, DEFAULTS[name]) != DEFAULTS[name]:
-            found.append(f'{name} is {given[name]:g} and floor.shape {shape}: it has no effect')
-    return found
-
-
-def _untold(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
-    """Say what vehicles that are turned by thrust or torque need, where nobody has stated it."""
-    found, problem = [], settings.problem
     if settings.frames.thrust_axis == 'z' and problem.inertial and 'max_rate' not in given:
         found.append(
             'max_rate is not given: commands may turn by half a turn in a step; give the largest '
@@ -84,98 +69,73 @@ def _untold(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
             'late; one that obeys at once misses its goal by far: give it lags, such as 0.001 [s], '
             'and discretisation exact'
         )
+    turned = problem.horizon * problem.step * rate  # whoever intercepts looks beyond the horizon
+    if not settings.capture_radius and problem.turns_are_angles and turned < math.pi:
+        needed = math.ceil(math.pi / (problem.step * rate))
+        found.append(
+            f'a horizon of {problem.horizon * problem.step:.4g} s turns by '
+            f'{math.degrees(turned):.4g} deg at most: past a goal behind it the vehicle may not '
+            f'turn round; half a turn takes a horizon of {needed}'
+        )
+    if given.get('approach.cone', 0.0) and not settings.approach.exists:
+        asked = f'approach.cone is {given["approach.cone"]:g} and objective track'
+        found.append(f'{asked}: it has no effect')
+    for name in ('floor.fraction', 'floor.faces'):
+        unused = name.removeprefix('floor.') not in floor.parameters
+        if unused and given.get(name, DEFAULTS[name]) != DEFAULTS[name]:
+            asked = f'{name} is {given[name]:g} and floor.shape {floor.shape}'
+            found.append(f'{asked}: it has no effect')
     return found
 
 
-def _short_sight(problem: Problem) -> list[str]:
-    """Say that a vehicle which cannot stop never sees itself turned round at the horizon's end."""
-    turned = problem.horizon * problem.step * problem.max_rate
-    if not problem.turns_are_angles or turned >= math.pi:
-        return []
-    needed = math.ceil(math.pi / (problem.step * problem.max_rate))
+def _vehicle(settings: PlannerSettings) -> list[object]:
+    """Return full speed or thrust, and the limits of the vehicle."""
+    problem, unit = settings.problem, _unit(settings.problem)
+    least = problem.floor.clearance(problem.dimension) * problem.forward
+    degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
     return [
-        f'a horizon of {problem.horizon * problem.step:.4g} s turns by '
-        f'{math.degrees(turned):.4g} deg at most: past a goal behind it the vehicle may not turn '
-        f'round; half a turn takes a horizon of {needed}'
+        f'{problem.forward:g} {unit}',
+        problem.translation_order == 2 and f'{settings.mass:g} kg',
+        problem.floor.exists and f'at least {least:.4g} {unit} ({problem.floor})',
+        problem.max_rate and f'at most {degrees:.4g} deg/s',
+        problem.max_acceleration and f'at most {problem.max_acceleration:.4g} m/s^2',
+        problem.tilt and f'tilted by at most {math.degrees(problem.tilt):.4g} deg',
+        problem.glide_slope and f'above a glide slope of {slope:.4g} deg',
     ]
 
 
-def _vehicle(problem: Problem, mass: float) -> list[str]:
-    unit = _unit(problem)
-    parts = [f'{problem.forward:g} {unit}']
-    if problem.translation_order == 2:
-        parts.append(f'{mass:g} kg')
-    if problem.floor.exists:
-        least = problem.floor.clearance(problem.dimension) * problem.forward
-        parts.append(f'at least {least:.4g} {unit} ({problem.floor})')
-    if problem.max_rate:
-        parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
-    if problem.max_acceleration:
-        parts.append(f'at most {problem.max_acceleration:.4g} m/s^2')
-    if problem.tilt:
-        parts.append(f'tilted by at most {math.degrees(problem.tilt):.4g} deg')
-    if problem.glide_slope:
-        parts.append(f'above a glide slope of {math.degrees(problem.glide_slope):.4g} deg')
-    return parts
-
-
-def _surroundings(settings: PlannerSettings) -> list[str]:
+def _surroundings(settings: PlannerSettings) -> list[object]:
     """Return what moves the vehicle beside its thrust, and what it cannot do against that."""
     problem, gravity, unit = settings.problem, settings.gravity, _unit(settings.problem)
-    parts = [f'gravity {gravity:g} {unit}: {_hovering(problem, gravity)}'] if gravity else []
+    least = problem.floor.clearance(problem.dimension) * problem.forward
+    hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
+    if least > gravity:
+        hover = f'cannot hover, for its least thrust is {least:.4g}'
     wind = settings.disturbance.copy()
     wind[-1] += gravity
-    if settings.hover_thrust:
-        parts.append(f'told as {settings.hover_thrust:g} on thrust')
-    speed = float(np.linalg.norm(wind))
+    speed, blown = float(np.linalg.norm(wind)), ''
     if speed:
-        shown = ', '.join(f'{each:.4g}' for each in wind)
-        beyond = f', {speed:.4g} {unit} in all: too much to hold a goal'
-        parts.append(f'wind ({shown}) {unit}{beyond if speed >= problem.forward else ""}')
-        parts += _leaning(problem, settings.disturbance)
-    if settings.frames.velocity == 'world':
-        parts.append('velocities of the world frame')
-    if settings.velocity_source == 'air':
-        parts.append(f'odometry through the air{", with its slip" if settings.sideslip else ""}')
-    return parts
-
-
-def _leaning(problem: Problem, disturbance: Array) -> list[str]:
-    """Return that a goal cannot be held because it takes more tilt than is allowed, if it does."""
-    if not problem.tilt:
-        return []
-    needed = math.atan2(math.hypot(*disturbance[:2]), -disturbance[2])
-    if needed <= problem.tilt:
-        return []
-    return [f'to hold a goal takes a tilt of {math.degrees(needed):.4g} deg: more than is allowed']
-
-
-def _hovering(problem: Problem, gravity: float) -> str:
-    least = problem.floor.clearance(problem.dimension) * problem.forward
-    if least > gravity:
-        return f'cannot hover, for its least thrust is {least:.4g}'
-    return f'hovers at {gravity / problem.forward:.3g} of its thrust'
+        blown = f'wind ({", ".join(f"{each:.4g}" for each in wind)}) {unit}'
+    if speed >= problem.forward:
+        blown += f', {speed:.4g} {unit} in all: too much to hold a goal'
+    if speed and problem.tilt:
+        known = settings.disturbance
+        needed = math.atan2(math.hypot(*known[:2]), -known[2])
+        if needed > problem.tilt:
+            degrees = f'{math.degrees(needed):.4g} deg'
+            blown += f', to hold a goal takes a tilt of {degrees}: more than is allowed'
+    slip = ', with its slip' if settings.sideslip else ''
+    return [
+        gravity and f'gravity {gravity:g} {unit}: {hover}',
+        settings.hover_thrust and f'told as {settings.hover_thrust:g} on thrust',
+        blown,
+        settings.frames.velocity == 'world' and 'velocities of the world frame',
+        settings.velocity_source == 'air' and f'odometry through the air{slip}',
+    ]
 
 
 def _unit(problem: Problem) -> str:
     return 'm/s' if problem.translation_order == 1 else 'm/s^2'
-
-
-def _pace(settings: PlannerSettings) -> str:
-    if settings.on_odometry:
-        return 'planned at each odometry'
-    every = 'step' if settings.period == settings.problem.step else f'{settings.period:g} s'
-    return f'planned every {every}'
-
-
-def _loop(settings: PlannerSettings) -> list[str]:
-    """Return what is known of the vehicle's response, and of what disturbs it, if anything."""
-    response, parts = settings.response, []
-    if response.lags:
-        parts.append(f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)')
-    if settings.estimated:
-        parts.append('disturbance estimated')
-    return parts
 
 
 def _ageing(settings: PlannerSettings) -> str:
@@ -186,8 +146,9 @@ def _ageing(settings: PlannerSettings) -> str:
 
 
 def _safe_command(settings: PlannerSettings) -> str:
-    floored = settings.problem.floor.exists
-    below = floored and settings.safe_command == 'stop' and settings.problem.translation_order == 1
-    if settings.gravity and settings.safe_command in ('stop', 'hold_rate_zero'):
-        return f'{settings.safe_command} although that is to fall'
-    return f'{settings.safe_command}{" although that is below the floor" if below else ""}'
+    kind, problem = settings.safe_command, settings.problem
+    if settings.gravity and kind in ('stop', 'hold_rate_zero'):
+        return f'{kind} although that is to fall'
+    if problem.floor.exists and kind == 'stop' and problem.translation_order == 1:
+        return f'{kind} although that is below the floor'
+    return kind

@@ -24,28 +24,17 @@ class EndpointMonitor:
         node: whose topics to look at.
         odometry: its subscription to odometry.
         velocity: its publisher of commands; None if it commands nothing.
+
+    Attributes:
+        sources: that more than one publishes odometry, in words; empty if none or one does.
+        rivals: that somebody else commands the vehicle as well, in words; empty if nobody does.
     """
 
     def __init__(self, node: Node, odometry: Subscription, velocity: Publisher | None) -> None:
         self._node, self._odometry, self._velocity = node, odometry, velocity
         self._rota: list[Any] = []
         self._mismatched: dict[str, str] = {}
-
-    @property
-    def sources(self) -> str:
-        """Return that more than one publishes odometry, in words; empty if none or one does."""
-        count = self._odometry.get_publisher_count()
-        where = self._odometry.topic_name
-        return f'{count} publishers on {where}, of which only one can be right' if count > 1 else ''
-
-    @property
-    def rivals(self) -> str:
-        """Return that somebody else commands the vehicle as well, in words; empty if nobody."""
-        if self._velocity is None:
-            return ''
-        where = self._velocity.topic_name
-        count = self._node.count_publishers(where)
-        return f'{count} publishers on {where}: the vehicle hears them all' if count > 1 else ''
+        self.sources = self.rivals = ''
 
     @property
     def mismatches(self) -> list[str]:
@@ -53,20 +42,27 @@ class EndpointMonitor:
         return [self._mismatched[topic] for topic in sorted(self._mismatched)]
 
     def look(self) -> None:
-        """Look at the other ends of one more topic."""
-        if not self._rota:
-            self._rota = [*self._node.publishers, *self._node.subscriptions]
+        """Look who else publishes odometry and commands, and at the ends of one more topic."""
+        self.sources = self.rivals = ''
+        where, count = self._odometry.topic_name, self._odometry.get_publisher_count()
+        if count > 1:
+            self.sources = f'{count} publishers on {where}, of which only one can be right'
+        if self._velocity is not None:
+            where = self._velocity.topic_name
+            if (count := self._node.count_publishers(where)) > 1:
+                self.rivals = f'{count} publishers on {where}: the vehicle hears them all'
+        self._rota = self._rota or [*self._node.publishers, *self._node.subscriptions]
         end = self._rota.pop()
-        mismatch = _mismatch(self._node, end)
-        if mismatch:
+        self._mismatched.pop(end.topic_name, None)
+        if mismatch := _mismatch(self._node, end):
             self._mismatched[end.topic_name] = mismatch
-        else:
-            self._mismatched.pop(end.topic_name, None)
 
 
 def _mismatch(node: Node, end: Publisher | Subscription) -> str:
     """Return who cannot hear ``end`` or be heard by it, and why; empty if there is nobody."""
-    topic, kind = end.topic_name, _name(end.msg_type)
+    topic = end.topic_name
+    message: Any = end.msg_type
+    kind = f'{message.__module__.split(".")[0]}/msg/{message.__name__}'
     ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
     same, others = ends if isinstance(end, Publisher) else ends[::-1]
     # DDS shows its view of one's own profile as of any other, its defaults filled in.
@@ -81,8 +77,3 @@ def _mismatch(node: Node, end: Publisher | Subscription) -> str:
             errors = [each for each in why.split(';') if each.startswith(ERROR)]
             return f'{who} does not match: {", ".join(e.removeprefix(ERROR) for e in errors)}'
     return ''
-
-
-def _name(kind: Any) -> str:
-    """Return the name of a message's class, such as ``nav_msgs/msg/Odometry``."""
-    return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'

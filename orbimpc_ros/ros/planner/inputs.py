@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, 
 from orbimpc_ros.loop.goal.route import Route
 from orbimpc_ros.loop.planner import Snapshot
 from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, silence
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Reason
@@ -23,19 +24,14 @@ from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import (
     SECOND,
     Stamp,
+    read_agent,
     read_itinerary,
     read_odometry,
     read_sighting,
     read_wind,
 )
+from orbimpc_ros.ros.obstacles import read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
-from orbimpc_ros.ros.planner.obstacles import (
-    COMPARABLE,
-    NOT_SET,
-    OBSTACLES,
-    PLAN,
-    ObstacleTracker,
-)
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
 T = TypeVar('T')
@@ -43,6 +39,13 @@ T = TypeVar('T')
 INCREASING = 'stamps that increase'
 STREAM = 3  # goals one soon after another are a stream, which is missed when it stops
 WINDOW = 10  # odometry messages; one of so many may lack its goal
+COMPARABLE = 60.0  # [s] stamps farther apart are of different clocks
+UNHURRIED = 0.2  # [s] a shorter period leaves no time to wait for others
+TIE = 0.02  # [s] who measures at such a distance measures at the same time
+NOT_SET = (
+    'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
+    'ros2 topic pub "header: {stamp: now, frame_id: ...}")'
+)
 READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
     'odom': read_odometry,
     'goal': read_sighting,
@@ -50,6 +53,7 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
     'wind': read_wind,
 }
 GOALS = ('goal', 'goal_path')
+OBSTACLES, PLAN = 'obstacles', 'plan'
 TRANSFORMS = (TF, TF_STATIC)
 NAMED = (*READ, OBSTACLES, PLAN)  # topics whose resolved names are of use
 
@@ -85,78 +89,62 @@ class Received(Generic[T]):
         return max(0.0, ros.since(self.stamp.nanoseconds)) if self.timed else 0.0
 
 
-class Pairing:
-    """Learns from stamps whether a source accompanies every odometry message.
-
-    A source in lock-step does so from its first message on. One that merely shares the driver's
-    clock, yet is slower, shares some stamps: a planner that waited for it would answer at its pace.
-    """
-
-    def __init__(self) -> None:
-        self._shared: deque[bool] = deque(maxlen=WINDOW)
-
-    def note(self, shared: bool) -> None:
-        """Note whether the source shared the stamp of an odometry message, now that it is over."""
-        if shared or self._shared:
-            self._shared.append(shared)
-
-    @property
-    def constant(self) -> bool:
-        """Return whether the source has so far accompanied every message, but for rare losses."""
-        lost = self._shared.count(False)
-        return bool(self._shared) and WINDOW * lost <= len(self._shared)
-
-
-@dataclass
 class Inputs:
     """Takes in messages, and makes snapshots of what is known.
 
-    Times named ``now`` are of the steady clock [s], those named ``ros`` of the node's ROS clock.
+    What stays of a message depends on stamps, never on the time of day, so that a recording gives
+    the same. Times named ``now`` are of the steady clock [s], those named ``ros`` of the node's ROS
+    clock.
 
-    Attributes:
+    Args:
         settings: dimension, frames, timeouts and limits.
         names: of the topics as they are resolved, by their names here.
         others: topics of other vehicles' plans, as they are resolved.
+
+    Attributes:
         latest: message of each topic that has one.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
         goal_counts: goals taken in so far, by topic.
-        pairings: whether each topic that may do so accompanies the odometry.
-        timed: topics whose stamps have been seen to be of the node's own clock.
-        obstacles: what moves around the vehicle.
         transforms: of frames to one another.
         displaced: why a goal of another frame is left where it was, in words; empty if it is not.
+        bodies: on ``obstacles``.
+        agents: the latest plans of other vehicles, by topic.
+        traffic_stamps: of the latest message on obstacles and of each plan, by topic [ns].
+        leaders: topics of the vehicles that plan before this one where stamps are shared. Planners
+            that answer odometry of the same moment would each avoid what the others planned the
+            moment before; by the names of their plans one comes after the other instead.
     """
 
-    settings: PlannerSettings
-    names: Mapping[str, str] = field(default_factory=dict)
-    others: tuple[str, ...] = ()
-    latest: dict[str, Received[Any]] = field(default_factory=dict)
-    forecast: Forecast = field(init=False)
-    refused: Counter[str] = field(default_factory=Counter)
-    goal_counts: Counter[str] = field(default_factory=Counter)
-    pairings: dict[str, Pairing] = field(init=False)
-    timed: set[str] = field(default_factory=set)
-    obstacles: ObstacleTracker = field(init=False)
-    transforms: Transforms = field(init=False)
-    displaced: str = ''
-
-    def __post_init__(self) -> None:
-        self.names = {each: each for each in NAMED} | dict(self.names)
-        self.forecast = forecast_named(self.settings.goal_prediction)
-        known = self.settings.tree
-        self.transforms = Transforms(known.stated, known.timeout, known.heard)
-        around = self.names, self.others, self.refused, self._placed
-        self.obstacles = ObstacleTracker(self.settings, *around)
-        paired = (*GOALS, OBSTACLES, *self.obstacles.leaders)
-        self.pairings = {topic: Pairing() for topic in paired}
-        self._paired: set[str] = set()  # topics that share the stamp of the latest odometry
+    def __init__(
+        self,
+        settings: PlannerSettings,
+        names: Mapping[str, str] | None = None,
+        others: Iterable[str] = (),
+    ) -> None:
+        self.settings, self.others = settings, tuple(others)
+        self.names = {each: each for each in NAMED} | dict(names or {})
+        self.latest: dict[str, Received[Any]] = {}
+        self.forecast: Forecast = forecast_named(settings.goal_prediction)
+        self.refused, self.goal_counts = Counter[str](), Counter[str]()
+        known = settings.stated_transforms, settings.transform_timeout, settings.tf
+        self.transforms, self.displaced = Transforms(*known), ''
+        self.bodies = Bodies()
+        self.agents: dict[str, AgentTrajectory] = {}
+        self.traffic_stamps: dict[str, int] = {}
+        self.leaders = tuple(name for name in self.others if name < self.names[PLAN])
+        self._periods: dict[str, int] = {}  # from one plan of another vehicle to the next [ns]
+        self._timed: set[str] = set()  # topics whose stamps are of the node's own clock
+        # Whether each topic that may do so shared the stamp of the latest odometry, and before.
+        self._shares: set[str] = set()
+        paired = (*GOALS, OBSTACLES, *self.leaders)
+        self._shared: dict[str, deque[bool]] = {topic: deque(maxlen=WINDOW) for topic in paired}
 
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts afresh from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
-        self.transforms.adopt(settings.tree.stated, settings.tree.timeout, settings.tree.heard)
-        self.settings = self.obstacles.settings = settings
+        self.settings = settings
+        self.transforms.adopt(settings.stated_transforms, settings.transform_timeout)
         if renewed:
             self.forecast = forecast_named(settings.goal_prediction)
             if 'goal' in self.latest:
@@ -171,9 +159,110 @@ class Inputs:
     def start_afresh(self) -> None:
         """Forget all but a goal sent by hand, as after a reset or when time jumped."""
         self._keep_goal_alone()
-        self.obstacles.forget()
+        for each in (self.bodies, self.agents, self.traffic_stamps, self._periods, self._timed):
+            each.clear()
         self.transforms.forget()
-        self.timed.clear()
+
+    # --- messages
+
+    def update(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
+        """Take in a message; return why it was refused, or an empty string."""
+        try:
+            if topic in READ:
+                self._take(topic, message, now, ros)
+            elif topic in TRANSFORMS:
+                self.transforms.hear(topic, message)
+            elif topic != OBSTACLES:
+                self._take_plan(topic, message, ros)
+        except BadInput as error:
+            self.refused[f'{topic}: {error.culprit}'] += 1
+            return f'{self.names.get(topic, topic)} refused: {error}'
+        refusal = self._take_obstacles(message, ros) if topic == OBSTACLES else ''
+        time = self._time
+        self._shares.update(t for t, stamp in self._stamps.items() if stamp == time)
+        return refusal
+
+    def _take(self, topic: str, message: Any, now: float, ros: RosTime) -> None:
+        """Take in odometry, a goal or a wind.
+
+        Raises:
+            BadInput: it is not acceptable.
+        """
+        settings, last, came = self.settings, self.latest.get(topic), message
+        is_goal = topic in GOALS
+        if is_goal and message.header.frame_id:
+            message = self._placed(message)
+        stamp, value = read(topic, message, settings)
+        apart = abs(ros.require_past(stamp.nanoseconds, settings.future_tolerance))
+        by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: of its arrival
+        timeout = settings.goal_timeout if topic != 'odom' else settings.odom_timeout
+        fresh = last is not None and now - last.at <= timeout
+        if not by_hand:
+            self._require_newer(topic, stamp.nanoseconds, fresh=fresh)
+        if is_goal:
+            require_attitude(value, settings)
+            self._require_near(topic, stamp, value, fresh=fresh)
+        # Once timed, always timed: what was held up on the way must not pass for fresh.
+        if apart <= COMPARABLE and not by_hand:
+            self._timed.add(topic)
+        timed = topic in self._timed and not by_hand
+        foreign = apart > COMPARABLE and not (timed or by_hand)  # neither before time starts
+        run = last.run + 1 if fresh and last is not None else 1
+        moved = None if message is came else came
+        self._keep(topic, Received(stamp, value, now, timed, foreign, run, moved))
+
+    def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
+        """Refuse a stamp [ns] that is not later than that of the last message, if any is fresh."""
+        last = self.latest.get(topic)
+        if stamp == 0 and topic == 'odom' and topic in self._timed:
+            raise BadInput.stating('unset stamp', '0', NOT_SET)
+        if last is None or stamp > last.stamp.nanoseconds:
+            return
+        if stamp == last.stamp.nanoseconds:
+            if stamp == 0:
+                raise BadInput.stating('unset stamp', '0 again', NOT_SET)
+            raise BadInput('duplicate stamp', stamp, INCREASING)
+        # Once the last one is stale, an older stamp means that the sender's clock was set back.
+        if fresh:
+            raise BadInput('reordered stamp', stamp, INCREASING)
+
+    def _require_near(self, topic: str, stamp: Stamp, value: Any, *, fresh: bool) -> None:
+        """Refuse a goal that jumps; once the last is stale, the new one is believed."""
+        limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
+        if limit == 0.0 or last is None or isinstance(value, Route):
+            return
+        time = stamp.nanoseconds / SECOND
+        jump = float(np.linalg.norm(_place(value, time) - _place(last.value, time)))
+        if jump > limit and fresh:
+            raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
+        if jump > limit and topic == 'goal':
+            self.forecast.reset()
+
+    def _keep(self, topic: str, received: Received[Any]) -> None:
+        last, first = self.latest.get(topic), self.odometry is None
+        back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
+        if topic in GOALS:
+            self.goal_counts[topic] += 1
+        elif topic == 'odom':
+            if not first:
+                self._end_shares()
+            if back:
+                self._keep_goal_alone()
+                first = True
+        self.latest[topic] = received
+        if topic == 'goal':
+            # What has no stamp shows where the goal is, not how it moves. (In simulations the first
+            # one has 0 for its stamp.)
+            undated = last and last.stamp.nanoseconds == 0 and last.value.time > 0.0
+            if back or undated:
+                self.forecast.reset()
+            self.forecast.observe(received.value)
+        if topic == 'goal' or (topic == 'odom' and first):
+            self._date_goal()
+        if topic == 'odom':
+            self._place_again(received.stamp.nanoseconds)
+
+    # --- goals
 
     def _keep_goal_alone(self) -> None:
         """Forget odometry and goals, but for one sent by hand, which stays without its stamp.
@@ -196,55 +285,8 @@ class Inputs:
     def _date_goal(self) -> None:
         """Take a goal without a stamp for one that is seen when the latest odometry is."""
         goal, known = self.latest.get('goal'), self.odometry
-        if goal is None or known is None or goal.stamp.nanoseconds:
-            return
-        self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
-
-    @property
-    def odometry(self) -> Received[Odometry] | None:
-        """Return the latest odometry, if any."""
-        return self.latest.get('odom')
-
-    def update(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
-        """Take in a message; return why it was refused, or an empty string."""
-        if topic in TRANSFORMS:
-            return self._hear(topic, message)
-        if topic not in READ:
-            measured = UNKNOWN if self.odometry is None else RosTime(self._time)
-            refusal = self.obstacles.take(topic, message, ros, measured)
-            self._note_pairs()
-            return refusal
-        settings, last, came = self.settings, self.latest.get(topic), message
-        try:
-            if topic in GOALS and message.header.frame_id:
-                message = self._placed(message)
-            stamp, value = read(topic, message, settings)
-            since = ros.require_past(stamp.nanoseconds, settings.future_tolerance)
-            self._require_newer(topic, stamp, last, now)
-            if topic in GOALS:
-                require_attitude(value, settings)
-                self._require_near(topic, stamp, value, now)
-        except BadInput as error:
-            self.refused[f'{topic}: {error.culprit}'] += 1
-            return f'{self.names[topic]} refused: {error}'
-        # Once timed, always timed: what was held up on the way must not pass for fresh.
-        apart, unset = abs(since), _is_unset(topic, stamp)
-        if apart <= COMPARABLE and not unset:
-            self.timed.add(topic)
-        timed = topic in self.timed and not unset
-        foreign = apart > COMPARABLE and not (timed or unset)  # neither before time starts
-        moved = None if message is came else came
-        run = self._run(topic, now)
-        self._keep(topic, Received(stamp, value, now, timed, foreign, run, moved))
-        return ''
-
-    def _hear(self, topic: str, message: Any) -> str:
-        try:
-            self.transforms.hear(topic, message)
-        except BadInput as error:
-            self.refused[f'{topic}: {error.culprit}'] += 1
-            return f'{topic} refused: {error}'
-        return ''
+        if goal is not None and known is not None and not goal.stamp.nanoseconds:
+            self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
 
     def _placed(self, message: Any) -> Any:
         """Return a message as of the world's frame: itself, or what can be read of it elsewhere.
@@ -263,8 +305,8 @@ class Inputs:
         Localisation corrects how ``map`` lies in ``odom``, by metres where it closes a loop.
         """
         goal, frames = self.latest.get('goal'), self.settings.frames
+        self.displaced = ''
         if goal is None or goal.moved is None or goal.run >= STREAM:
-            self.displaced = ''
             return
         try:
             placed = self.transforms.moved(goal.moved, frames.world, at)
@@ -273,109 +315,138 @@ class Inputs:
             return
         _, value = read_sighting(placed, self.settings.problem.dimension, frames)
         self._see_anew(replace(goal, value=replace(value, time=goal.value.time)))
-        self.displaced = ''
 
-    def _keep(self, topic: str, received: Received[Any]) -> None:
-        if topic in GOALS:
-            self.goal_counts[topic] += 1
-        elif topic == 'odom':
-            self._end_pairs()
-        last, goal = self.latest.get(topic), self.latest.get('goal')
-        back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
-        if topic == 'odom' and back:
-            self._keep_goal_alone()
-        first = self.odometry is None
-        self.latest[topic] = received
-        self._note_pairs()
-        if topic == 'goal':
-            # What has no stamp shows where the goal is, not how it moves.
-            if back or (goal is not None and _is_undated(goal)):
-                self.forecast.reset()
-            self.forecast.observe(received.value)
-            self._date_goal()
-        elif topic == 'odom':
-            if first:
-                self._date_goal()
-            self._place_again(received.stamp.nanoseconds)
+    # --- what moves around the vehicle
 
-    def _run(self, topic: str, now: float) -> int:
-        last = self.latest.get(topic)
-        follows = last is not None and now - last.at <= self._timeout(topic)
-        return last.run + 1 if last is not None and follows else 1
+    def _take_plan(self, topic: str, message: Any, ros: RosTime) -> None:
+        """Take in the plan of another vehicle.
 
-    def _require_newer(
-        self, topic: str, stamp: Stamp, last: Received[Any] | None, now: float
-    ) -> None:
-        if topic == 'odom' and topic in self.timed and stamp.nanoseconds == 0:
+        Raises:
+            BadInput: it is not acceptable.
+        """
+        settings, placed = self.settings, self._placed(message)
+        stamp, agent = read_agent(placed, settings.problem.dimension, settings.frames)
+        self._require_current(stamp.nanoseconds, COMPARABLE, ros)
+        last = self.traffic_stamps.get(topic, stamp.nanoseconds)
+        if stamp.nanoseconds < last:
+            raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
+        if last < stamp.nanoseconds:
+            self._periods[topic] = stamp.nanoseconds - last
+        self.agents[topic], self.traffic_stamps[topic] = agent, stamp.nanoseconds
+
+    def _require_current(self, stamp: int, lifetime: float, ros: RosTime) -> None:
+        """Refuse a stamp [ns] of the future, or older than a lifetime [s] when odometry came."""
+        ros.require_past(stamp, self.settings.future_tolerance)
+        limit = min(lifetime, COMPARABLE)
+        if self.odometry is None or (age := (self._time - stamp) / SECOND) <= limit:
+            return
+        if stamp == 0:
             raise BadInput.stating('unset stamp', '0', NOT_SET)
-        if last is None or stamp.nanoseconds > last.stamp.nanoseconds or _is_unset(topic, stamp):
-            return
-        if stamp.nanoseconds == last.stamp.nanoseconds:
-            if stamp.nanoseconds == 0:
-                raise BadInput.stating('unset stamp', '0 again', NOT_SET)
-            raise BadInput('duplicate stamp', stamp.nanoseconds, INCREASING)
-        # Once the last one is stale, an older stamp means that the sender's clock was set back.
-        if now - last.at <= self._timeout(topic):
-            raise BadInput('reordered stamp', stamp.nanoseconds, INCREASING)
+        raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
 
-    def _require_near(
-        self,
-        topic: str,
-        stamp: Stamp,
-        value: GoalObservation | GoalTrajectory,
-        now: float,
-    ) -> None:
-        limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
-        if limit == 0.0 or last is None or isinstance(value, Route):
-            return
-        time = stamp.nanoseconds / SECOND
-        jump = float(np.linalg.norm(_place(value, time) - _place(last.value, time)))
-        if jump <= limit:
-            return
-        # Once the last one is stale, the goal is believed to be where it is said to be.
-        if now - last.at <= self._timeout(topic):
-            raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
-        if topic == 'goal':
-            self.forecast.reset()
+    def _take_obstacles(self, message: Any, ros: RosTime) -> str:
+        """Take in markers, each by itself; return in a line what is refused or odd."""
+        found: dict[str, list[str]] = {}  # by what is to blame
+        count = len(message.markers)
+        if count > MOST:  # to read them all would take long
+            first = BadInput('count', f'{count} markers', f'{MOST}: the first are taken')
+            found[first.culprit] = [str(first)]
+        for marker in message.markers[:MOST]:
+            culprit, said = self._take_marker(marker, ros)
+            if culprit:
+                found.setdefault(culprit, []).append(said)
+        self.traffic_stamps[OBSTACLES] = stamp_of(message)
+        for culprit, words in found.items():
+            self.refused[f'{OBSTACLES}: {culprit}'] += len(words)
+        parts = {
+            culprit: f'{"" if len(words) == 1 else f"{len(words)} times: "}{words[0]}'
+            for culprit, words in found.items()
+        }
+        jumps, name = parts.pop('jump', ''), self.names[OBSTACLES]
+        refused = f'{name} refused: {"; ".join(parts.values())}' if parts else ''
+        return '; '.join(filter(None, (refused, f'{name}: {jumps}' if jumps else '')))
+
+    def _take_marker(self, marker: Any, ros: RosTime) -> tuple[str, str]:
+        """Take in a marker; return what is to blame, and how, where it is refused or odd."""
+        settings = self.settings
+        try:
+            seen = read_obstacle(marker, settings.problem.dimension, settings.frames, self._placed)
+            if isinstance(seen, str):
+                self.bodies.remove(seen)
+            elif seen is None:
+                self.bodies.clear()
+            else:
+                stamp, body = seen
+                self._require_current(stamp.nanoseconds, body.lifetime, ros)
+                jump = self.bodies.see(body, settings.obstacle_speed_limit)
+                return 'jump' if jump else '', jump
+        except BadInput as error:
+            return error.culprit, str(error)
+        return '', ''
+
+    def traffic(self, at: float) -> Traffic | None:
+        """Return what is known at a time [s]; None where nothing was ever heard."""
+        if not self.traffic_stamps:
+            return None
+        known = self.bodies.current(at), tuple(self.agents.values())
+        return Traffic(*known, self.settings.obstacle_unseen_speed, self.settings.distance)
+
+    def silences(self) -> list[str]:
+        """Return which other vehicles are not heard, in words."""
+        if self.odometry is None:
+            return []
+        due = self.odometry.value.time - self.settings.distance.timeout
+        found = (silence(name, self.agents.get(name), due) for name in self.others)
+        return [*filter(None, found)]
+
+    # --- what belongs together
 
     @property
-    def goal_model(self) -> str:
-        """Return how the forecast takes the goal to move, if it chooses; otherwise nothing."""
-        return self.forecast.model if isinstance(self.forecast, Bank) else ''
+    def odometry(self) -> Received[Odometry] | None:
+        """Return the latest odometry, if any."""
+        return self.latest.get('odom')
 
-    def _timeout(self, topic: str) -> float:
-        return self.settings.odom_timeout if topic == 'odom' else self.settings.goal_timeout
+    @property
+    def _time(self) -> int:
+        known = self.latest.get('odom')
+        return -1 if known is None else known.stamp.nanoseconds
 
-    def _goal_sources(self) -> dict[str, Received[Any]]:
-        return {topic: self.latest[topic] for topic in GOALS if topic in self.latest}
+    @property
+    def goal_stamps(self) -> dict[str, int]:
+        """Return the stamps of the goals known, by topic [ns]."""
+        latest = self.latest
+        return {topic: latest[topic].stamp.nanoseconds for topic in GOALS if topic in latest}
 
-    def _note_pairs(self) -> None:
-        self._paired |= {t for t, stamp in self._stamps.items() if stamp == self._time}
+    @property
+    def _stamps(self) -> dict[str, int]:
+        """Return the latest stamps of what may accompany odometry, by topic [ns]."""
+        return self.goal_stamps | self.traffic_stamps
 
-    def _end_pairs(self) -> None:
-        """Learn what came with the odometry that is now replaced."""
-        if self.odometry is not None:
-            for topic, pairing in self.pairings.items():
-                pairing.note(topic in self._paired)
-        self._paired.clear()
+    def _end_shares(self) -> None:
+        """Learn what came with the odometry that is now replaced.
+
+        A source in lock-step shares its stamps from its first message on. One that merely shares
+        the driver's clock, yet is slower, shares some: a planner that waited for it would answer at
+        its pace.
+        """
+        for topic, shared in self._shared.items():
+            if topic in self._shares or shared:
+                shared.append(topic in self._shares)
+        self._shares.clear()
 
     @property
     def companions(self) -> list[str]:
-        """Return the topics that accompany every odometry message."""
-        return [topic for topic, pairing in self.pairings.items() if pairing.constant]
+        """Return the topics that accompany every odometry message, but for rare losses."""
+        return [
+            topic
+            for topic, shared in self._shared.items()
+            if shared and WINDOW * shared.count(False) <= len(shared)
+        ]
 
     @property
     def in_step(self) -> bool:
         """Return whether goals come with odometry, as from a simulator that waits for answers."""
         return self._time in self.goal_stamps.values() or bool(self.companions)
-
-    def _spoken(self, topic: str) -> bool:
-        stamp = self._stamps.get(topic)
-        return stamp is not None and stamp >= self._time
-
-    @property
-    def _time(self) -> int:
-        return -1 if self.odometry is None else self.odometry.stamp.nanoseconds
 
     @property
     def complete(self) -> bool:
@@ -383,38 +454,46 @@ class Inputs:
 
         Those are its companions, and vehicles that have measured before.
         """
-        due = any(self.obstacles.is_due(topic, self._time) for topic in self.others)
-        return not self.missing and not due and all(map(self._spoken, self.companions))
+        if self.missing or any(self._is_due(topic) for topic in self.others):
+            return False
+        stamps, time = self._stamps, self._time
+        return all(topic in stamps and stamps[topic] >= time for topic in self.companions)
+
+    def _is_due(self, topic: str) -> bool:
+        """Return whether a vehicle has measured before, and its plan is on its way.
+
+        It is known by its period. Who plans without it may choose a way that crosses its new one.
+        At the same time it is the leaders who plan first.
+        """
+        period = self._periods.get(topic)
+        if period is None or self.settings.period < UNHURRIED:
+            return False
+        late = (self._time - self.traffic_stamps[topic] - period) / SECOND
+        if late + period / SECOND > self.settings.distance.timeout:
+            return False  # it is silent
+        return late > (-TIE if topic in self.leaders else TIE)
 
     @property
     def missing(self) -> str:
         """Return what no plan can be made without, in words; empty if nothing is missing."""
-        absent = []
-        if self.odometry is None:
+        latest, absent = self.latest, []
+        if 'odom' not in latest:
             absent.append(f'odometry on {self.names["odom"]}')
-        sources = self._goal_sources().values()
-        topics = f'{self.names["goal"]} or {self.names["goal_path"]}'
-        if not sources:
-            absent.append(f'a goal on {topics}')
-        elif self.settings.wants_attitude and not any(_turned(each) for each in sources):
+        goals = [latest[topic] for topic in GOALS if topic in latest]
+        if not goals:
+            absent.append(f'a goal on {self.names["goal"]} or {self.names["goal_path"]}')
+        elif self.settings.wants_attitude and all(g.value.attitude is None for g in goals):
+            topics = f'{self.names["goal"]} or {self.names["goal_path"]}'
             absent.append(f'a goal with a yaw on {topics}')
         return ' and '.join(absent)
 
     @property
-    def goal_stamps(self) -> dict[str, int]:
-        """Return the stamps of the goals known, by topic [ns]."""
-        return {topic: each.stamp.nanoseconds for topic, each in self._goal_sources().items()}
-
-    @property
-    def _stamps(self) -> dict[str, int]:
-        """Return the latest stamps of what may accompany odometry, by topic [ns]."""
-        return self.goal_stamps | self.obstacles.stamps
-
-    @property
     def untimed(self) -> str:
         """Return which sources' stamps are of another clock than this node's, in words."""
-        untimed = [t for t in READ if t in self.latest and self.latest[t].foreign]
-        return ', '.join(self.names[topic] for topic in untimed)
+        foreign = (t for t in READ if t in self.latest and self.latest[t].foreign)
+        return ', '.join(self.names[topic] for topic in foreign)
+
+    # --- what decisions are made of
 
     @property
     def heard(self) -> dict[str, Any]:
@@ -422,8 +501,8 @@ class Inputs:
         return {
             'goal_stamps': self.goal_stamps,
             'goal_counts': dict(self.goal_counts),
-            'goal_model': self.goal_model,
-            'traffic_stamps': dict(self.obstacles.stamps),
+            'goal_model': self.forecast.model if isinstance(self.forecast, Bank) else '',
+            'traffic_stamps': dict(self.traffic_stamps),
         }
 
     def snapshot(
@@ -437,26 +516,31 @@ class Inputs:
             stop: why no plan may be followed, if none may.
             taking: how long the decision is going to take [s].
         """
-        known, goal, path = self.odometry, self.latest.get('goal'), self._fresh_path(now, ros)
-        motion: GoalMotion | None = self.forecast if path is None and goal is not None else path
-        if motion is None and 'goal_path' in self.latest:
-            motion = self.latest['goal_path'].value  # stale: its age is what matters
+        known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
+        ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
+        motion: GoalMotion | None = None if goal is None else self.forecast
         wanted = None if goal is None else goal.value.attitude
-        if path is not None and path.attitude is not None:
-            wanted = path.attitude
-        wind = self.latest.get('wind')
-        ages = (self._goal_age(*each, now, ros) for each in self._goal_sources().items())
-        snapshot = Snapshot(None, motion, wanted, goal_age=min(ages, default=0.0), stop=stop)
+        if path is not None:
+            fresh = ages['goal_path'] <= self.settings.goal_timeout
+            if fresh or goal is None:  # without any other it is its age that matters
+                motion = path.value
+            if fresh and path.value.attitude is not None:
+                wanted = path.value.attitude
+        age = min(ages.values(), default=0.0)
         if known is None:
-            return snapshot
+            return Snapshot(None, motion, wanted, goal_age=age, stop=stop)
+        wind = self.latest.get('wind')
         compensated = self.settings.delay_compensation and known.timed and ros.nanoseconds
-        return replace(
-            snapshot,
+        return Snapshot(
             odometry=known.value,
+            goal=motion,
+            wanted=wanted,
+            traffic=self.traffic(known.value.time) if self.traffic_stamps else None,
             wind=None if wind is None else wind.value,
-            traffic=self.obstacles.traffic(known.value.time) if self.obstacles.stamps else None,
             odometry_age=known.age(now, ros),
+            goal_age=age,
             latency=known.delay(ros) + taking if compensated else 0.0,
+            stop=stop,
         )
 
     def goal_at(self, now: float, ros: RosTime = UNKNOWN) -> tuple[Array, Array | None] | None:
@@ -473,21 +557,17 @@ class Inputs:
             return motion.place(np.array([motion.nearest(measured.position)]))[0], None
         return motion.at(np.array([measured.time]))[0], snapshot.wanted
 
-    def _goal_age(self, topic: str, received: Received[Any], now: float, ros: RosTime) -> float:
+    def _goal_age(self, topic: str, now: float, ros: RosTime) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
-        ageing = self.settings.goal_ageing
-        route = isinstance(received.value, Route)
-        by_hand = (topic == 'goal' or route) and received.run < STREAM
-        lasting = ageing is Ageing.STREAMED or (route and not self.settings.given_goal_timeout)
-        if ageing is Ageing.NONE or (lasting and by_hand):
+        settings, goal = self.settings, self.latest[topic]
+        route = isinstance(goal.value, Route)
+        by_hand = (topic == 'goal' or route) and goal.run < STREAM
+        lasting = settings.goal_ageing is Ageing.STREAMED or (
+            route and not settings.given_goal_timeout
+        )
+        if settings.goal_ageing is Ageing.NONE or (lasting and by_hand):
             return 0.0
-        return received.age(now, ros)
-
-    def _fresh_path(self, now: float, ros: RosTime) -> GoalTrajectory | None:
-        path = self.latest.get('goal_path')
-        if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
-            return None
-        return path.value
+        return goal.age(now, ros)
 
 
 def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, Any]:
@@ -502,16 +582,6 @@ def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, An
     return READ[topic](message, settings.problem.dimension, frames)
 
 
-def _is_unset(topic: str, stamp: Stamp) -> bool:
-    """Return whether it is a goal as typed by hand, without a stamp: it holds from its arrival."""
-    return topic in GOALS and stamp.nanoseconds == 0
-
-
-def _is_undated(goal: Received[GoalObservation]) -> bool:
-    """Return whether a goal came without a stamp; in simulations the first one has 0 for its."""
-    return goal.stamp.nanoseconds == 0 and goal.value.time > 0.0
-
-
 def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerSettings) -> None:
     """Refuse a goal without an attitude where one is asked for.
 
@@ -523,8 +593,15 @@ def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerS
         raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
 
 
-def _turned(received: Received[Any]) -> bool:
-    return received.value.attitude is not None
+def others(avoid: Iterable[str], own: str, resolve: Callable[[str], str]) -> tuple[str, ...]:
+    """Return the topics of other vehicles' plans, one's own left out: a fleet may share its list.
+
+    Args:
+        avoid: topics, as given.
+        own: the topic of one's own plans.
+        resolve: makes a topic's full name.
+    """
+    return tuple(name for name in dict.fromkeys(map(resolve, avoid)) if name != own)
 
 
 def _place(value: GoalObservation | GoalTrajectory, time: float) -> Array:

@@ -16,9 +16,9 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -34,18 +34,16 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.planner.compiling import MISSING, leaving_at_signals, report_compilation
+from orbimpc_ros.ros.planner.compiling import MISSING, report_compilation
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
 from orbimpc_ros.ros.planner.events import Events
-from orbimpc_ros.ros.planner.frames import listen_to_transforms
-from orbimpc_ros.ros.planner.inputs import NAMED, STREAM
-from orbimpc_ros.ros.planner.numbers import NumberPublishers
-from orbimpc_ros.ros.planner.obstacles import OBSTACLES, PLAN, others
+from orbimpc_ros.ros.planner.inputs import NAMED, OBSTACLES, PLAN, STREAM, others
 from orbimpc_ros.ros.planner.outputs import (
     CLAIMS,
     COMMANDED,
+    NUMBERS,
     command_messages,
     outputs,
     refutation_messages,
@@ -65,8 +63,11 @@ from orbimpc_ros.ros.reports import (
     health_message,
     prices,
 )
+from orbimpc_ros.ros.transforms import TF, TF_STATIC
 
 EVENTS = ('arrived', 'caught')  # topics
+LATEST = qos(1, ReliabilityPolicy.BEST_EFFORT)
+LATCHED = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
@@ -74,6 +75,7 @@ GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry mess
 STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: who waits sends it again
 LEADERS_PATIENCE = 30.0  # [s] the same for plans of other vehicles
 MARKERS = 10  # messages on obstacles that may wait, for each may matter
+TRANSFORMS = 100  # messages on /tf that may wait: each tells of other frames
 REPEAT = 0.1  # [s] until a repeated request is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 HEALTH = 1.0  # [s] between messages on /diagnostics, at most
@@ -95,7 +97,7 @@ class PlannerNode(Managed):
         self._introduced = ''  # the vehicle, as it was described last
         report_compilation(self.get_logger().info)
         if not COMPILED:
-            self._warn(MISSING)
+            self._log(MISSING, warn=True)
         self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))
@@ -103,38 +105,35 @@ class PlannerNode(Managed):
 
     def configure(self) -> None:
         """Compile a planner for the parameters, and connect inputs and outputs."""
-        self._enabled, self._gate, self._altitude = True, True, math.nan
+        self._enabled, self._altitude = True, math.nan
         self._wing: Wing | None = None
         self._flown = False  # whether the wing's autopilot takes setpoints
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # when it was last looked around [s]
         self._mode_changes, self._changes = 0, deque[float](maxlen=RESTLESS)
+        settings = self._live.settings()
+        self._gate = not settings.gated
         # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
-        self._create_publishers()
-        if autopilot := self._live.settings().autopilot:
-            frames = self._live.settings().frames
-            self._wing = WINGS[autopilot](self, frames, self._on_wing)
-        with leaving_at_signals():
-            settings, planner = self._live.prepared()
+        self._create_publishers(settings)
+        if settings.autopilot:
+            self._wing = WINGS[settings.autopilot](self, settings.frames, self._on_wing)
+        settings, planner = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
-        avoided = others(settings.avoid, names[PLAN], self.resolve_topic_name)
+        if settings.odometry == 'pose_twist':
+            names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
         self._synchronizer = PoseTwistSynchronizer()
         self._frame_check = VelocityFrameCheck(settings.frames.velocity)
-        if settings.is_pose_twist:
-            names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
-        simulated = self._time.simulated
         self._core = Core(
             settings,
             planner,
-            simulated=simulated,
-            counted=simulated,
+            simulated=self._time.simulated,
+            counted=self._time.simulated,
             names=names,
-            others=avoided,
+            others=others(settings.avoid, names[PLAN], self.resolve_topic_name),
         )
-        self._gate = not settings.gated
-        self._create_subscriptions()
-        self._create_timers()
+        self._create_subscriptions(settings)
+        self._create_timers(settings)
         self._live.keep(self._install)
         self._introduce(settings)
         given = {name: each.value for name, each in self._parameter_overrides.items()}
@@ -168,17 +167,16 @@ class PlannerNode(Managed):
 
     # --- wiring
 
-    def _create_publishers(self) -> None:
+    def _create_publishers(self, settings: PlannerSettings) -> None:
         self._publishers_of: dict[str, Publisher] = {
             topic: self.create_publisher(kind, topic, qos(lease=LIFE), event_callbacks=UNSENT)
-            for topic, kind in outputs(self._live.settings()).items()
+            for topic, kind in outputs(settings).items()
         }
         self._begin_anew()
         self._events, self._shown, self._goals_noted = Events(), dict[str, bool](), 0
-        latched = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._event_publishers = {n: self.create_publisher(Bool, n, latched) for n in EVENTS}
+        self._event_publishers = {n: self.create_publisher(Bool, n, LATCHED) for n in EVENTS}
         self._publish_events()
-        self._numbers = NumberPublishers(self)
+        self._numbers = {n: self.create_publisher(Float64, f'~/{n}', qos()) for n in NUMBERS}
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
 
@@ -188,57 +186,60 @@ class PlannerNode(Managed):
         self._stamp = Stamp(0)  # of the last decision
         self._report: Report | None = None  # on it
 
-    def _create_subscriptions(self) -> None:
-        settings = self._core.settings
-        if settings.is_pose_twist:
-            odometry = self._listen(PoseStamped, 'pose', self._of('pose', self._on_half))
-            self._listen(TwistStamped, 'twist', self._of('twist', self._on_half))
+    def _create_subscriptions(self, settings: PlannerSettings) -> None:
+        if settings.odometry == 'pose_twist':
+            odometry = self._listen(PoseStamped, 'pose', _of('pose', self._on_half))
+            self._listen(TwistStamped, 'twist', _of('twist', self._on_half))
         else:
             odometry = self._listen(OdometryMessage, 'odom', self._on_odometry)
         self._listen(PoseStamped, 'goal', self._on_goal)
-        self._listen(Path, 'goal_path', self._of('goal_path', self._take))
-        self._listen(TwistWithCovarianceStamped, 'wind', self._of('wind', self._take))
+        self._listen(Path, 'goal_path', _of('goal_path', self._take))
+        self._listen(TwistWithCovarianceStamped, 'wind', _of('wind', self._take))
         if settings.gated:
             # Even while inactive: whoever is activated has to know whether the vehicle is flown.
-            latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
-            self.create_subscription(Bool, 'engaged', self.guard(self._on_engaged), latest)
+            self.create_subscription(Bool, 'engaged', self.guard(self._on_engaged), LATEST)
         # Markers add up: one that is lost leaves a body out, or leaves one where none is. So these
         # are to be reliable; who offers less is reported as a mismatch. Plans are whole each time.
-        seen = self.at_work(self._on_obstacles)
-        self._obstacles = self.create_subscription(
-            MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=UNHEARD
-        )
+        self._obstacles = self._listen(MarkerArray, OBSTACLES, self._on_obstacles, qos(MARKERS))
         for topic in self._core.inputs.others:
-            self._listen(Path, topic, self._of(topic, self._take))
-        if settings.tree.heard:
-            listen_to_transforms(self, self._take)
-        commands = self._publishers_of.get('cmd_vel')
-        self._monitor = EndpointMonitor(self, odometry, commands)
+            self._listen(Path, topic, _of(topic, self._take))
+        if settings.tf:
+            self._listen_to_transforms()
+        self._monitor = EndpointMonitor(self, odometry, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
-    def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> Subscription:
-        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
+    def _listen(
+        self, kind: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile = LATEST
+    ) -> Subscription:
         working = self.at_work(callback)
-        return self.create_subscription(kind, topic, working, latest, event_callbacks=UNHEARD)
+        return self.create_subscription(kind, topic, working, profile, event_callbacks=UNHEARD)
 
-    @staticmethod
-    def _of(topic: str, take: Callable[[str, Any], None]) -> Callable[[Any], None]:
-        """Return a callback for messages of a topic."""
+    def _listen_to_transforms(self) -> None:
+        """Subscribe to transforms, while inactive, too, with the qualities of service of tf2.
 
-        def on_message(message: Any) -> None:
-            take(topic, message)
+        The messages of tf2 are enough: its library would hear them in a thread of its own.
 
-        return on_message
+        Raises:
+            BadInput: the messages are not installed.
+        """
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ModuleNotFoundError:
+            hint = 'install ros-<distro>-tf2-msgs, or state them in transforms, with tf: false'
+            raise BadInput.stating('tf', 'true, and tf2_msgs is missing', hint) from None
+        kept = {TF: qos(TRANSFORMS), TF_STATIC: qos(TRANSFORMS, durability=LATCHED.durability)}
+        for topic, profile in kept.items():
+            take = self.guard(_of(topic, self._take))
+            self.create_subscription(TFMessage, topic, take, profile)
 
-    def _create_timers(self) -> None:
-        period = self._core.settings.period
-        if not self._core.settings.on_odometry:
+    def _create_timers(self, settings: PlannerSettings) -> None:
+        if settings.trigger == 'timer':
             # In ROS time: simulated time sets the pace. Everything that watches is steady.
-            self.create_timer(period, self.at_work(self._on_timer))
+            self.create_timer(settings.period, self.at_work(self._on_timer))
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
-        self._watch_period = min(WATCH, 0.5 * period)
+        self._watch_period = min(WATCH, 0.5 * settings.period)
         self._watchman = self.every(self._watch_period, self._watch)
         # Whatever the node is just doing: an inactive planner publishes that it is.
         self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
@@ -257,14 +258,23 @@ class PlannerNode(Managed):
 
     def _on_odometry(self, message: OdometryMessage | PoseTwist) -> None:
         now, ros = self.steady_now(), self._time.now
-        refusal = self._core.inputs.update('odom', message, now, ros)
+        inputs = self._core.inputs
+        refusal = inputs.update('odom', message, now, ros)
         if refusal:
             self._refuse(refusal)
             self._repeat_answer(message)
             return
-        if self._core.settings.on_odometry:
-            self._tick_or_wait(now, ros)
-        self._frame_check.note(self._core.inputs.latest['odom'].value)  # no command waits for it
+        if self._core.settings.trigger == 'odom':
+            # DDS does not order topics. A source that stamps odometry and goals alike, such as the
+            # simulator in lock-step, means them to be used together; then runs repeat exactly.
+            if inputs.complete:
+                self._plan_now(now, ros)
+            elif inputs.missing:
+                self._show_changes()
+            elif self._patience.is_canceled():
+                self._waits = self._patience_left
+                self._patience.reset()
+        self._frame_check.note(inputs.latest['odom'].value)  # no command waits for it
 
     def _on_goal(self, message: PoseStamped) -> None:
         self._take('goal', message)
@@ -286,7 +296,7 @@ class PlannerNode(Managed):
     def _on_wing(self, engaged: bool, why: str) -> None:
         """Log what a wing's autopilot has done, and begin or end to send setpoints with it."""
         if engaged == self._flown:
-            self._warn(why)
+            self._log(why, warn=True)
             return
         self._flown = engaged
         self._switched(f'{why}: {"setpoints" if engaged else "silent"}')
@@ -296,7 +306,7 @@ class PlannerNode(Managed):
             self._core.planner.start_afresh()
         self._mode_changes += 1
         self._changes.append(self.steady_now())
-        self._say(words)
+        self._log(words)
         self._show_changes()
 
     @property
@@ -307,21 +317,18 @@ class PlannerNode(Managed):
     def _take(self, topic: str, message: Any) -> None:
         """Take in what accompanies odometry; plan if that has waited for it."""
         now, ros = self.steady_now(), self._time.now
-        refusal = self._core.inputs.update(topic, message, now, ros)
+        inputs = self._core.inputs
+        refusal = inputs.update(topic, message, now, ros)
         if refusal:
             self._refuse(refusal)
-        elif self._core.settings.on_odometry and self._unanswered and self._core.inputs.complete:
+            return
+        # Transforms come in while it is inactive, too.
+        waits = self.active and self._core.settings.trigger == 'odom' and inputs.complete
+        odometry = inputs.odometry
+        if not waits or odometry is None or odometry.stamp.nanoseconds == self._answered:
+            return
+        if self._core.unsafe(now, ros) is None:
             self._plan_now(now, ros)
-
-    @property
-    def _unanswered(self) -> bool:
-        """Return whether an odometry message still waits for its goal."""
-        odometry = self._core.inputs.odometry
-        if odometry is None or not self.active:  # transforms come in while it is inactive, too
-            return False
-        if odometry.stamp.nanoseconds == self._answered:
-            return False
-        return self._core.unsafe(self.steady_now(), self._time.now) is None
 
     def _refuse(self, refusal: str) -> None:
         self._refusal, self._refused_at = refusal, self.steady_now()
@@ -337,25 +344,11 @@ class PlannerNode(Managed):
         if self._report is not None:
             self._tell(self._report, self._heard)  # also for new readers
 
-    def _tick_or_wait(self, now: float, ros: RosTime) -> None:
-        """Plan, once the goal of the odometry's own stamp is there too.
-
-        DDS does not order topics. A source that stamps both alike, such as the simulator in
-        lock-step, means them to be used together; then runs repeat exactly.
-        """
-        if self._core.inputs.complete:
-            self._plan_now(now, ros)
-        elif self._core.inputs.missing:
-            self._show_changes()
-        elif self._patience.is_canceled():
-            self._waits = self._patience_left
-            self._patience.reset()
-
     @property
     def _patience_left(self) -> int:
         """Return how many calls an odometry message waits for what belongs to it."""
         inputs = self._core.inputs
-        leaders = set(inputs.obstacles.leaders).intersection(inputs.companions)
+        leaders = set(inputs.leaders).intersection(inputs.companions)
         standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
         patience = standing if self._time.simulated else GOAL_PATIENCE
         return round(patience / (0.5 * GOAL_PATIENCE))
@@ -367,7 +360,8 @@ class PlannerNode(Managed):
             self._plan_now(self.steady_now(), self._time.now)
 
     def _on_timer(self) -> None:
-        self._core.timing.began(self._time.seconds, self._core.settings.period)
+        period = self._core.settings.period
+        self._core.timing.began(self._time.nanoseconds / SECOND, period)
         self._plan_now(self.steady_now(), self._time.now)
 
     # --- a decision
@@ -378,7 +372,7 @@ class PlannerNode(Managed):
         if odometry is None or self._core.inputs.missing:
             self._show_changes()
             return
-        report = self._core.decide(now, ros, self._stop)
+        report = self._core.decide(now, ros, self._stop())
         if report.decision.planned:
             now, ros = self.steady_now(), self._time.now
             outdated = self._core.unsafe(now, ros)  # by a decision that takes too long
@@ -387,9 +381,11 @@ class PlannerNode(Managed):
         self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
         self._look_for_events()
-        self._watch_now()
+        # The next odometry, which must not wait, is farthest now: watch if that is due soon.
+        if self.steady_now() - self._watched >= 0.5 * self._watch_period:
+            self._watch()
+            self._watchman.reset()
 
-    @property
     def _stop(self) -> Reason | None:
         """Return why no plan may be followed, whatever the inputs; None if one may."""
         if not self._enabled:
@@ -399,7 +395,7 @@ class PlannerNode(Managed):
 
     def _unsafe(self) -> Reason | None:
         """Return why no plan may be followed now, if none may."""
-        return self._core.unsafe(self.steady_now(), self._time.now, self._stop)
+        return self._core.unsafe(self.steady_now(), self._time.now, self._stop())
 
     def safe(self, reason: Reason) -> None:
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
@@ -426,12 +422,12 @@ class PlannerNode(Managed):
             of_plan = settings.problem.forward, settings.problem.step, settings.period
             self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
         if self._engaged and not settings.dry_run:
-            self._core.sent(command, self._time.seconds)
+            self._core.sent(command, self._time.nanoseconds / SECOND)
         self._stamp, heard = stamp, self._heard
         self._tell(report, heard - CLAIMS)  # the vehicle did not wait for it
         self._report = self._core.proved(report, catches='certificate' in heard)
         self._tell(self._report, heard & CLAIMS)
-        self._numbers.publish(self._report.numbers)
+        self._publish_numbers(self._report.numbers)
         self._show_changes()
 
     @property
@@ -452,10 +448,16 @@ class PlannerNode(Managed):
 
     def _send(self, messages: Mapping[str, Any]) -> None:
         for topic, message in messages.items():
-            wanted = self._engaged or topic not in COMMANDED
+            wanted = topic not in COMMANDED or self._engaged
             if wanted and topic in self._publishers_of:  # of commands, none on a dry run
                 self._publishers_of[topic].publish(message)
         self._sent_at = self.steady_now()
+
+    def _publish_numbers(self, numbers: Mapping[str, float]) -> None:
+        """Publish numbers, each on a topic of its own, while somebody subscribes."""
+        for name, number in numbers.items():
+            if self._numbers[name].get_subscription_count():
+                self._numbers[name].publish(Float64(data=float(number)))
 
     def _note_goal(self) -> None:
         """Let the events know of a goal that has come since the last one they know of."""
@@ -477,8 +479,7 @@ class PlannerNode(Managed):
             approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
         within = settings.goal_radius, settings.odom_timeout, approach
         self._events.note(known.value, goal, *within)
-        distance = math.dist(known.value.position, goal)
-        self._numbers.publish({'distance': distance})
+        self._publish_numbers({'distance': math.dist(known.value.position, goal)})
         self._publish_events()
 
     def _publish_events(self) -> None:
@@ -491,12 +492,6 @@ class PlannerNode(Managed):
 
     # --- watching
 
-    def _watch_now(self) -> None:
-        """Watch if that will be due soon: the next odometry, which must not wait, is farthest."""
-        if self.steady_now() - self._watched >= 0.5 * self._watch_period:
-            self._watch()
-            self._watchman.reset()
-
     def _watch(self) -> None:
         """Repeat the safe command every period while it is not safe to follow a plan."""
         self._watched = self.steady_now()
@@ -506,49 +501,40 @@ class PlannerNode(Managed):
             self._core.planner.expect_hazards()
         flying = self._sent_at > -math.inf or not self._enabled
         due = self.steady_now() - self._sent_at >= self._core.settings.period
-        unsafe = self._unsafe() or self._stuck if flying and due else None
+        unsafe = self._unsafe() or self._stuck() if flying and due else None
         if unsafe:
             self._be_safe(unsafe)
         self._show_changes()
 
-    @property
-    def _waiting(self) -> str:
-        """Return what is waited for, in words; empty if nothing is."""
-        missing = self._core.inputs.missing
-        return f'waits for {missing}' if missing else ''
-
-    @property
     def _stuck(self) -> Reason | None:
         """Return why no tick will come, if none will."""
-        if self._waiting:
-            return Reason(Cause.WAITING, self._waiting)
+        if missing := self._core.inputs.missing:
+            return Reason(Cause.WAITING, f'waits for {missing}')
         stood = self._time.standstill(self._core.settings.odom_timeout)
         return Reason(Cause.CLOCK, stood) if stood else None
 
-    @property
     def _notices(self) -> list[str]:
         """Return what to warn of even if all goes well, in words; empty ones do not count."""
         inputs, now = self._core.inputs, self.steady_now()
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         other = f"stamps of {inputs.untimed} are not of this node's clock" if inputs.untimed else ''
-        restless = ''
+        restless = left_out = ''
         if len(self._changes) == RESTLESS and now - self._changes[0] <= 1.0:
             restless = f'the mode has changed {RESTLESS} times within 1 s, each time afresh'
-        found = [self._monitor.rivals, still, other, self._frame_check.doubt, restless]
-        if inputs.odometry is not None and inputs.others:
-            found += inputs.obstacles.silences(inputs.odometry.value.time)
-        if self._report is not None and self._report.decision.left_out:
-            count = self._report.decision.left_out
-            found.append(f'{count} obstacles within reach are left out: too many')
-        return [*found, inputs.displaced]
+        if self._report is not None and (count := self._report.decision.left_out):
+            left_out = f'{count} obstacles within reach are left out: too many'
+        refused = self._refusal if now - self._refused_at < REFUSED else ''
+        ends = self._monitor.rivals, still, other, self._frame_check.doubt, restless
+        return [*ends, *inputs.silences(), left_out, inputs.displaced, refused]
 
     def _condition(self) -> tuple[bytes, list[str]]:
         """Return the level of diagnostics, and what it is due to."""
         wrong = [self._monitor.sources, *self._monitor.mismatches]
-        refused = self._refusal if self.steady_now() - self._refused_at < REFUSED else ''
-        waiting = self._waiting if self._enabled else DISABLED.words
-        waiting = waiting if self.active else INACTIVE.words
-        return condition(wrong, waiting, self._report, [*self._notices, refused])
+        missing = self._core.inputs.missing
+        waiting = f'waits for {missing}' if missing else ''
+        if not (self.active and self._enabled):
+            waiting = (DISABLED if self.active else INACTIVE).words
+        return condition(wrong, waiting, self._report, self._notices())
 
     def _show_changes(self) -> None:
         """Log what is new of the condition, and publish it if the level has changed."""
@@ -556,10 +542,10 @@ class PlannerNode(Managed):
         current = {NUMBER.sub('#', part): (level != OK, part) for part in parts}
         for kind, (odd, part) in current.items():
             if kind not in self._current:
-                (self._warn if odd else self._say)(part)
+                self._log(part, warn=odd)
         for kind, (odd, part) in self._current.items():
             if odd and kind not in current:
-                self._say(f'over: {part}')
+                self._log(f'over: {part}')
         self._current = current
         if level != self._level:
             self._show_health()
@@ -567,13 +553,8 @@ class PlannerNode(Managed):
     def _show_health(self) -> None:
         """Publish the condition."""
         self._level, parts = self._condition()
-        now, name = self.get_clock().now().nanoseconds, self.get_fully_qualified_name()
-        known = self._level, '; '.join(parts), self._counts()
-        self._health.publish(health_message(now, name, 'condition', *known))
-
-    def _counts(self) -> dict[str, object]:
         timing, inputs = self._core.timing, self._core.inputs
-        return {
+        values = {
             'waits_for': inputs.missing,
             'waits with odometry for': ', '.join(inputs.companions),
             'enabled': self._enabled,
@@ -583,27 +564,25 @@ class PlannerNode(Managed):
             'overruns': timing.overruns,
             'late ticks': timing.late,
             'callbacks failed': self.failures,
-            'bodies known': len(inputs.obstacles.bodies),
+            'bodies known': len(inputs.bodies),
             **{f'refused {what}': count for what, count in inputs.refused.items()},
         }
+        now, name = self._time.nanoseconds, self.get_fully_qualified_name()
+        message = health_message(now, name, 'condition', self._level, '; '.join(parts), values)
+        self._health.publish(message)
 
-    def _say(self, text: str) -> None:
-        if self._is_news(text):
-            self.get_logger().info(text)
-
-    def _warn(self, text: str) -> None:
-        if self._is_news(text):
-            self.get_logger().warning(text)
-
-    def _is_news(self, text: str) -> bool:
-        """Return whether a line was not logged lately, numbers aside."""
+    def _log(self, text: str, *, warn: bool = False) -> None:
+        """Log a line, unless it was logged lately, numbers aside."""
         kind, now = NUMBER.sub('#', text), self.steady_now()
         last = self._logged.pop(kind, -math.inf)
         news = now - last >= QUIET
         self._logged[kind] = now if news else last
         if len(self._logged) > 100:  # text may hold what a stranger sent
             del self._logged[next(iter(self._logged))]
-        return news
+        if news and warn:
+            self.get_logger().warning(text)
+        elif news:
+            self.get_logger().info(text)
 
     # --- fresh starts
 
@@ -649,6 +628,15 @@ class PlannerNode(Managed):
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
         self._show_changes()
         return response
+
+
+def _of(topic: str, take: Callable[[str, Any], None]) -> Callable[[Any], None]:
+    """Return a callback for messages of a topic."""
+
+    def on_message(message: Any) -> None:
+        take(topic, message)
+
+    return on_message
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.kept import kept
+from orbimpc_ros.mpc.proof.prove import certificate_of
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Stamp
@@ -38,6 +38,8 @@ SHARES: dict[str, type] = {'thrust': Vector3Stamped}
 COMMANDED = frozenset(COMMANDS | FORCES | SHARES)
 TOPICS = frozenset(KINDS | COMMANDS | PROOFS)
 CLAIMS = frozenset({'tick', 'certificate'})  # which wait for proofs
+# On ~/distance [m], ~/solve_time [s] and so on.
+NUMBERS = ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
 
 
 def outputs(settings: PlannerSettings) -> dict[str, type]:
@@ -113,10 +115,10 @@ def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | Non
 
 def _certificate(report: Report) -> UInt8MultiArray | None:
     """Return what proves the plan's bound, where there is a form of it."""
-    case, plan, made = report.decision.case, report.decision.plan, report.decision.certificate
-    if made is None and case is not None and plan is not None:
-        made = kept(*case, plan.proof)
-    return None if made is None else messages.bytes_message(made.text().encode())
+    case, plan = report.decision.case, report.decision.plan
+    if case is None or plan is None or plan.proof.tree is None or plan.proof.lower_bound <= 0.0:
+        return None
+    return messages.bytes_message(certificate_of(*case, plan.proof).text().encode())
 
 
 def refutation_messages(report: Report) -> dict[str, Any]:

@@ -26,8 +26,9 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import Setpoint
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.process import Guarded, qos
+from orbimpc_ros.ros.process import qos
 
 FRESH = 0.4  # [s]: without a position for longer, no setpoint leaves
 APART = 0.1  # [s] at most, from an attitude to the position that goes with it
@@ -50,10 +51,11 @@ class Wing(ABC):
         engaged: whether setpoints may leave.
     """
 
+    name: ClassVar[str]  # as the parameter ``autopilot`` has it
     package: ClassVar[str]
     mode: ClassVar[str]
 
-    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
         try:
             self._types = import_module(f'{self.package}.msg')
         except ModuleNotFoundError:
@@ -62,16 +64,11 @@ class Wing(ABC):
             raise BadInput.stating('autopilot', given, hint) from None
         self.engaged = False
         self._node, self._frames, self._changed = node, frames, changed
-        self._odom = node.create_publisher(OdometryMessage, 'odom', qos())
-        self._wind_told = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
+        self._odometry_out = node.create_publisher(OdometryMessage, 'odom', qos())
+        self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
         self._at = dict.fromkeys(('position', 'mode', 'airspeed', 'wind', 'setpoint'), -math.inf)
         self._in_mode, self._airspeed, self._wind = False, math.nan, np.full(2, math.nan)
         node.create_timer(ALIVE, node.guard(self.look), clock=node.steady)
-
-    @property
-    def name(self) -> str:
-        """Return what the parameter ``autopilot`` calls it."""
-        return next(name for name, kind in WINGS.items() if isinstance(self, kind))
 
     @abstractmethod
     def _publish(self, wanted: Setpoint) -> None:
@@ -109,6 +106,7 @@ class Wing(ABC):
         return self._in_mode, f'in {self.mode}' if self._in_mode else f'has left {self.mode}'
 
     def _note(self, what: str) -> None:
+        """Note that something has just come, or gone."""
         self._at[what] = self._node.steady_now()
 
     def _age(self, what: str) -> float:
@@ -131,7 +129,7 @@ class Wing(ABC):
         self._note('wind')
         linear = message.twist.twist.linear
         self._wind = np.array([linear.x, linear.y])
-        self._wind_told.publish(message)
+        self._wind_out.publish(message)
 
     def _moved(self, stamp: int, position: Array, velocity: Array, rotation: Array) -> None:
         """Publish odometry through the air, of what is measured over ground.
@@ -152,15 +150,15 @@ class Wing(ABC):
         turn = firmware.coordinated(rotation, float(np.linalg.norm(through)))
         rates = np.array([0.0, 0.0, turn])
         measured = Odometry(stamp / SECOND, position, rotation, through, rates)
-        self._odom.publish(messages.odometry_message(Stamp(stamp, self._frames), measured))
+        self._odometry_out.publish(messages.odometry_message(Stamp(stamp, self._frames), measured))
 
 
 class Px4(Wing):
     """PX4 in offboard mode, over uXRCE-DDS."""
 
-    package, mode = 'px4_msgs', 'offboard'
+    name, package, mode = 'px4', 'px4_msgs', 'offboard'
 
-    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
         super().__init__(node, frames, changed)
         types = self._types
         self._attitude: Any = None
@@ -210,13 +208,13 @@ class Px4(Wing):
             self._share = calibrated / true
 
     def _on_wind(self, message: Any) -> None:
-        told = TwistWithCovarianceStamped()
-        told.header.stamp = messages.time_message(1000 * message.timestamp_sample)
-        told.twist.twist.linear.x = float(message.windspeed_east)
-        told.twist.twist.linear.y = float(message.windspeed_north)
-        told.twist.covariance[0] = float(message.variance_east)  # 0: not estimated
-        told.twist.covariance[7] = float(message.variance_north)
-        self._wind_is(told)
+        wind = TwistWithCovarianceStamped()
+        wind.header.stamp = messages.time_message(1000 * message.timestamp_sample)
+        wind.twist.twist.linear.x = float(message.windspeed_east)
+        wind.twist.twist.linear.y = float(message.windspeed_north)
+        wind.twist.covariance[0] = float(message.variance_east)  # 0: not estimated
+        wind.twist.covariance[7] = float(message.variance_north)
+        self._wind_is(wind)
 
     def _on_status(self, message: Any) -> None:
         self._mode_is(right=message.nav_state == OFFBOARD)
@@ -238,9 +236,9 @@ class Px4(Wing):
 class ArduPlane(Wing):
     """ArduPlane in GUIDED, through MAVROS."""
 
-    package, mode = 'mavros_msgs', 'GUIDED'
+    name, package, mode = 'arduplane', 'mavros_msgs', 'GUIDED'
 
-    def __init__(self, node: Guarded, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
         super().__init__(node, frames, changed)
         self._command = import_module(f'{self.package}.srv').CommandInt
         self._client = node.create_client(self._command, 'mavros/cmd/command_int')
@@ -296,7 +294,7 @@ class ArduPlane(Wing):
             self._ask()
 
 
-WINGS: Mapping[str, type[Wing]] = {'px4': Px4, 'arduplane': ArduPlane}
+WINGS: Mapping[str, type[Wing]] = {wing.name: wing for wing in (Px4, ArduPlane)}
 
 
 def _versioned(topic: str, kind: Any) -> str:

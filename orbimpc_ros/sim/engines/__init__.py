@@ -6,7 +6,19 @@ published. The modules here set it up, pass on the commands and read the motion.
 of the rest of the package: an engine and the planner share no code.
 """
 
+from __future__ import annotations
+
+import math
 import os
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+
+os.environ.setdefault('MUJOCO_GL', 'disable')  # read when MuJoCo is imported: nothing is drawn
 
 
 class EngineFailure(Exception):
@@ -14,15 +26,96 @@ class EngineFailure(Exception):
 
 
 class NoStart(Exception):
-    """An engine cannot begin in the state that was asked for.
-
-    Attributes:
-        culprit: the parameter that is to blame.
-    """
+    """An engine cannot begin in the state that was asked for; ``culprit`` is the parameter."""
 
     def __init__(self, culprit: str, why: str) -> None:
         super().__init__(why)
         self.culprit = culprit
 
 
-os.environ.setdefault('MUJOCO_GL', 'disable')  # read when MuJoCo is imported: nothing is drawn
+class Start(NamedTuple):
+    """How a vehicle and its goal begin, in as many dimensions n as the vehicle is flown in."""
+
+    position: Array  # shape (n,) [m]
+    velocity: Array  # shape (n,) [m/s]
+    attitude: Array  # body to world, shape (n, n)
+    body_rate: Array  # shape (1,) or (3,) [rad/s]
+    push: float  # speed through the air [m/s], or acceleration by thrust [m/s^2]
+    wind: Array  # steady, shape (n,) [m/s], or an acceleration [m/s^2] of what takes thrusts
+    gust: float  # standard deviation of the air's velocity along each axis, on top [m/s]
+    seed: int  # of the gusts, or of what else an engine draws
+    rest: Array  # where the goal is when it is at rest, shape (n,) [m]
+    goal: Array  # where it is at the start, shape (n,) [m]
+
+
+class Motion(NamedTuple):
+    """A vehicle in an engine at one moment; axes are ENU, and forward, left, up in the body."""
+
+    time: float  # since the engine was made [s]
+    position: Array  # shape (3,) [m]
+    velocity: Array  # over ground, shape (3,) [m/s]
+    attitude: Array  # body to world, shape (3, 3)
+    body_rate: Array  # shape (3,) [rad/s]
+    air: Array  # velocity of the air around it, shape (3,) [m/s]
+    push: float  # speed through the air [m/s], or acceleration by thrust [m/s^2]
+    facts: Mapping[str, float]  # what else the engine reports of its vehicle, by name
+    goal: Array | None = None  # where the goal is, shape (3,) [m], if the engine moves it, too
+    caught: bool | None = None  # whether the goal has been caught, where the engine decides that
+    lost: bool = False  # whether it cannot be caught any more
+
+    @property
+    def finite(self) -> bool:
+        """Return whether all its numbers are finite."""
+        numbers = np.concatenate([np.ravel(part) for part in self[:7]])
+        if self.goal is not None:
+            numbers = np.append(numbers, self.goal)
+        return bool(np.isfinite(numbers).all()) and all(map(math.isfinite, self.facts.values()))
+
+
+class Engine(Protocol):
+    """A vehicle in an engine."""
+
+    name: str  # of the library
+    tick: float  # the step of its integration, to which it rounds times [s]
+
+    def motion(self) -> Motion:
+        """Return how the vehicle moves now."""
+
+    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
+        """Fly for a time and return the motions on the way, the last one at its end.
+
+        Args:
+            span: how long [s].
+            push: commanded, along the axis that pushes [m/s or m/s^2].
+            rate: commanded, in the body frame: to the left, shape (1,), or shape (3,) [rad/s].
+        """
+
+
+@runtime_checkable
+class Guided(Protocol):
+    """An engine whose vehicle has a guidance of its own."""
+
+    def steer_to(self, point: Array) -> None:
+        """Have it fly to a waypoint, shape (n,) [m], from now on."""
+
+
+def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:
+    """Return motions that follow on a time ``before`` [s] and last a span [s].
+
+    Raises:
+        EngineFailure: they do not, or have numbers that are not finite.
+    """
+    time = before
+    for motion in motions:
+        if not motion.finite:
+            raise EngineFailure(
+                f'{engine.name}: numbers that are not finite, after t = {time:.3f} s'
+            )
+        if motion.time <= time:
+            raise EngineFailure(f'{engine.name}: went from t = {time:.3f} s to {motion.time:.3f} s')
+        time = motion.time
+    if not math.isclose(time, before + span, abs_tol=engine.tick):
+        raise EngineFailure(
+            f'{engine.name}: its clock is at {time:.3f} s, and not at {before + span:.3f} s'
+        )
+    return motions

@@ -17,8 +17,7 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines import EngineFailure, NoStart
-from orbimpc_ros.sim.engines.engine import Array, Motion, Start
+from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]

@@ -25,8 +25,7 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.sim.engines import EngineFailure, NoStart
-from orbimpc_ros.sim.engines.engine import Array, Motion, Start
+from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next

@@ -32,8 +32,7 @@ from Basilisk.simulation import (
 from Basilisk.utilities import simIncludeRW, simIncludeThruster
 from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
 
-from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.engines.engine import Array, Motion, Start
+from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, Start
 
 SECOND = 1_000_000_000  # [ns]
 STEP = 0.02  # [s] of the integration, by Runge and Kutta's fourth order

@@ -14,10 +14,10 @@ from pathlib import Path
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PlannerSettings, planner_settings
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.offline import resolved
 from orbimpc_ros.tool.replay.accept import accept
 from orbimpc_ros.tool.replay.coverage import Coverage, coverage
 from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown
-from orbimpc_ros.tool.replay.offline import resolved
 from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
 from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
 from orbimpc_ros.tool.summary import lines
@@ -82,7 +82,7 @@ def _may_be_unanswered(recording: Recording, planner: PlannerSettings) -> float:
     In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
     answers only the last before each tick.
     """
-    return 0 if recording.simulated and planner.on_odometry else math.inf
+    return 0 if recording.simulated and planner.trigger == 'odom' else math.inf
 
 
 def _tick(args: argparse.Namespace, count: int) -> int:

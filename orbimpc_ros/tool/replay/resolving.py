@@ -20,7 +20,7 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import GOALS, READ, TRANSFORMS, read, require_attitude
-from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
+from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,14 +48,7 @@ def run(args: argparse.Namespace) -> int:
     from orbimpc_ros.tool.study.report import draw, report
     from orbimpc_ros.tool.study.results import Results
 
-    whole(args.runs, '--runs', 1, MOST_RUNS)
-    whole(args.seed, '--seed', 0, LARGEST_SEED)
-    count = os.cpu_count() or 1 if args.workers is None else args.workers
-    whole(count, '--workers', 1, MOST_WORKERS)
-    if args.cluster is not None and args.workers is not None:
-        raise BadInput('--workers', args.workers, 'only without --cluster, which has its own')
-    if args.resume and args.out is None:
-        raise BadInput('--resume', 'without -o DIR', 'the folder of the study to go on with')
+    _require_sound(args)
     draws, names = draws_of(args.file, args.set), _controllers(args.controllers)
     about = {
         'version': __version__,
@@ -69,13 +61,24 @@ def run(args: argparse.Namespace) -> int:
     folder = _folder(args, draws.name)
     with writing_to(folder):
         results = Results(folder / FLIGHTS, about, resumed=args.resume)
-        _fly(results, draws, names, args, count)
+        _fly(results, draws, names, args)
         rows = {name: [results.rows[name, k] for k in range(args.runs)] for name in names}
         text = report(draws, rows)
         (folder / REPORT).write_text(text)
         draw(draws, rows, folder / PICTURE)
     print(text, end='')
     return 0
+
+
+def _require_sound(args: argparse.Namespace) -> None:
+    whole(args.runs, '--runs', 1, MOST_RUNS)
+    whole(args.seed, '--seed', 0, LARGEST_SEED)
+    if args.workers is not None:
+        whole(args.workers, '--workers', 1, MOST_WORKERS)
+        if args.cluster is not None:
+            raise BadInput('--workers', args.workers, 'only without --cluster, which has its own')
+    if args.resume and args.out is None:
+        raise BadInput('--resume', 'without -o DIR', 'the folder of the study to go on with')
 
 
 def _folder(args: argparse.Namespace, name: str) -> Path:
@@ -90,17 +93,12 @@ def _folder(args: argparse.Namespace, name: str) -> Path:
 
 
 def _controllers(given: str) -> list[str]:
-    from orbimpc_ros.tool.study.flights import OURS, WAYPOINT, baselines
+    from orbimpc_ros.tool.study.flights import OURS, baselines
 
     names = given.split(',')
-    known = (
-        (OURS, WAYPOINT)
-        if {*names} <= {OURS, WAYPOINT}
-        else (OURS, WAYPOINT, *baselines().BASELINES)
-    )
-    for name in names:
-        if name not in known or names.count(name) > 1:
-            raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
+    known = [OURS] if names == [OURS] else [OURS, *baselines().BASELINES]
+    if not {*names} <= {*known} or len({*names}) < len(names):
+        raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
     return names
 
 
@@ -108,13 +106,10 @@ def _tuned(names: Sequence[str], study: str) -> dict[str, dict[str, float]]:
     """Return what baselines were tuned to for a study."""
     from orbimpc_ros.tool.study.flights import OURS, baselines
 
-    others = [name for name in names if name != OURS]
-    return {name: baselines().tuned_of(study).get(name, {}) for name in others}
+    return {name: baselines().tuned_of(study).get(name, {}) for name in names if name != OURS}
 
 
-def _fly(
-    results: Results, draws: Draws, names: Sequence[str], args: argparse.Namespace, count: int
-) -> None:
+def _fly(results: Results, draws: Draws, names: Sequence[str], args: argparse.Namespace) -> None:
     """Fly the flights that the results lack; each is kept as soon as it is over."""
     from orbimpc_ros.tool.run.processes import Interruptions
     from orbimpc_ros.tool.run.progress import ProgressLine
@@ -131,7 +126,7 @@ def _fly(
         return
     total = args.runs * len(names)
     done, progress = total - len(jobs), ProgressLine(total)
-    with Interruptions() as interruptions, workers(args.cluster, count) as pool:
+    with Interruptions() as interruptions, workers(args.cluster, args.workers) as pool:
         progress.show(done, f'{done} of {total} flights')
         for row in each_flown(pool, jobs, lambda: not interruptions.requested):
             results.add(row)

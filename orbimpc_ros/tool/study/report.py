@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -110,16 +111,13 @@ def draw(draws: Draws, rows: Rows, file: Path) -> None:
 def _figure(draws: Draws, rows: Rows) -> Figure:
     figure = Figure(figsize=(5.0, 3.8), layout='constrained')
     axes = figure.subplots()
-    colours = [BLUE, INK, ORANGE, GREEN, RED, SKY, GREY]
-    for place, (name, flights) in enumerate(rows.items()):
-        times = np.sort([row['time'] for row in flights if row['caught']])
-        ends = np.concatenate([[0.0], times, [draws.limit]])
-        shares = np.append(np.arange(len(times) + 1), len(times)) / len(flights)
-        width, line = (2.2, '-') if name == OURS else (1.4, ('--', ':', '-.')[place % 3])
-        color = colours[place % len(colours)]
-        axes.step(ends, shares, line, where='post', color=color, lw=width, label=name)
+    looks = zip((BLUE, INK, ORANGE, GREEN, RED, SKY, GREY), itertools.cycle(('-', '--', ':', '-.')))
+    for (name, flights), (color, line) in zip(rows.items(), itertools.cycle(looks)):
+        times = sorted(row['time'] for row in flights if row['caught'])
+        shares = np.array([*range(len(times) + 1), len(times)]) / len(flights)
+        ends = [0.0, *times, draws.limit]
+        axes.step(ends, shares, line, where='post', color=color, label=name)
     axes.set(title=draws.name, xlabel='time [s]', ylabel='caught', ylim=(0.0, 1.03))
-    axes.set_xlim(0.0, max([row['time'] or 0.0 for each in rows.values() for row in each] + [1.0]))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.legend(loc='lower right')
     return figure

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.files import why
 from orbimpc_ros.tool.study.flights import Job, Row, flown
 
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
@@ -54,11 +53,8 @@ class Results:
         self._write('a', json.dumps(row) + '\n')
 
     def _write(self, mode: str, text: str) -> None:
-        try:
-            with self.file.open(mode) as out:
-                out.write(text)
-        except OSError as error:
-            raise BadInput(str(self.file), why(error), 'a place to write to') from None
+        with self.file.open(mode) as out:
+            out.write(text)
 
     def _kept(self, about: dict[str, Any]) -> dict[Key, Row]:
         try:
@@ -103,12 +99,12 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
 
 
 @contextmanager
-def workers(cluster: str | None, count: int) -> Iterator[Executor]:
+def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
     """Give what flies: so many processes of this machine, or the workers of a Dask cluster.
 
     Args:
         cluster: address of a running scheduler, such as ``tcp://host:8786``; None for this machine.
-        count: processes on this machine.
+        count: processes on this machine; by default one per core.
 
     Raises:
         BadInput: no scheduler answers, or it has no workers.

@@ -1,0 +1,197 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The planner without its node: messages in; decisions, or the messages that publish them, out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from orbimpc_ros.loop.planner import Decision, Planner
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import UNKNOWN, RosTime
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.spec import completed
+from orbimpc_ros.ros.planner.core import Core, planner_of
+from orbimpc_ros.ros.planner.inputs import PLAN, others
+from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
+from orbimpc_ros.ros.reports import Report, prices
+from orbimpc_ros.sim.markers import traffic_markers
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import Flight
+
+EPOCH = 1_700_000_000 * SECOND  # of flights in this process: stamps are dates
+Clock = Callable[[], float]
+
+
+def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
+    """Return the full names of the topics of other vehicles' plans, as a node would make them."""
+
+    def resolve(topic: str) -> str:
+        return topic if topic.startswith('/') else f'{namespace}/{topic}'
+
+    return others(settings.avoid, resolve(PLAN), resolve)
+
+
+class OfflinePlanner(Core):
+    """The planner's core with its clock given.
+
+    Args:
+        settings: of the planner.
+        node: its name.
+        avoided: topics of other vehicles' plans, by their full names.
+        clock: that deadlines are kept by [s]; None where a solve has none, so that what it finds
+            does not depend on the machine.
+        planner: decides; by default the planner of the package.
+    """
+
+    def __init__(
+        self,
+        settings: PlannerSettings,
+        node: str = '/planner',
+        avoided: Sequence[str] = (),
+        clock: Clock | None = None,
+        planner: Planner | None = None,
+    ) -> None:
+        chosen = planner_of(settings)[1] if planner is None else planner
+        super().__init__(settings, chosen, clock=clock, others=avoided)
+        self._node = node
+        self._report: Report | None = None
+
+    @property
+    def stamp(self) -> int | None:
+        """Return the stamp of the odometry that a plan would start from [ns]; None without."""
+        known = None if self.inputs.missing else self.inputs.odometry
+        return None if known is None else known.stamp.nanoseconds
+
+    @property
+    def decision(self) -> Decision | None:
+        """Return the decision behind the last answer; None before the first."""
+        return None if self._report is None else self._report.decision
+
+    # --- answers as messages, at times that are given
+
+    def plan(
+        self, now: float, advanced: float, solve_time_ms: float | None = None
+    ) -> dict[str, Any]:
+        """Answer the latest odometry with a plan, or with a fallback.
+
+        Args:
+            now: on the steady clock [s].
+            advanced: how far the measurement is advanced, to when the answer takes effect [s].
+            solve_time_ms: to report; by default what was measured.
+        """
+        known = self.inputs.odometry
+        assert known is not None
+        at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
+        report = self.decide(now, at, fresh=True)
+        if report.solve_time_ms and solve_time_ms is not None:
+            report = replace(report, solve_time_ms=solve_time_ms)
+        return self._messages(known.stamp, replace(report, binding=prices(report.decision)))
+
+    def be_safe(self, stamp: int, reason: Reason) -> dict[str, Any]:
+        """Answer with the safe command, for a reason that is no solver's."""
+        known = self.inputs.odometry
+        frames = self.settings.frames if known is None else known.stamp.frames
+        return self._messages(Stamp(stamp, frames), self.decide(0.0, UNKNOWN, reason))
+
+    def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
+        """Note the command that was published; by default the last answer's.
+
+        Args:
+            at: when, on the ROS clock [s].
+            pushed: speed [m/s] or, at translation order 2, force [N].
+            rate: body rate, shape (3,) [rad/s].
+        """
+        assert self._report is not None
+        problem, command = self.settings.problem, self._report.decision.command
+        if pushed is not None:
+            weight = 1.0 if problem.translation_order == 1 else self.settings.mass
+            command = replace(command, speed_fraction=pushed / (weight * problem.forward))
+        if rate is not None:
+            command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
+        self.sent(command, at)
+
+    def _messages(self, stamp: Stamp, report: Report) -> dict[str, Any]:
+        self._report = report
+        known = self.inputs.odometry is not None
+        return {
+            **command_messages(self.settings, stamp, report.decision.command),
+            **report_messages(self.settings, stamp, report, self._node, oriented=known),
+        }
+
+    # --- aboard a flight in this process, at times since its start
+
+    def hear(self, topic: str, message: Any, now: float) -> None:
+        """Take in a message at a time [s]."""
+        self.inputs.update(topic, message, now, RosTime(_nanoseconds(now)))
+
+    def goal(self, now: float, place: Array) -> None:
+        """Take in the goal's position, shape (n,) [m]."""
+        self.hear('goal', messages.goal_message(self.at(now), place), now)
+
+    def odometry(self, now: float, measured: Odometry) -> None:
+        """Take in the vehicle's motion."""
+        self.hear('odom', messages.odometry_message(self.at(now), measured), now)
+
+    def report(self, now: float) -> Report:
+        """Plan at a time [s]; return what was decided and has been sent."""
+        at = _nanoseconds(now)
+        report = self.decide(now, RosTime(at))
+        self.sent(report.decision.command, at / SECOND)
+        return report
+
+    def at(self, now: float) -> Stamp:
+        """Return the stamp of a message of a time [s]."""
+        return Stamp(_nanoseconds(now), self.settings.frames)
+
+
+def _nanoseconds(now: float) -> int:
+    return EPOCH + round(now * SECOND)
+
+
+def aboard(
+    parameters: dict[str, Any],
+    clock: Clock | None = time.perf_counter,
+    pilot: Callable[[PlannerSettings], Planner] | None = None,
+) -> OfflinePlanner:
+    """Return a planner for a flight in this process.
+
+    Args:
+        parameters: of the planner, by name.
+        clock: that deadlines are kept by [s]; None where a solve has none.
+        pilot: makes what decides, by default the planner of the package.
+    """
+    settings = planner_settings(completed(PLANNER, parameters))
+    planner = None if pilot is None else pilot(settings)
+    return OfflinePlanner(settings, clock=clock, planner=planner)
+
+
+def tell(planner: OfflinePlanner, flight: Flight, ahead: int, margin: float = 0.0) -> None:
+    """Send a planner the messages on a flight as it is now.
+
+    Args:
+        planner: that hears it.
+        flight: as it is now.
+        ahead: steps of the goal's future.
+        margin: by which the balls in the traffic are reported larger than they are [m].
+    """
+    now, model, rope = flight.vehicle.time, flight.scenario.model, flight.scenario.rope
+    stamp = planner.at(now)
+    if flight.scenario.traffic:
+        planner.planner.expect_hazards()
+        traffic = traffic_markers(stamp, flight)
+        for marker in traffic.markers:
+            for axis in 'xyz'[: model.dimension]:
+                setattr(marker.scale, axis, getattr(marker.scale, axis) + 2.0 * margin)
+        planner.hear('obstacles', traffic, now)
+    if ahead:
+        places = [rope.at(flight.elapsed + k * model.step) for k in range(ahead + 1)]
+        planner.hear('goal_path', messages.goal_path_message(stamp, model.step, places), now)
+    planner.goal(now, flight.goal)
+    planner.odometry(now, measured(flight.vehicle, model.velocity_source))
