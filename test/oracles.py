@@ -15,7 +15,6 @@ import cvxpy as cp
 import numpy as np
 from scipy.optimize import minimize
 
-from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -44,8 +43,8 @@ class Choice(NamedTuple):
 
 def choices(problem: Problem) -> list[Choice]:
     n, found = problem.dimension, []
-    if problem.floor.shape == 'polygon':
-        faces = [(each, problem.floor.fraction) for each in normals(n, problem.floor.faces)]
+    if problem.floor.exists and problem.floor.shape != 'circle':
+        faces = [(cell.normal, cell.offset) for cell in problem.floor.cells(n)]
         steps = range(1, problem.horizon + 1)
         found += [Choice('floor', 'heading', (k,), faces) for k in steps]
     for i, box in enumerate(problem.boxes):
