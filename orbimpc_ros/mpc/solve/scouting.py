@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A first way among what is round or moves, for a search to start from.
 
-Mathematics: docs/mathematics.md, 4.12.
+Mathematics: docs/mathematics.md, 4.11.
 """
 
 from __future__ import annotations
