@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # A shell has its background jobs ignore SIGINT, and these all that they start; tests send it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # Fixtures of tests that start processes or meet others over DDS.
-PROCESSES = {'domain', 'launch', 'observer', 'observers', 'shared', 'workspace', 'default_context'}
+PROCESSES = {'domain', 'launch', 'observer', 'shared', 'workspace', 'default_context'}
 FLIGHTS = {
     *('test_ros_crossing', 'test_ros_flights', 'test_ros_missions', 'test_ros_physics'),
     *('test_ros_plant', 'test_ros_vehicles', 'test_package_colcon'),
@@ -155,12 +155,3 @@ def shared(tmp_path_factory):
         launching(domain, tmp_path_factory.mktemp('shared')) as start,
     ):
         yield start, seen
-
-
-@pytest.fixture
-def observers():
-    """Five observers, each in a domain of its own."""
-    seen = [Observer(new_domain()) for _ in range(5)]
-    yield seen
-    for each in seen:
-        each.close()

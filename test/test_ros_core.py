@@ -119,23 +119,6 @@ def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
     np.testing.assert_allclose(answer.decision.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
 
-def test_without_delay_compensation_changes_no_bit():
-    driven, blind = Driven(simulated=True), Driven(simulated=True, delay_compensation=False)
-    for k in range(5):
-        answers = []
-        for each in (driven, blind):
-            each.odometry(0.1 * k, 0.1 * k, position=(0.07 * k, 0.01 * k))
-            each.goal(0.1 * k, 0.1 * k)
-            answers.append(each.tick(0.1 * k))
-        one, other = answers
-        assert one.decision.advanced == 0.0
-        assert one.decision.command.speed_fraction == other.decision.command.speed_fraction
-        np.testing.assert_array_equal(
-            one.decision.command.body_rate, other.decision.command.body_rate
-        )
-        np.testing.assert_array_equal(one.decision.plan.positions, other.decision.plan.positions)
-
-
 def test_stamps_of_another_clock_say_nothing_of_the_delay():
     driven = Driven()
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
@@ -180,21 +163,14 @@ def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
 ATTITUDE = exp(np.array([0.4]))
 
 
-def test_stop_neither_moves_nor_turns():
-    command = safe_command('stop', Problem(), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (0.0, [0.0])
+@pytest.mark.parametrize(
+    ('kind', 'order', 'speed'),
+    [('stop', 1, 0.0), ('hold_rate_zero', 1, 0.7), ('hold_rate_zero', 2, 0.0)],  # 2: it coasts
+)
+def test_what_stops_or_goes_straight_on_does_not_turn(kind, order, speed):
+    command = safe_command(kind, Problem(translation_order=order), ATTITUDE, 0.7)
+    assert (command.speed_fraction, command.body_rate.tolist()) == (speed, [0.0])
     np.testing.assert_array_equal(command.rotation, ATTITUDE)
-
-
-def test_hold_rate_zero_goes_straight_on():
-    command = safe_command('hold_rate_zero', Problem(), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (0.7, [0.0])
-    np.testing.assert_array_equal(command.rotation, ATTITUDE)
-
-
-def test_to_hold_the_speed_without_drag_is_to_coast():
-    command = safe_command('hold_rate_zero', Problem(translation_order=2), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (0.0, [0.0])
 
 
 def floored(dimension, shape, draw):
@@ -260,11 +236,6 @@ def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     for answer in answers:
         below = answer.decision.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
         assert below == (kind == 'stop' and answer.decision.fallback == 'safe command')
-
-
-def test_what_is_safe_at_translation_order_2_is_no_thrust_whatever_the_floor():
-    driven = Driven(**{'floor.shape': 'circle', 'translation_order': 2})
-    assert driven.safe().decision.command.speed_fraction == 0.0
 
 
 def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
