@@ -61,12 +61,12 @@ SLOW = """
     class Slow(planner.PlannerNode):
         def configure(self):
             super().configure()
-            self.quick, self.ticks = self._core.decide, 0
-            self._core.decide = self.decide
+            self.quick, self.ticks = self._core.planner.step, 0
+            self._core.planner.step = self.step
 
-        def decide(self, *now):
+        def step(self, *snapshot):
             self.ticks += 1
-            answer = self.quick(*now)
+            answer = self.quick(*snapshot)
             time.sleep(1.0 if self.ticks == 2 else 0.0)
             return answer
 
