@@ -50,7 +50,7 @@ from orbimpc_ros.ros.planner.outputs import (
     report_messages,
 )
 from orbimpc_ros.ros.planner.wings import WINGS, Wing
-from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwist, PoseTwistSynchronizer
+from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwistSynchronizer
 from orbimpc_ros.ros.process import LIFE, qos, run
 from orbimpc_ros.ros.reports import (
     AFRESH,
@@ -256,7 +256,7 @@ class PlannerNode(Managed):
         if joined is not None:
             self._on_odometry(joined)
 
-    def _on_odometry(self, message: OdometryMessage | PoseTwist) -> None:
+    def _on_odometry(self, message: OdometryMessage) -> None:
         now, ros = self.steady_now(), self._time.now
         inputs = self._core.inputs
         refusal = inputs.update('odom', message, now, ros)
@@ -334,7 +334,7 @@ class PlannerNode(Managed):
         self._refusal, self._refused_at = refusal, self.steady_now()
         self._show_changes()
 
-    def _repeat_answer(self, message: OdometryMessage | PoseTwist) -> None:
+    def _repeat_answer(self, message: OdometryMessage) -> None:
         """Answer a repeated request again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._sent_at > REPEAT
