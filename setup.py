@@ -66,7 +66,7 @@ setup(
     extras_require={
         # Apart from the others: 250 MB, and it wants a Matplotlib and a Pillow of its own.
         'basilisk': ['bsk>=2.12'],
-        'bench': ['casadi', 'cvxpy>=1.7', 'gurobipy', 'pyscipopt', 'qoco'],
+        'bench': ['casadi', 'cvxpy>=1.7', 'gurobipy', 'pyscipopt'],
         'fast': ['numba>=0.59'],
         'mutation': ['mutmut>=3.8,<4'],
         # MuJoCo 4.0 takes no other core than its own.

@@ -1,10 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The machine that measures: processor, versions, and what its processes take."""
+"""The machine that measures: processor, versions, and the use of its processes."""
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -16,8 +19,11 @@ PACKAGES = (
 
 def machine() -> dict[str, str | int | float]:
     """Return processor, cores that this process may use, system, and the load before the run."""
+    file = Path('/proc/cpuinfo')
+    lines = file.read_text().splitlines() if file.exists() else []
+    names = [line.partition(':')[2].strip() for line in lines if line.startswith('model name')]
     return {
-        'processor': _processor(),
+        'processor': names[0] if names else platform.processor(),
         'cores': len(os.sched_getaffinity(0)),
         'system': f'{platform.system()} {platform.machine()}',
         'load_1min': os.getloadavg()[0],
@@ -25,15 +31,8 @@ def machine() -> dict[str, str | int | float]:
 
 
 def versions() -> dict[str, str | None]:
-    """Return versions by package, None for what is not installed."""
+    """Return versions by package, None for packages that are not installed."""
     return {'python': platform.python_version(), **{name: _version(name) for name in PACKAGES}}
-
-
-def resident(pid: int) -> int:
-    """Return the memory that a process holds [bytes]."""
-    status = Path(f'/proc/{pid}/status').read_text()
-    line = next(line for line in status.splitlines() if line.startswith('VmRSS'))
-    return 1024 * int(line.split()[1])
 
 
 def _version(name: str) -> str | None:
@@ -43,15 +42,24 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _processor() -> str:
-    try:
-        lines = Path('/proc/cpuinfo').read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((v.partition(':')[2].strip() for v in lines if v.startswith('model name')), '')
+def resident(pid: int) -> int:
+    """Return the resident memory of a process [bytes]."""
+    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE')
 
 
 def busy(pid: int) -> float:
-    """Return the processor time that a process has taken so far, all threads together [s]."""
+    """Return the processor time of a process so far, all threads together [s]."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Switch the garbage collector off: its pauses would count as those of what is measured."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

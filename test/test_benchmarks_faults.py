@@ -19,18 +19,19 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 
-from benchmarks import collector, faults
-from benchmarks.faults import injection, stimulus
-from benchmarks.faults.flood import Pause, pauses
-from benchmarks.faults.matrix import MATRIX
+from benchmarks import faults
+from benchmarks.faults import inputs, processes, stimulus
+from benchmarks.faults.injection import Fault, unsafe_commands
+from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
-from benchmarks.faults.outcome import FaultCase, MatrixRow, Outcome, table
-from benchmarks.faults.parameters import nonsense
+from benchmarks.faults.processes import nonsense
 from benchmarks.faults.soak import Soak
+from benchmarks.machine import uncollected
 from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import cli
 
+MATRIX = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
 LIMITS = Limits(speed=1.0, rate=3.0)
 NAN, INF = math.nan, math.inf
 
@@ -78,16 +79,19 @@ def test_what_moves_again_or_never_stops_is_unsafe():
 
 def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
     """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
-    expected = injection.Expected(wait=0.3, allowed=1.0)
     due = 1.0 + 0.3
+
+    def unsafe(*commands, strict=True):
+        fault = Fault('fault', lambda _harness: None, wait=0.3, strict=strict)
+        return unsafe_commands(heard(*commands), fault, 1.0, due)
+
     busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
     stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]
-    assert injection.unsafe_commands(heard(*busy, *stopped), 1.0, expected) == 0
-    again = heard(*busy, *stopped, (due + 0.5, 0.5, 0.1))
-    assert injection.unsafe_commands(again, 1.0, expected) == 1
-    assert injection.unsafe_commands(again, 1.0, injection.Expected(0.3, 1.0, strict=False)) == 0
-    overdue = heard(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1))
-    assert injection.unsafe_commands(overdue, 1.0, expected) == 1
+    assert unsafe(*busy, *stopped) == 0
+    again = (*busy, *stopped, (due + 0.5, 0.5, 0.1))
+    assert unsafe(*again) == 1
+    assert unsafe(*again, strict=False) == 0
+    assert unsafe(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1)) == 1
 
 
 def test_the_monitor_takes_down_what_it_hears():
@@ -109,6 +113,8 @@ def test_the_monitor_takes_down_what_it_hears():
     monitor.on_health(DiagnosticArray(status=[status]), sent)
     monitor.on_tick(DiagnosticArray(status=[status]), sent)
     assert monitor.first_error(0.0) == monitor.first_complaint(0.0, 'goal') < INF
+    assert monitor.counted('solve', 'ms')
+    assert not monitor.counted('solve', 'odom')
     assert monitor.first_complaint(0.0, 'odom') == INF
     assert monitor.first_error(time.monotonic()) == INF
     assert monitor.solve_ms == 12.5
@@ -150,42 +156,24 @@ def test_a_row_without_cases_is_not_ok():
 
 def test_a_soak_is_judged_by_memory_gaps_and_stops():
     ticks = tuple(0.05 * k for k in range(100))
-    assert Soak((100.0, 101.0, 100.5), ticks, 0, ()).ok
-    assert not Soak((100.0, 102.5, 100.5), ticks, 0, ()).ok
-    assert not Soak((100.0,), (*ticks, ticks[-1] + 0.11), 0, ()).ok
-    assert not Soak((100.0,), ticks, 1, ()).ok
-    stopped = ((1.3, 'odometry is old'),)
-    assert not Soak((100.0,), ticks, 0, stopped).ok
-    assert not Soak((100.0,), ticks, 0, stopped, (Pause(0.7, 1.1), Pause(1.4, 1.8))).ok
-    assert Soak((100.0,), ticks, 0, stopped, (Pause(1.0, 1.25),)).ok
-    assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0, ()))
+    assert Soak((100.0, 101.0, 100.5), ticks, 0).ok
+    assert not Soak((100.0, 102.5, 100.5), ticks, 0).ok
+    assert not Soak((100.0,), (*ticks, ticks[-1] + 0.11), 0).ok
+    assert not Soak((100.0,), ticks, 1).ok
+    assert Soak((100.0,), ticks, 0, ('odometry is old',)).ok
+    assert not Soak((100.0,), ticks, 0, ('odometry is old',) * 2).ok
+    assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0))
 
 
 def test_collections_wait_until_a_measurement_is_over():
     def measured():
-        with collector.paused():
+        with uncollected():
             assert not gc.isenabled()
             raise OSError('over')
 
     with pytest.raises(OSError, match='over'):
         measured()
     assert gc.isenabled()
-
-
-def test_a_source_of_odometry_tells_when_it_was_held_up(tmp_path):
-    log = tmp_path / 'flood.log'
-    words = [sys.executable, '-m', 'benchmarks.faults.flood', '500']
-    with log.open('wb') as stream, subprocess.Popen(words, stdout=stream) as source:
-        try:
-            end = time.monotonic() + 60.0
-            while not any(pause.end - pause.begin >= 0.4 for pause in pauses(log)):
-                assert time.monotonic() < end
-                source.send_signal(signal.SIGSTOP)
-                time.sleep(0.4)
-                source.send_signal(signal.SIGCONT)
-                time.sleep(0.3)
-        finally:
-            source.kill()
 
 
 # --- what is done to messages and parameters

@@ -55,7 +55,6 @@ REFUSED = {
     'bench --json /dev/null/x': '--json',
     'bench --json /proc/x.json': '--json',  # a folder that takes no files
     'bench --json /tmp': '--json',
-    'bench --picture /nowhere/x.png': '--picture',
     'faults --only weather': '--only',
     'faults --json /nowhere/rows.json': '--json',
     'faults --soak 0': '--soak',

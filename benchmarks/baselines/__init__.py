@@ -1,28 +1,25 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What one would fly instead: controllers behind the same forecast, wind estimate and lags."""
+"""Controllers to compare with, behind the same forecast, wind estimate and lag compensation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 
 from benchmarks.baselines.baseline import Baseline
+from benchmarks.baselines.guidance import Lead, Proportional, PurePursuit, Waypoint
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.tool.files import read
 
-BASELINES = {
-    'pursuit': ('guidance', 'PurePursuit'),
-    'lead': ('guidance', 'Lead'),
-    'proportional': ('guidance', 'Proportional'),
-    'sampling': ('sampling', 'Sampling'),
-    'linearised': ('programs', 'LinearisedBaseline'),
-    'nonlinear': ('programs', 'NonlinearBaseline'),
-    'waypoint': ('guidance', 'Waypoint'),  # of an engine that has guidance of its own
+BASELINES: dict[str, type[Baseline]] = {
+    'pursuit': PurePursuit,
+    'lead': Lead,
+    'proportional': Proportional,
+    'waypoint': Waypoint,  # of an engine that has guidance of its own
 }
-TUNED = Path(__file__).with_name('tuned')
-# Studies whose baselines were tuned on another one, as far as they have no file of their own.
+TUNED = Path(__file__).with_name('tuned.yaml')
+# Studies whose baselines were tuned on another one, as far as they have no entry of their own.
 LIKE = {
     'fixed_wing_cone': 'fixed_wing',
     'fixed_wing_near': 'fixed_wing',
@@ -30,14 +27,6 @@ LIKE = {
     'retrieval_constant': 'retrieval',
     'retrieval_small': 'retrieval',
 }
-Tuned = dict[str, dict[str, float]]
-
-
-def class_of(name: str) -> type:
-    """Return the class of a baseline, by its name in :data:`BASELINES`."""
-    module, kind = BASELINES[name]
-    found: type = getattr(import_module(f'{__name__}.{module}'), kind)
-    return found
 
 
 def baseline_named(
@@ -47,9 +36,9 @@ def baseline_named(
 
     Args:
         name: in :data:`BASELINES`.
-        settings: of the planner in whose place it flies.
+        settings: of the planner that it replaces.
         study: whose tuning it has.
-        tuned: what is set of its :attr:`Baseline.SPACE` instead.
+        tuned: numbers of :attr:`Baseline.SPACE` instead.
 
     Raises:
         BadInput: all baselines are planar.
@@ -57,14 +46,10 @@ def baseline_named(
     if settings.problem.dimension != 2:
         raise BadInput('--controllers', name, 'orbitope where dimension is 3')
     given = tuned_of(study).get(name, {}) if tuned is None else tuned
-    made: Baseline = class_of(name)(settings, given)
-    return made
+    return BASELINES[name](settings, given)
 
 
-def tuned_of(study: str) -> Tuned:
-    """Return what was found for a study, by baseline."""
-    files = [TUNED / f'{name}.yaml' for name in (LIKE.get(study, study), study)]
-    known: Tuned = {}
-    for file in files:
-        known |= read(str(file)) if file.is_file() else {}
-    return known
+def tuned_of(study: str) -> dict[str, dict[str, float]]:
+    """Return the numbers found for a study, by baseline."""
+    known = read(str(TUNED))
+    return {**known.get(LIKE.get(study, study), {}), **known.get(study, {})}

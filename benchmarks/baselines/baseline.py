@@ -23,19 +23,14 @@ from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 
 class Range(NamedTuple):
-    """What a number may be tuned to: its default, and the ends of its range, in equal ratios.
-
-    Where it has a ``need``, it means something only in scenarios that have that.
-    """
+    """Default and range of a number that may be tuned, in equal ratios."""
 
     default: float
     low: float
     high: float
-    need: str = ''
 
 
-CONE, TRAFFIC = 'cone', 'traffic'
-BEHIND: Mapping[str, Range] = {'behind': Range(10.0, 3.0, 30.0, CONE)}
+BEHIND: Mapping[str, Range] = {'behind': Range(10.0, 3.0, 30.0)}  # with a cone of approach
 LINED = math.radians(30.0)  # off the direction of approach: behind the goal by less
 
 
@@ -43,10 +38,10 @@ class Sight(NamedTuple):
     """The inputs of a baseline at a tick.
 
     Attributes:
-        time: from when on it can act, its lags being over [s].
-        state: then.
+        time: earliest time at which it can act, after its lags [s].
+        state: at that time.
         goals: g_1..g_N at the ends of the steps, shape (N, 2) [m].
-        ahead: returns where the goal will be at times, shape (M,) [s], as shape (M, 2) [m].
+        ahead: returns the goal's positions at times, shape (M,) [s], as shape (M, 2) [m].
         wind: shape (2,) [m/s].
     """
 
@@ -58,12 +53,12 @@ class Sight(NamedTuple):
 
     @property
     def hazards(self) -> tuple[MovingObstacle, ...]:
-        """Return what moves around the vehicle, in a time that begins at :attr:`time`."""
+        """Return the moving obstacles, in a time that begins at :attr:`time`."""
         return self.state.hazards
 
     @property
     def heading(self) -> float:
-        """Return where the vehicle points [rad]."""
+        """Return the vehicle's heading [rad]."""
         return math.atan2(self.state.attitude[1, 0], self.state.attitude[0, 0])
 
 
@@ -71,11 +66,11 @@ class Baseline(ABC):
     """Flies a planar vehicle of orders (1, 1).
 
     Args:
-        settings: of the planner in whose place it flies.
+        settings: of the planner that it replaces.
         tuned: numbers of :attr:`SPACE`; defaults for the others.
 
     Attributes:
-        SPACE: what may be tuned, by name.
+        SPACE: ranges of the numbers that may be tuned, by name.
         problem: that the planner would solve.
     """
 
@@ -105,18 +100,17 @@ class Baseline(ABC):
         assert snapshot.odometry is not None
         assert snapshot.goal is not None
         assert not isinstance(snapshot.goal, np.ndarray)
-        start, ahead = (
-            self._compensator.start(snapshot.odometry, snapshot.latency, now),
-            snapshot.goal,
-        )
+        ahead = snapshot.goal
+        start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
         time, wind = start.odometry.time, start.disturbance
         hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
         state = replace(self._compensator.state(start.odometry), hazards=hazards)
         goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))
         sight = Sight(time, state, goals, ahead.at, np.zeros(2) if wind is None else wind)
         command = self._limited(state, *self.steered(self._led(sight)))
-        known = self.problem, np.array(goals)
-        return Decision(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
+        return Decision(
+            Status.FEASIBLE, '', state, None, command, problem=self.problem, goals=goals
+        )
 
     def sent(self, command: Command, at: float | None = None) -> None:
         """Take note of a command that was sent; see :meth:`Planner.sent`."""
@@ -129,8 +123,8 @@ class Baseline(ABC):
     def _led(self, sight: Sight) -> Sight:
         """Return a sight whose goal is led to along the direction of approach, if there is one.
 
-        Who is not yet behind the goal, as seen along that direction, is led to a point ``behind``
-        it, so many steps at full speed away; who is, to the middle of the line that is left.
+        A vehicle that is not yet behind the goal, as seen along that direction, is led to a point
+        ``behind`` it, so many steps at full speed away; else to the middle of the remaining line.
         """
         if not self.cone.exists or 'behind' not in self.tuned:
             return sight

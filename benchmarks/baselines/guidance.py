@@ -1,5 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Guidance laws: towards the goal, to where it can be met, by the turn of the line of sight."""
+"""Guidance laws: pure pursuit, lead pursuit, proportional navigation, with a sidestep in traffic.
+
+The sidestep is the course nearest to the wanted one that stays clear of moving obstacles: velocity
+obstacles (Fiorini and Shiller 1998) for a vehicle that turns at a limited rate.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +14,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.baselines.baseline import (
-    BEHIND,
-    TRAFFIC,
-    Baseline,
-    Range,
-    Sight,
-    wrapped,
-)
-from benchmarks.baselines.sidestep import sidestepped
+from benchmarks.baselines.baseline import BEHIND, Baseline, Range, Sight, depths, wrapped
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem import Problem
 
 LOOKS, FARTHEST = 240, 12.0  # points of the forecast, as far as so many horizons
 NEAR = 1e-9
-ASIDE = math.radians(60.0)  # off the line of sight by more, a law for small angles says nothing
+ASIDE = math.radians(60.0)  # off the line of sight by more, a law for small angles does not hold
+COURSES, POINTS = 72, 24  # of sidesteps
+SLOWER = (1.0, 0.6, 0.2)  # times the wanted speed; each of it lost counts as half a turn
 
 
 class _Guided(Baseline):
@@ -31,15 +30,16 @@ class _Guided(Baseline):
 
     SPACE: ClassVar[Mapping[str, Range]] = {
         **BEHIND,
-        'margin': Range(0.2, 0.02, 1.0, TRAFFIC),
-        'look': Range(8.0, 3.0, 20.0, TRAFFIC),
+        'margin': Range(0.2, 0.02, 1.0),
+        'look': Range(8.0, 3.0, 20.0),
     }
 
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return the speed and the turn that the law wants, or those of a sidestep."""
         heading, fraction = self.wanted(sight)
-        keep = self.tuned['margin'], self.tuned['look']
-        heading, fraction = sidestepped(sight, self.problem, (heading, fraction), *keep)
+        if sight.hazards:
+            keep = self.tuned['margin'], self.tuned['look']
+            heading, fraction = sidestepped(sight, self.problem, (heading, fraction), *keep)
         return fraction, self.turning(heading - sight.heading)
 
     @abstractmethod
@@ -48,7 +48,7 @@ class _Guided(Baseline):
 
 
 class PurePursuit(_Guided):
-    """Pure pursuit: flies over ground along the line of sight, into the wind as it takes."""
+    """Pure pursuit: flies over ground along the line of sight, crabbed into the wind."""
 
     SPACE: ClassVar[Mapping[str, Range]] = {
         **_Guided.SPACE,
@@ -99,7 +99,7 @@ class Lead(_Guided):
 
 
 class Waypoint(Baseline):
-    """Leaves turns to the guidance of an engine, which flies to where the goal is; full speed."""
+    """Full speed; the guidance of an engine turns, and flies to the goal's present position."""
 
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return full speed, and no turn."""
@@ -130,9 +130,8 @@ class Proportional(_Guided):
         closing = (soon - now) / step - fraction * self.problem.forward * axis - sight.wind
         turned = (away[0] * closing[1] - away[1] * closing[0]) / max(float(away @ away), NEAR)
         most = step * self.fastest  # so that no rate turns the other way about
-        return sight.heading + min(
-            max(step * self.tuned['constant'] * turned, -most), most
-        ), fraction
+        turn = min(max(step * self.tuned['constant'] * turned, -most), most)
+        return sight.heading + turn, fraction
 
 
 def crabbed(way: Array, speed: float, wind: Array) -> float:
@@ -146,3 +145,40 @@ def crabbed(way: Array, speed: float, wind: Array) -> float:
     course = math.atan2(way[1], way[0])
     across = -math.sin(course) * wind[0] + math.cos(course) * wind[1]
     return course - math.asin(min(max(across / speed, -1.0), 1.0))
+
+
+def sidestepped(
+    sight: Sight, problem: Problem, wanted: tuple[float, float], margin: float, steps: float
+) -> tuple[float, float]:
+    """Return the heading [rad] and the share of full speed of a sidestep.
+
+    Args:
+        sight: with moving obstacles.
+        problem: gives the limits.
+        wanted: heading [rad] and share of full speed that would be flown without traffic.
+        margin: to keep, in steps at full speed.
+        steps: to look ahead.
+    """
+    heading, fraction = wanted
+    times = problem.step * steps * np.arange(1, POINTS + 1) / POINTS
+    aside = math.pi * (2.0 * np.arange(COURSES) / COURSES - 1.0)
+    shares = np.maximum(np.array(SLOWER) * fraction, problem.floor.clearance(2))
+    each, speeds = (grid.ravel() for grid in np.meshgrid(aside, shares))
+    flown = _flown(sight, problem, heading + each, speeds, times)
+    deepest = depths(sight.hazards, flown, times).max(axis=1)
+    clear = deepest < -margin * problem.step * problem.forward
+    detour = np.abs(each) / math.pi + (1.0 - speeds / fraction)
+    best = int(np.argmin(np.where(clear, detour, np.inf) if clear.any() else deepest))
+    return heading + float(each[best]), float(speeds[best])
+
+
+def _flown(sight: Sight, problem: Problem, courses: Array, fractions: Array, times: Array) -> Array:
+    """Return the paths of turns to courses [rad] at shares of full speed, shape (M, K, 2) [m]."""
+    fastest = problem.max_rate or math.pi / problem.step
+    turn = (courses - sight.heading + np.pi) % (2.0 * np.pi) - np.pi
+    each = times[1] - times[0]
+    middles = times - 0.5 * each
+    headings = sight.heading + np.clip(turn[:, None], -fastest * middles, fastest * middles)
+    airspeed = problem.forward * fractions[:, None, None]
+    velocity = airspeed * np.stack([np.cos(headings), np.sin(headings)], axis=-1) + sight.wind
+    return np.asarray(sight.state.position + each * np.cumsum(velocity, axis=1))

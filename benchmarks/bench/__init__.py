@@ -6,12 +6,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
-from benchmarks.bench import live
 from benchmarks.bench.interleaved import OURS, interleaved_run
 from benchmarks.bench.problems import CAP, COMPARISONS, PACKAGES, QUICK_CAP, Comparison
-from benchmarks.bench.results import HULLS, BenchRow, Result, growth, rows_of
+from benchmarks.bench.results import HULLS, BenchRow, Result, growth, rows_of, table
 from benchmarks.bench.solvers import Solver
 from orbimpc_ros.install import command
 from orbimpc_ros.mpc.errors import BadInput
@@ -19,12 +19,13 @@ from orbimpc_ros.tool.files import require_writable
 from orbimpc_ros.tool.run.progress import ProgressLine
 
 WARM_UP = 3  # instances solved before the clock counts
+NODES = ('start', 'latency', 'planners')  # measured over DDS
+Measurement = tuple[str, Callable[[], list[BenchRow]]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     parser.add_argument('--json', metavar='FILE', help='write the result there')
-    parser.add_argument('--picture', metavar='FILE', help='a PNG (default: beside the JSON)')
     parser.add_argument(
         '--only', nargs='+', metavar='PROBLEM', help=f'some of: {", ".join(names())}'
     )
@@ -33,71 +34,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def names() -> list[str]:
     """Return the short names of everything that can be measured."""
-    return [*dict.fromkeys(comparison.key for comparison in COMPARISONS), *live.NAMES]
+    return [*dict.fromkeys(comparison.key for comparison in COMPARISONS), *NODES]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, write as it goes, print, draw.
+    """Measure, writing each row at once; print the table.
 
     Returns:
         1 if a requirement was missed, ours was beaten or a measurement failed.
 
     Raises:
-        KeyboardInterrupt: somebody asked to stop; what was measured is kept.
+        KeyboardInterrupt: the run was interrupted; the rows so far are kept.
     """
-    wanted, result = _wanted(args.only), Result(*_files(args))
-    try:
-        for rows in measured(wanted, args.quick, result.rows):
-            result.add(rows)
-    finally:
-        result.close()
-    return int(any(r.beaten or r.failed or (r.measured and r.missed) for r in result.rows))
-
-
-def _wanted(only: list[str] | None) -> list[str]:
-    for name in only or ():
+    for name in args.only or ():
         if name not in names():
             raise BadInput('--only', name, ' | '.join(names()))
-    return only or names()
-
-
-def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
-    """Return where rows and picture go, which must be writable."""
     file = Path(args.json).resolve() if args.json else None
-    picture = Path(args.picture).resolve() if args.picture else file and file.with_suffix('.png')
-    for name, path in (('--json', file), ('--picture', picture)):
-        if path is not None:
-            require_writable(name, path)
-    return file, picture
-
-
-def measured(
-    wanted: list[str], quick: bool, before: Sequence[BenchRow]
-) -> Iterator[list[BenchRow]]:
-    """Yield the rows of each measurement as it is done; of one that fails, a row with the reason.
-
-    Args:
-        wanted: names of problems.
-        quick: few instances, low time limits.
-        before: what was measured before each.
-    """
-    for title, measure in _measurements(wanted, quick, before):
-        try:
-            rows = measure()
-        except Exception as error:  # whatever it is, the others are still worth measuring
-            note = f'failed: {type(error).__name__}: {error}'
-            rows = [BenchRow(title, OURS, note=note, failed=True)]
-        yield rows
+    if file is not None:
+        require_writable('--json', file)
+    result = Result(file)
+    try:
+        for title, measure in _measurements(args.only or names(), args.quick, result.rows):
+            try:
+                rows = measure()
+            except Exception as error:  # whatever it is, the others are still worth measuring
+                note = f'failed: {type(error).__name__}: {error}'
+                rows = [BenchRow(title, OURS, note=note, failed=True)]
+            result.add(rows)
+    finally:
+        print(table(result.rows))
+    return int(any(row.beaten or row.failed or row.missed for row in result.rows))
 
 
 def _measurements(
-    wanted: list[str], quick: bool, before: Sequence[BenchRow]
-) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
+    wanted: Sequence[str], quick: bool, before: Sequence[BenchRow]
+) -> Iterator[Measurement]:
     for comparison in COMPARISONS:
         if comparison.key in wanted:
             yield comparison.title, partial(compared, comparison, quick)
     yield f'{HULLS}...: exponent of N', partial(growth, before)
-    yield from live.measurements(wanted, quick)
+    live = [name for name in NODES if name in wanted]
+    if live and find_spec('rclpy') is None:
+        note = 'absent: ROS 2 Jazzy, or the extra "ros" of this package'
+        yield 'nodes', lambda: [BenchRow(f'node: {name}', OURS, note=note) for name in live]
+    elif live:
+        from benchmarks.bench.live import measurements
+
+        yield from measurements(live, quick)
 
 
 def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
@@ -120,7 +103,7 @@ def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
 
 def _solvers(comparison: Comparison, cap: float) -> tuple[dict[str, Solver], list[BenchRow]]:
     """Return the solvers that take part, and rows of those that are not installed."""
-    found = {name: _solver(comparison, name, cap) for name in (OURS, *comparison.rivals)}
+    made = {name: _installed(comparison, name, cap) for name in (OURS, *comparison.rivals)}
     absent = [
         BenchRow(
             comparison.title,
@@ -128,13 +111,13 @@ def _solvers(comparison: Comparison, cap: float) -> tuple[dict[str, Solver], lis
             required=comparison.required.get(name),
             note=f'absent: {command(PACKAGES[name])}',
         )
-        for name, contender in found.items()
-        if contender is None
+        for name, solver in made.items()
+        if solver is None
     ]
-    return {name: each for name, each in found.items() if each is not None}, absent
+    return {name: solver for name, solver in made.items() if solver is not None}, absent
 
 
-def _solver(comparison: Comparison, name: str, cap: float) -> Solver | None:
+def _installed(comparison: Comparison, name: str, cap: float) -> Solver | None:
     try:
         return comparison.solver(name, cap)
     except ImportError:

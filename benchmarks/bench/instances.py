@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Seeded instances: states, goals and disturbances, some of them met in flight.
+"""Seeded instances: states, goals and disturbances, drawn at random or met in flight.
 
 The vehicles in flight follow this package's own controller; some are in continuous time.
 """
@@ -36,12 +36,7 @@ SHORT = 8  # steps that a controller plans among boxes, so as not to be slow
 
 
 class Instance(NamedTuple):
-    """One solve.
-
-    Attributes:
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, n) [m].
-    """
+    """One solve: the start of the plan, and goals g_1..g_N, shape (N, n) [m]."""
 
     state: State
     goals: Array
@@ -71,34 +66,35 @@ def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
 
 
 def scattered(problem: Problem, count: int, distance: float) -> list[Instance]:
-    """Return unrelated instances: random attitudes at full speed, goals at about a distance [m]."""
-    return list(_scattered(problem, count, distance))
-
-
-def _scattered(problem: Problem, count: int, distance: float) -> Iterator[Instance]:
-    rng, n = np.random.default_rng(SEED), problem.dimension
+    """Return unrelated instances: random attitudes at full speed, goals at a distance [m]."""
+    rng, n, found = np.random.default_rng(SEED), problem.dimension, []
     for _ in range(count):
         attitude = exp(rng.normal(size=1 if n == 2 else 3))
         way = rng.normal(size=n)
         goal = distance * way / np.linalg.norm(way)
-        yield Instance(State.at(np.zeros(n), attitude), np.tile(goal, (problem.horizon, 1)))
+        state = State.at(np.zeros(n), attitude)
+        found.append(Instance(state, np.tile(goal, (problem.horizon, 1))))
+    return found
 
 
 def arrivals(problem: Problem, count: int, goal: Array, spread: float) -> list[Instance]:
     """Return departures from rest at the origin for a goal, the first exact, the others moved."""
     rng, n = np.random.default_rng(SEED), problem.dimension
-    attitude = np.eye(2) if n == 2 else np.diag([-1.0, -1.0, 1.0])
     moved = spread * rng.normal(size=(count, n))
     moved[0] = 0.0
-    start = State.at(np.zeros(n), attitude)
+    start = State.at(np.zeros(n), np.eye(2) if n == 2 else np.diag([-1.0, -1.0, 1.0]))
     return [Instance(start, np.tile(goal + m, (problem.horizon, 1))) for m in moved]
 
 
-def boxes(count: int) -> tuple[Box, ...]:
-    """Return boxes in the way from the origin to a goal ahead, the same ones for every count."""
+def boxes(count: int, *, space: bool = False) -> tuple[Box, ...]:
+    """Return the first of 16 boxes ahead of the origin: in the plane within 7 m, in space 8 m."""
     rng = np.random.default_rng(SEED)
-    middles = np.column_stack([rng.uniform(1.5, 6.5, 16), rng.uniform(-0.6, 0.6, 16)])
-    half = rng.uniform(0.15, 0.35, size=(16, 2))
+    if space:
+        middles = rng.uniform([1.5, -0.8, -1.6], [8.0, 0.8, 0.4], size=(16, 3))
+        half = rng.uniform(0.4, 1.0, size=(16, 3))
+    else:
+        middles = np.column_stack([rng.uniform(1.5, 6.5, 16), rng.uniform(-0.6, 0.6, 16)])
+        half = rng.uniform(0.15, 0.35, size=(16, 2))
     return tuple(Box(m - d, m + d) for m, d in zip(middles[:count], half[:count], strict=True))
 
 
@@ -130,23 +126,13 @@ def landings(problem: Problem, count: int) -> list[Instance]:
     return found
 
 
-def spread(count: int) -> tuple[Box, ...]:
-    """Return boxes in space, in the way of a flight of 10 m along x, the same for every count."""
-    rng = np.random.default_rng(SEED)
-    middles = rng.uniform([1.5, -0.8, -1.6], [8.0, 0.8, 0.4], size=(16, 3))
-    half = rng.uniform(0.4, 1.0, size=(16, 3))
-    return tuple(Box(m - d, m + d) for m, d in zip(middles[:count], half[:count], strict=True))
+Departure = Callable[[Problem, np.random.Generator], tuple[Plant, Vehicle, Rope]]
 
 
-def _of_flights(
-    problem: Problem,
-    count: int,
-    departure: Callable[[Problem, np.random.Generator], tuple[Plant, Vehicle, Rope]],
-    seconds: float,
-) -> list[Instance]:
+def _of_flights(problem: Problem, count: int, departs: Departure, seconds: float) -> list[Instance]:
     rng, found = np.random.default_rng(SEED), list[Instance]()
     while len(found) < count:
-        flown = _flown(problem, *departure(problem, rng))
+        flown = _flown(problem, *departs(problem, rng))
         found += islice(flown, min(count - len(found), round(seconds / problem.step)))
     return found
 
@@ -179,7 +165,8 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
 
 def _wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
     """Return a wing, its start, and a goal 80 m away."""
-    blowing, bearing, course = map(_towards, rng.uniform(-math.pi, math.pi, size=3))
+    angles = rng.uniform(-math.pi, math.pi, size=3)
+    blowing, bearing, course = np.column_stack([np.cos(angles), np.sin(angles)])
     plant = Plant(
         step=problem.step,
         forward=problem.forward,
@@ -190,10 +177,9 @@ def _wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, R
         max_rate=problem.max_rate,
     )
     start = launched(plant, np.zeros(2), np.eye(2), fraction=0.8)
-    swing = rng.uniform(0.0, 3.0, size=2)
     goal = Rope(
         80.0 * bearing,
-        swing,
+        rng.uniform(0.0, 3.0, size=2),
         rng.uniform(0.02, 0.1),
         rng.uniform(0.0, 2.0 * math.pi, size=2),
         rng.uniform(0.0, 2.0) * course,
@@ -217,7 +203,3 @@ def _multirotor(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehi
     start = launched(plant, np.append(0.0, aside[1:]), UP, fraction=hovering)
     still = np.zeros(3)
     return plant, start, Rope(np.append(10.0, place[1:]), still, 0.0, still)
-
-
-def _towards(angle: float) -> Array:
-    return np.array([math.cos(angle), math.sin(angle)])

@@ -7,12 +7,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from benchmarks import collector
 from benchmarks.bench.instances import Instance
 from benchmarks.bench.solvers import Declined, Solution, Solver
-from orbimpc_ros.mpc.arrays import Array
+from benchmarks.machine import uncollected
 
 OURS = 'orbimpc'
 WARM = 1.0  # [s] after which no further warm-up begins
@@ -24,7 +21,7 @@ class Samples:
 
     Attributes:
         times: solve times [ms].
-        solutions: what came out.
+        solutions: results.
         refused: why it takes no part (any more); empty if it does.
     """
 
@@ -54,9 +51,12 @@ def interleaved_run(
     only the first of ``every`` so many instances.
     """
     samples = {name: Samples() for name in solvers}
-    for name, contender in solvers.items():
-        _warm(contender, instances[0], samples[name], warm_up)
-    with collector.paused():
+    for name, solver in solvers.items():
+        end = time.perf_counter() + WARM
+        for _ in range(warm_up):
+            if time.perf_counter() < end and not samples[name].refused:
+                _run(solver, instances[0], samples[name], None)
+    with uncollected():
         for i, instance in enumerate(instances):
             for name in list(solvers)[:: 1 if i % 2 else -1]:
                 meets = name == OURS or i % every == 0
@@ -66,40 +66,18 @@ def interleaved_run(
     return samples
 
 
-def _warm(contender: Solver, instance: Instance, into: Samples, count: int) -> None:
-    """Solve an instance a few times, but not for long."""
-    end = time.perf_counter() + WARM
-    for _ in range(count):
-        if time.perf_counter() < end and not into.refused:
-            _run(contender, instance, into, None)
-
-
-def _run(contender: Solver, instance: Instance, into: Samples, number: int | None) -> None:
-    begin = time.perf_counter()
+def _run(solver: Solver, instance: Instance, into: Samples, number: int | None) -> None:
+    """Solve an instance; a solver that breaks does not end the run: the table has the reason."""
     try:
-        contender.solve(*instance)
+        solver.prepare(*instance)
+        begin = time.perf_counter()
+        solver.solve()
+        elapsed = time.perf_counter() - begin
+        solution = solver.solution()
     except Declined as refusal:
         into.refused = str(refusal)
-        return
-    except (
-        Exception
-    ) as error:  # a solver that breaks must not end the run: the table has the reason
+    except Exception as error:
         into.refused = f'failed: {type(error).__name__}: {error}'
-        return
-    elapsed = time.perf_counter() - begin
-    if number is not None:
-        into.times[number] = 1e3 * elapsed
-        into.solutions[number] = contender.solution()
-
-
-def percentiles(times: Sequence[float]) -> tuple[float, float]:
-    """Return median and 99th percentile."""
-    p50, p99 = np.percentile(times, [50, 99])
-    return float(p50), float(p99)
-
-
-def differences(theirs: Samples, ours: Samples) -> Array:
-    """Return (theirs - ours) / |ours| of the objectives of common instances."""
-    common = sorted(theirs.solutions.keys() & ours.solutions.keys())
-    pairs = [(theirs.solutions[i].objective, ours.solutions[i].objective) for i in common]
-    return np.array([(a - b) / max(1e-9, abs(b)) for a, b in pairs])
+    else:
+        if number is not None:
+            into.times[number], into.solutions[number] = 1e3 * elapsed, solution

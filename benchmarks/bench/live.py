@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Planner processes, live: start, memory, latency over DDS, many at once on one machine.
+"""Planner processes over DDS: start, memory, latency, many at once on one machine.
 
-A driver in this process publishes odometry and hears commands; a command carries the stamp of the
-odometry that it answers, so that each latency is from one publish to one receipt, on one clock.
+A driver in this process publishes odometry and receives commands; a command carries the stamp of
+the odometry that it answers, so that each latency is from one publish to one receipt, on one clock.
 """
 
 from __future__ import annotations
 
-import importlib.util
+import json
 import math
 import os
 import signal
@@ -15,23 +15,36 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 from unittest import mock
 
-from benchmarks.bench.interleaved import OURS, percentiles
-from benchmarks.bench.results import LATE, BenchRow
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from harness import Observer
+from nav_msgs.msg import Odometry
+from scenarios import retrieval_problem
+
+from benchmarks.bench.instances import around
+from benchmarks.bench.interleaved import OURS
+from benchmarks.bench.results import LATE, BenchRow, percentiles
 from benchmarks.machine import busy, resident
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery
 from orbimpc_ros.tool.run.processes import Process
 
-if TYPE_CHECKING:
-    from benchmarks.bench.driver import Driver
-
+FRAMES = Frames('odom', 'base_link')
+POINTS = 100  # of the flight around the rope that is replayed
+AHEAD = 5_000_000  # [ns] by which a goal's stamp precedes odometry's: from another sensor
 MEETING = 60.0  # [s] until every planner must have answered
 FAST, FASTEST, SLOW = 50.0, 200.0, 5.0  # [Hz]
-EXECUTORS = ('wait_set', 'events')
 SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
@@ -46,34 +59,131 @@ PARAMETERS = {
     'odom_timeout': 5.0,
     'goal_timeout': 60.0,
 }
-LATENCY, START = 'node: odometry to command', 'node: start to first command'
-AT_ONCE = 'planners at 5 Hz'
-NAMES = {'start': START, 'latency': LATENCY, 'planners': AT_ONCE}
+START, AT_ONCE = 'node: start to first command', 'planners at 5 Hz'
+
+
+@dataclass
+class RoundTrip:
+    """One odometry message and its answer.
+
+    Attributes:
+        sent: time of publishing [s].
+        latency: until the command has arrived [s]; infinite before.
+        solve_ms: solve time that the planner reports [ms]; NaN before.
+    """
+
+    sent: float
+    latency: float = math.inf
+    solve_ms: float = math.nan
+
+
+class Driver:
+    """Publishes odometry and goals in each namespace, in turns within a period.
+
+    Args:
+        namespaces: of the planners.
+        executor: of the driver's own node.
+
+    Attributes:
+        ticks: round trips by the stamp of their odometry [ns], for each namespace.
+    """
+
+    def __init__(self, namespaces: Sequence[str], executor: str) -> None:
+        self._observer = Observer(executor=executor)
+        self.ticks = [dict[int, RoundTrip]() for _ in namespaces]
+        self._answered = [False] * len(namespaces)
+        self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
+        self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
+        self._count, self._stamp = 0, 0
+
+    def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
+        subscribe = self._observer.subscribe
+        subscribe(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
+        subscribe(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
+        publish = self._observer.node.create_publisher
+        return (
+            publish(Odometry, f'{namespace}/odom', qos()),
+            publish(PoseStamped, f'{namespace}/goal', qos()),
+        )
+
+    def _on_command(self, i: int, message: TwistStamped) -> None:
+        now = time.monotonic()
+        tick = self.ticks[i].get(_stamp_of(message))
+        if tick is not None and tick.latency == math.inf:
+            tick.latency, self._answered[i] = now - tick.sent, True
+
+    def _on_tick(self, i: int, message: DiagnosticArray) -> None:
+        tick = self.ticks[i].get(_stamp_of(message))
+        if tick is not None:
+            values = {pair.key: pair.value for pair in message.status[0].values}
+            tick.solve_ms = float(json.loads(values['solve_time_ms']))
+
+    def drive(self, rate: float, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Publish odometry at a rate [Hz] for a while, or until ``done``."""
+        gap = 1.0 / (rate * len(self._publishers))
+        begin, sent = time.monotonic(), 0
+        while sent * gap < seconds and not done():
+            self._publish(sent % len(self._publishers))
+            sent += 1
+            self._observer.spin(begin + sent * gap - time.monotonic(), done)
+
+    def until_answered(self, rate: float) -> None:
+        """Drive until every planner has answered.
+
+        Raises:
+            OrbimpcError: one has not.
+        """
+        self.drive(rate, MEETING, lambda: all(self._answered))
+        if not all(self._answered):
+            raise OrbimpcError(f'{self._answered.count(False)} planners have not answered')
+
+    def measure(self, rate: float, seconds: float, warm_up: float) -> None:
+        """Drive for a while after a warm-up [s], and wait for the last answers."""
+        self.drive(rate, warm_up)
+        for ticks in self.ticks:
+            ticks.clear()
+        self.drive(rate, seconds)
+        self._observer.spin(TRAILING, lambda: all(answered(each.values()) for each in self.ticks))
+
+    def _publish(self, i: int) -> None:
+        odometry, goal = self._publishers[i]
+        flight = self._flights[(self._count // len(self._publishers)) % len(self._flights)]
+        self._count += 1
+        self._stamp = max(self._stamp + 1, time.time_ns())
+        goal.publish(messages.goal_message(Stamp(self._stamp - AHEAD, FRAMES), flight.goal))
+        message = messages.odometry_message(Stamp(self._stamp, FRAMES), measured(flight.vehicle))
+        self.ticks[i][self._stamp] = RoundTrip(time.monotonic())
+        odometry.publish(message)
+
+    def close(self) -> None:
+        """Take the node down."""
+        self._observer.close()
+
+
+def answered(ticks: Any) -> bool:
+    """Return whether every command has arrived, and every report of a node that makes any."""
+    commanded = all(tick.latency < math.inf for tick in ticks)
+    reports = [not math.isnan(tick.solve_ms) for tick in ticks]
+    return commanded and (all(reports) or not any(reports))
+
+
+def _stamp_of(message: Any) -> int:
+    stamp = message.header.stamp
+    return stamp.sec * messages.SECOND + stamp.nanosec
 
 
 def measurements(
     wanted: Sequence[str], quick: bool
 ) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
-    """Yield name and measurement of those of ``start``, ``latency`` and ``planners`` wanted."""
-    present = importlib.util.find_spec('rclpy') is not None
-    for key, name in NAMES.items():
-        if key in wanted:
-            yield from _planned(key, quick) if present else [(name, partial(_absent, name))]
-
-
-def _absent(name: str) -> list[BenchRow]:
-    return [BenchRow(name, OURS, note='absent: ROS 2 Jazzy, or the extra "ros" of this package')]
-
-
-def _planned(key: str, quick: bool) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
-    if key == 'start':
+    """Yield title and measurement of those of ``start``, ``latency`` and ``planners`` wanted."""
+    if 'start' in wanted:
         yield START, partial(_start, 2 if quick else 5)
-    elif key == 'latency':
+    if 'latency' in wanted:
         for rate in (FAST, FASTEST):
-            for executor in EXECUTORS:
-                title = f'{LATENCY}, {rate:g} Hz, {executor}'
-                yield title, partial(_latency, title, rate, executor, 2.0 if quick else 20.0)
-    else:
+            for executor in ('wait_set', 'events'):
+                title = f'node: odometry to command, {rate:g} Hz, {executor}'
+                yield title, partial(latency, title, rate, executor, 2.0 if quick else 20.0)
+    if 'planners' in wanted:
         for count in PLANNERS[-1:] if quick else PLANNERS:
             seconds = 60.0 if count == PLANNERS[-1] and not quick else 10.0
             yield f'{AT_ONCE}, {count} at once', partial(fleet, count, seconds)
@@ -82,97 +192,83 @@ def _planned(key: str, quick: bool) -> Iterator[tuple[str, Callable[[], list[Ben
 @contextmanager
 def _driven(
     nodes: Mapping[str, str], executor: str = 'wait_set'
-) -> Iterator[tuple[Driver, list[Process], float]]:
-    """Yield a driver, its nodes, and when they were started.
+) -> Iterator[tuple[Driver, list[Process]]]:
+    """Yield a driver and its nodes, on the paper's UAV problem.
 
     Args:
         nodes: their modules by namespace.
         executor: of all.
     """
-    from benchmarks.bench.driver import Driver
-
+    processes = list[Process]()
     # The environment will name the folder, which goes away: it is restored.
     with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
-        discovery.isolate(Path(name))
+        folder = Path(name)
+        discovery.isolate(folder)
+        file = folder / 'planner.yaml'
+        settings.write(file, PARAMETERS, executor=executor)
         with closing(Driver([*nodes], executor)) as driver:
-            begin = time.perf_counter()
-            with _running(nodes, executor, Path(name)) as processes:
-                yield driver, processes, begin
-
-
-@contextmanager
-def _running(nodes: Mapping[str, str], executor: str, folder: Path) -> Iterator[list[Process]]:
-    """Run a node on the paper's UAV problem in each namespace; all are stopped at the end."""
-    from orbimpc_ros.tool import settings
-
-    file, processes = folder / 'planner.yaml', list[Process]()
-    settings.write(file, PARAMETERS, executor=executor)
-    try:
-        for i, (name, module) in enumerate(nodes.items()):
-            processes.append(Process(module, file, folder / f'node-{i}.log', namespace=name))
-        yield processes
-    finally:
-        for process in processes:  # all at once, so that none waits for another to end
-            process.tell(signal.SIGINT)
-        for process in processes:
-            process.wait(LEAVE)
-            process.stop()
+            try:
+                for i, (namespace, module) in enumerate(nodes.items()):
+                    log = folder / f'node-{i}.log'
+                    processes.append(Process(module, file, log, namespace=namespace))
+                yield driver, processes
+            finally:
+                for process in processes:  # all at once, so that none waits for another to end
+                    process.tell(signal.SIGINT)
+                for process in processes:
+                    process.wait(LEAVE)
+                    process.stop()
 
 
 def _start(count: int) -> list[BenchRow]:
+    """Return the rows of time to the first command, and memory."""
     times, sizes = [], []
     for _ in range(count):
-        with _driven({'': PLANNER}) as (driver, planners, begin):
-            driver.until_answered(FAST, MEETING)
+        with _driven({'': PLANNER}) as (driver, planners):
+            begin = time.perf_counter()
+            driver.until_answered(FAST)
             times.append(1e3 * (time.perf_counter() - begin))
             driver.drive(FAST, 1.0)
             sizes.append(1e-6 * resident(planners[0].pid))
-    p50, p99 = percentiles(times)
-    memory = BenchRow(
-        'node: resident memory [MB]', OURS, count, objective=max(sizes),
-        required={'objective': 250.0},
-    )  # fmt: skip
-    return [BenchRow(START, OURS, count, p50, p99, required={'p50_ms': 1000.0}), memory]
+    title, limits = 'node: resident memory [MB]', {'objective': 250.0}
+    memory = BenchRow(title, OURS, count, objective=max(sizes), required=limits)
+    return [BenchRow(START, OURS, count, *percentiles(times), required={'p50_ms': 1000.0}), memory]
 
 
-def _latency(title: str, rate: float, executor: str, seconds: float) -> list[BenchRow]:
-    """Return the rows of a planner, and beside it of a node that answers without any thought.
+def latency(title: str, rate: float, executor: str, seconds: float) -> list[BenchRow]:
+    """Return the rows of a planner, and beside it of a node that answers without planning.
 
     They are driven in turns within a period, so that both meet the same machine: what the planner
     adds to the other's latency, its solve left out, is its own.
     """
-    with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as (driver, processes, _):
-        driver.until_answered(FAST, MEETING)
-        driver.drive(rate, SETTLED / rate)
-        driver.forget()
+    with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as (driver, processes):
+        driver.until_answered(FAST)
         before = [busy(process.pid) for process in processes]
-        driver.drive(rate, seconds)
+        driver.measure(rate, seconds, SETTLED / rate)
         taken = [busy(each.pid) - begun for each, begun in zip(processes, before, strict=True)]
-        driver.listen(TRAILING)
-        ours, bare = driver.ticks_of(0), driver.ticks_of(1)
-    pairs = [(1e3 * t.latency, t.solve_ms) for t in ours if t.complete]
-    beside = [latency - solve for latency, solve in pairs]
+        ours, bare = ([*ticks.values()] for ticks in driver.ticks)
+    done = [t for t in ours if t.latency < math.inf and not math.isnan(t.solve_ms)]
+    whole = [1e3 * t.latency for t in done]
+    beside = percentiles([1e3 * t.latency - t.solve_ms for t in done])
     echoed = [1e3 * t.latency for t in bare if t.latency < math.inf]
-    floor, reached = percentiles(echoed), percentiles(beside)
     # Where one is quicker by chance, what it adds is too little to be seen, and not negative.
-    added = max(0.0, reached[0] - floor[0]), max(0.0, reached[1] - floor[1])
+    floor = percentiles(echoed)
+    added = max(0.0, beside[0] - floor[0]), max(0.0, beside[1] - floor[1])
     limits = {'p50_ms': 0.6, 'p99_ms': 2.0} if rate == FAST else None
-    lost = sum(t.latency == math.inf for t in ours)
+    lost = float(sum(t.latency == math.inf for t in ours))
+    count, ticks = len(done), SETTLED + len(ours)
     return [
-        BenchRow(title, OURS, len(pairs), *percentiles([latency for latency, _ in pairs])),
-        BenchRow(title, 'the solve alone', len(pairs), *percentiles([solve for _, solve in pairs])),
-        BenchRow(title, 'without the solve', len(pairs), *reached),
+        BenchRow(title, OURS, count, *percentiles(whole)),
+        BenchRow(title, 'the solve alone', count, *percentiles([t.solve_ms for t in done])),
+        BenchRow(title, 'without the solve', count, *beside),
         BenchRow(title, BARE, len(echoed), *floor),
-        BenchRow(title, 'difference of the two', len(pairs), *added, required=limits),
-        BenchRow(
-            f'{title}: lost', OURS, len(ours), objective=float(lost),
-            required={'objective': 0.0},
-        ),
+        BenchRow(title, 'difference of the two', count, *added, required=limits),
+        BenchRow(f'{title}: lost', OURS, len(ours), objective=lost, required={'objective': 0.0}),
         *(
-            BenchRow(f'{title}: processor [ms]', who, len(ours), objective=1e3 * time / len(ours))
+            BenchRow(f'{title}: processor [ms]', who, len(ours), objective=1e3 * time / ticks)
             for who, time in zip((OURS, BARE), taken, strict=True)
         ),
-    ]  # fmt: skip
+    ]
 
 
 def fleet(count: int, seconds: float) -> list[BenchRow]:
@@ -180,16 +276,12 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
 
     A tick is missed if its command takes longer than a period after the odometry, or never comes.
     """
-    with _driven({f'/p{i}': PLANNER for i in range(count)}) as (driver, _, _):
-        driver.until_answered(SLOW, MEETING)
-        driver.drive(SLOW, WARM_UP)
-        driver.forget()
-        driver.drive(SLOW, seconds)
-        driver.listen(TRAILING)
-        ticks = driver.ticks()
-    times = [1e3 * t.latency for t in ticks]
-    late = sum(not latency <= 1e3 / SLOW for latency in times)
-    p50, p99 = percentiles([t for t in times if t < float('inf')])
+    with _driven({f'/p{i}': PLANNER for i in range(count)}) as (driver, _):
+        driver.until_answered(SLOW)
+        driver.measure(SLOW, seconds, WARM_UP)
+        times = [1e3 * tick.latency for ticks in driver.ticks for tick in ticks.values()]
+    late = float(sum(time > 1e3 / SLOW for time in times))
+    reached = percentiles([time for time in times if time < math.inf])
     title = f'{AT_ONCE}, {count} at once: {LATE}'
     required = {'objective': 0.0} if count == PLANNERS[-1] else None
-    return [BenchRow(title, OURS, len(times), p50, p99, objective=float(late), required=required)]
+    return [BenchRow(title, OURS, len(times), *reached, objective=late, required=required)]

@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The problems that are solved side by side, by whom, and what is required.
+"""The problems that are solved side by side, their solvers, and their requirements.
 
-Everybody gets the same problem, the same instances, the same relative gap and one thread. Solvers
+All solvers get the same problem, the same instances, the same relative gap and one thread. Solvers
 that state a minimum speed and a turn rate as what they are, not convex, take a minute for a tick of
-a real vehicle: they meet a few of the ticks only, spread over the flights. All of them start cold
-there, while our controller has its previous plan, as it has in flight.
+a real vehicle: they meet a few of the ticks only, spread over the flights, and start cold there,
+while our controller has its previous plan, as it has in flight.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,36 +25,27 @@ from benchmarks.bench.instances import (
     landings,
     rotored,
     scattered,
-    spread,
     winged,
 )
 from benchmarks.bench.interleaved import OURS
-from benchmarks.bench.solvers import Solver
+from benchmarks.bench.solvers import Ours, Solver
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
 
-GUROBI, SCIP, IPOPT = 'Gurobi', 'SCIP', 'IPOPT (local)'
-GUROBI_CUT = 'Gurobi + our cut'
-CVXPY, QOCO = 'CVXPY + Clarabel', 'CVXPY + QOCO'
-PACKAGES = {
-    GUROBI: 'gurobipy',
-    GUROBI_CUT: 'gurobipy',
-    SCIP: 'pyscipopt',
-    IPOPT: 'casadi',
-    QOCO: 'qoco',
-}
+GUROBI, SCIP, IPOPT, CVXPY = 'Gurobi', 'SCIP', 'IPOPT (local)', 'CVXPY + Clarabel'
+PACKAGES = {GUROBI: 'gurobipy', SCIP: 'pyscipopt', IPOPT: 'casadi', CVXPY: 'cvxpy'}
 CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
 DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
 LOCAL = 1e-6  # a local solver's own tolerance, at most: looser ones leave limits violated
 SEVERAL = 5  # time limits that a rival may use up, where it meets few of the instances
 FULL, RATE = 15.0, 0.4363  # [m/s], [rad/s] of the wing in config/fixed_wing.yaml
 ROUND, OCTAGON = Floor('circle', fraction=2.0 / 3.0), Floor('polygon', 8, 2.0 / 3.0)
-EVERYBODY = (GUROBI, SCIP, IPOPT)
 # Turning costs a multirotor, and fuel a lander, whose thrust then keeps to its limits.
 MULTIROTOR, LANDER = Weights(1.0, 1.0, 0.0, 10.0), Weights(0.0, 0.01, 1.0, 0.0)
+TURNING, LENGTH = Weights(0.0, 0.05, 1.0, 0.0), Weights(0.0, 0.0, 1.0, 0.0)
 HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
 ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
-RIM, NO_FLOOR = math.sqrt(0.5), Floor('none')
+NO_FLOOR, SQUARE = Floor('none'), Floor('polygon', 4, math.sqrt(0.5))
 
 
 @dataclass(frozen=True)
@@ -63,13 +54,13 @@ class Comparison:
 
     Attributes:
         key: short name, for ``--only``.
-        title: what it is.
-        problem: what to solve.
+        title: description.
+        problem: to solve.
         instances: makes that many.
-        counts: how many to measure, quickly or not.
-        gap: relative gap that everybody has to prove.
+        counts: instances to measure, quickly or not.
+        gap: relative gap to prove.
         rivals: names of the solvers beside ours.
-        required: limits by contender.
+        required: limits by solver.
         closed_loop: whether instances follow each other.
         every: rivals meet the first of so many instances, where they would take too long.
     """
@@ -96,67 +87,24 @@ class Comparison:
             ImportError: it is not installed.
         """
         follows = self.closed_loop and (name == OURS or self.every == 1)
-        mixed = {'gap': self.gap, 'cap': cap, 'closed_loop': follows}
-        # Module, class and what its constructor takes.
-        known: dict[str, tuple[str, str, Mapping[str, Any]]] = {
-            OURS: ('ours', 'Ours', mixed),
-            GUROBI: ('gurobi', 'Gurobi', mixed),
-            GUROBI_CUT: ('gurobi', 'Gurobi', {**mixed, 'cut': True}),
-            SCIP: ('scip', 'Scip', {**mixed, 'fast': self.key != DEFAULTS}),
-            IPOPT: ('ipopt', 'Ipopt', {'tolerance': min(self.gap, LOCAL)}),
-            CVXPY: ('conic', 'Resolve', {}),
-            QOCO: ('conic', 'Resolve', {'solver': 'QOCO'}),
-        }
-        module, kind, options = known[name]
-        found = import_module(f'benchmarks.bench.solvers.{module}')
-        return getattr(found, kind)(self.problem, **options)
+        if name == OURS:
+            return Ours(self.problem, self.gap, cap, closed_loop=follows)
+        if name == CVXPY:
+            from benchmarks.bench.solvers.conic import Conic
 
+            return Conic(self.problem)
+        if name == IPOPT:
+            from benchmarks.bench.solvers.ipopt import Ipopt
 
-def _wing(
-    key: str, words: str, steps: tuple[int, float], floor: Floor, rate: float, **more: Any
-) -> Comparison:
-    """Return a comparison of wings, given the steps, their length [s] and the limits."""
-    horizon, step = steps
-    problem = Problem(horizon=horizon, step=step, forward=FULL, floor=floor, max_rate=rate)
-    known: dict[str, Any] = {'rivals': EVERYBODY, 'closed_loop': True, 'every': 20, 'gap': 1e-3}
-    return Comparison(key, f'wing N={horizon} {words}', weighed(problem, 'time'), winged, (4, 200),
-                   **known | more)  # fmt: skip
+            return Ipopt(self.problem, min(self.gap, LOCAL))
+        from benchmarks.bench.solvers.mixed import gurobi, scip
+
+        kind = gurobi() if name == GUROBI else scip(fast=self.key != DEFAULTS)
+        return kind(self.problem, self.gap, cap, closed_loop=follows)
 
 
 def _times(p50: float, p99: float, **more: float) -> Mapping[str, float]:
     return {'p50_ms': p50, 'p99_ms': p99, **more}
-
-
-def _wings() -> list[Comparison]:
-    """Return the comparisons in the plane."""
-    proved = {OURS: _times(3.0, 50.0), SCIP: {'ratio_p50': 100.0}, GUROBI: {'ratio_p50': 30.0}}
-    moving = {OURS: _times(2.0, 30.0)}
-    return [
-        _wing('wing', 'circle 2/3, turn rate, 1e-3', (12, 0.5), ROUND, RATE, required=proved),
-        _wing('wing-far', 'circle 2/3, turn rate, 1e-3', (20, 0.5), ROUND, RATE,
-              required={OURS: _times(15.0, 100.0)}),
-        _wing('wing-octagon', 'octagon 2/3, turn rate, 1e-4', (10, 1.0), OCTAGON, RATE, gap=1e-4,
-              required={OURS: _times(5.0, 50.0, worst_gap=1e-4)}),
-        _wing('wing-circle', 'circle 2/3, 1e-3', (10, 1.0), ROUND, 0.0, required=moving),
-        _wing('wing-circle', 'circle 2/3, 1e-3', (20, 0.5), ROUND, 0.0, required=moving),
-    ]  # fmt: skip
-
-
-def lifted() -> list[Comparison]:
-    """Return the comparisons under gravity, where CVXPY solves the relaxation: a bound, no plan."""
-    craft: dict[str, Any] = {'dimension': 3, 'translation_order': 2, 'forward': 20.0}
-    steps: dict[str, Any] = {'horizon': 20, 'step': 0.2, 'discretisation': 'exact'}
-    among = Problem(weights=MULTIROTOR, obstacles=spread(8), **craft, **steps)
-    thrust = Floor('circle', fraction=0.3)
-    down = Problem(horizon=30, step=0.3, weights=LANDER, terminal='constraint', floor=thrust,
-                   discretisation='exact', **craft)  # fmt: skip
-    return [
-        Comparison('multirotor', 'multirotor N=20 under gravity, 8 boxes, 1e-3',
-                weighed(among, 'time'), rotored, (2, 60), 1e-3, (CVXPY,),
-                {OURS: _times(5.0, 50.0)}, True, 10),
-        Comparison('lander', 'lander N=30, thrust 0.3, 1e-3', weighed(down, 'time'), landings,
-                (2, 20), 1e-3, (CVXPY,), {OURS: _times(20.0, 20.0)}),
-    ]  # fmt: skip
 
 
 def _p50(ratio: float) -> dict[str, float]:
@@ -164,55 +112,42 @@ def _p50(ratio: float) -> dict[str, float]:
 
 
 def _planar() -> list[Comparison]:
-    square = Problem(floor=Floor('polygon', 4, math.sqrt(0.3)))
-    comparisons = [
+    paper = Problem(floor=Floor('polygon', 4, math.sqrt(0.3)))
+    gurobi = {'ratio_p50': 10.0, 'ratio_p99': 5.0}
+    circle = {OURS: {'worst_gap': 1e-6}, IPOPT: {'ratio_p50': 15.0, 'ratio_p99': 1.0}}
+    return [
         Comparison('hull', 'SE(2) N=5 hull', Problem(floor=NO_FLOOR), circling, (20, 200),
-                rivals=(CVXPY, QOCO), required={CVXPY: _p50(8.0)}, closed_loop=True),
-        Comparison('square', 'SE(2) N=5 square floor, circling, 1e-4', square, circling, (10, 200),
+                rivals=(CVXPY,), required={CVXPY: _p50(8.0)}, closed_loop=True),
+        Comparison('square', 'SE(2) N=5 square floor, circling, 1e-4', paper, circling, (10, 200),
                 rivals=(GUROBI, SCIP), closed_loop=True,
-                required={GUROBI: {'ratio_p50': 10.0, 'ratio_p99': 5.0}, SCIP: _p50(50.0)}),
+                required={GUROBI: gurobi, SCIP: _p50(50.0)}),
+        *(
+            Comparison(f'circle-{share}', f'SE(2) N=5 circle {share}, circling, 1e-6',
+                    Problem(floor=Floor('circle', fraction=math.sqrt(share))), circling,
+                    (20, 1000), 1e-6, (IPOPT,), circle, True)
+            for share in (0.3, 1.0)
+        ),
     ]  # fmt: skip
-    for share in (0.3, 1.0):
-        problem = Problem(floor=Floor('circle', fraction=math.sqrt(share)))
-        wanted = {OURS: {'worst_gap': 1e-6}, IPOPT: {'ratio_p50': 15.0, 'ratio_p99': 1.0}}
-        comparisons.append(
-            Comparison(f'circle-{share}', f'SE(2) N=5 circle {share}, circling, 1e-6', problem,
-                    circling, (20, 1000), 1e-6, (IPOPT,), wanted, True)
-        )  # fmt: skip
-    return comparisons
 
 
 def _dubins() -> list[Comparison]:
-    goal = np.array([5.0, 10.0])
-
-    def departures(problem: Problem, count: int) -> list[Instance]:
-        return arrivals(problem, count, goal, 0.3)
-
-    turning = Weights(0.0, 0.05, 1.0, 0.0)
-    length = Weights(0.0, 0.0, 1.0, 0.0)
-    square, circle = Floor('polygon', 4, RIM), Floor('circle', fraction=RIM)
-    one_second = {OURS: {'p50_ms': 1000.0}}
+    departures = partial(arrivals, goal=np.array([5.0, 10.0]), spread=0.3)
+    circle = Floor('circle', fraction=SQUARE.fraction)
     return [
         Comparison('dubins', 'Dubins N=20 square r=0.05 l=1, 1e-4',
-                Problem(weights=turning, floor=square, **ARRIVAL), departures, (1, 9),
-                rivals=(GUROBI, GUROBI_CUT, SCIP), required={GUROBI: _p50(4.0), SCIP: _p50(10.0)}),
+                Problem(weights=TURNING, floor=SQUARE, **ARRIVAL), departures, (1, 9),
+                rivals=(GUROBI, SCIP), required={GUROBI: _p50(4.0), SCIP: _p50(10.0)}),
         Comparison('dubins-length', 'Dubins N=20 square r=0 l=1, 1e-3',
-                Problem(weights=length, floor=square, **ARRIVAL), departures, (1, 3), 1e-3,
-                (GUROBI, GUROBI_CUT, SCIP), one_second),
+                Problem(weights=LENGTH, floor=SQUARE, **ARRIVAL), departures, (1, 3), 1e-3,
+                (GUROBI, SCIP), {OURS: {'p50_ms': 1000.0}}),
         Comparison('dubins-circle', 'Dubins N=20 circle, 1e-3',
-                Problem(weights=turning, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3),
+                Problem(weights=TURNING, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3),
     ]  # fmt: skip
 
 
 def _space() -> list[Comparison]:
-    goal = np.array([5.0, 10.0, 25.0])
-
-    def departures(problem: Problem, count: int) -> list[Instance]:
-        return arrivals(problem, count, goal, 0.3)
-
-    def around(problem: Problem, count: int) -> list[Instance]:
-        return scattered(problem, count, 2.0)
-
+    departures = partial(arrivals, goal=np.array([5.0, 10.0, 25.0]), spread=0.3)
+    around = partial(scattered, distance=2.0)
     craft: dict[str, Any] = {'dimension': 3, 'rotation_order': 2, 'translation_order': 2}
     fuel = Problem(weights=Weights(0.0, 1.0, 0.1, 0.0), floor=NO_FLOOR, **craft, **ARRIVAL)
     cube = Problem(dimension=3, floor=Floor('polygon', 6, 0.5))
@@ -226,15 +161,10 @@ def _space() -> list[Comparison]:
 
 
 def _sizes() -> list[Comparison]:
-    def ahead(problem: Problem, count: int) -> list[Instance]:
-        return scattered(problem, count, 0.5 * problem.horizon)
-
-    def across(problem: Problem, count: int) -> list[Instance]:
-        return arrivals(problem, count, np.array([8.0, 0.0]), 0.3)
-
+    across = partial(arrivals, goal=np.array([8.0, 0.0]), spread=0.3)
     hulls = [
-        Comparison('horizons', f'SE(2) hull N={n}', Problem(horizon=n, floor=NO_FLOOR), ahead,
-                (4, 30))
+        Comparison('horizons', f'SE(2) hull N={n}', Problem(horizon=n, floor=NO_FLOOR),
+                partial(scattered, distance=0.5 * n), (4, 30))
         for n in HORIZONS
     ]  # fmt: skip
     strewn = [
@@ -244,6 +174,48 @@ def _sizes() -> list[Comparison]:
         for m in BOXES
     ]  # fmt: skip
     return [*hulls, *strewn]
+
+
+def _wing(
+    key: str, words: str, steps: tuple[int, float], floor: Floor, rate: float, **more: Any
+) -> Comparison:
+    """Return a comparison of wings, given the steps, their length [s] and the limits."""
+    horizon, step = steps
+    problem = Problem(horizon=horizon, step=step, forward=FULL, floor=floor, max_rate=rate)
+    known: dict[str, Any] = {'rivals': (GUROBI, SCIP, IPOPT), 'gap': 1e-3}
+    return Comparison(key, f'wing N={horizon} {words}', weighed(problem, 'time'), winged, (4, 200),
+                   closed_loop=True, every=20, **known | more)  # fmt: skip
+
+
+def _wings() -> list[Comparison]:
+    proved = {OURS: _times(3.0, 50.0), SCIP: _p50(100.0), GUROBI: _p50(30.0)}
+    moving = {OURS: _times(2.0, 30.0)}
+    return [
+        _wing('wing', 'circle 2/3, turn rate, 1e-3', (12, 0.5), ROUND, RATE, required=proved),
+        _wing('wing-far', 'circle 2/3, turn rate, 1e-3', (20, 0.5), ROUND, RATE,
+              required={OURS: _times(15.0, 100.0)}),
+        _wing('wing-octagon', 'octagon 2/3, turn rate, 1e-4', (10, 1.0), OCTAGON, RATE, gap=1e-4,
+              rivals=(GUROBI, SCIP), required={OURS: _times(5.0, 50.0, worst_gap=1e-4)}),
+        _wing('wing-circle', 'circle 2/3, 1e-3', (10, 1.0), ROUND, 0.0, required=moving),
+        _wing('wing-circle', 'circle 2/3, 1e-3', (20, 0.5), ROUND, 0.0, required=moving),
+    ]  # fmt: skip
+
+
+def lifted() -> list[Comparison]:
+    """Return the comparisons under gravity."""
+    craft: dict[str, Any] = {'dimension': 3, 'translation_order': 2, 'forward': 20.0}
+    among = Problem(weights=MULTIROTOR, obstacles=boxes(8, space=True), horizon=20, step=0.2,
+                    discretisation='exact', **craft)  # fmt: skip
+    thrust = Floor('circle', fraction=0.3)
+    down = Problem(horizon=30, step=0.3, weights=LANDER, terminal='constraint', floor=thrust,
+                   discretisation='exact', **craft)  # fmt: skip
+    return [
+        Comparison('multirotor', 'multirotor N=20 under gravity, 8 boxes, 1e-3',
+                weighed(among, 'time'), rotored, (2, 60), 1e-3,
+                required={OURS: _times(5.0, 50.0)}, closed_loop=True),
+        Comparison('lander', 'lander N=30, thrust 0.3, 1e-3', weighed(down, 'time'), landings,
+                (2, 20), 1e-3, required={OURS: _times(20.0, 20.0)}),
+    ]  # fmt: skip
 
 
 COMPARISONS = (*_planar(), *_dubins(), *_space(), *_sizes(), *_wings(), *lifted())

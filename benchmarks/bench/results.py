@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Results: rows in a file that is whole after each of them, a table, a picture."""
+"""Rows of results, their table, and the file that is complete after each of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -15,17 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench.interleaved import OURS, Samples, differences, percentiles
+from benchmarks.bench.interleaved import OURS, Samples
 from benchmarks.machine import machine, versions
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.files import write_whole
 
 OWN = ('note', 'beaten', 'failed', 'capped')  # fields that the file does not have
-LATE = 'ticks late by over a period'  # what rows of many planners count, besides their times
-HULLS = 'SE(2) hull N='  # how the problems begin whose time is looked at over N
+LATE = 'ticks late by over a period'  # counted by rows of many planners, besides their times
+HULLS = 'SE(2) hull N='  # begins the problems whose time is fitted over N
 SAME = 1e-4  # relative: objectives closer than this agree
+LAYOUT = '  {:<20}{:>5}{:>8}{:>8}{:>6}{:>10}{:>7}{:>7}{:>7}'
 HEAD = ('', 'n', 'p50 ms', 'p99 ms', 'gap', 'objective', 'x p50', 'x p99', '')
-WIDTHS = (22, 5, 8, 8, 6, 10, 7, 7, 7)
-INDENT = 4  # of remarks
+WIDTH, INDENT = 80, 4 * ' '
 
 
 @dataclass(frozen=True)
@@ -33,21 +34,21 @@ class BenchRow:
     """One solver on one problem; what was not measured is NaN, in JSON null.
 
     Attributes:
-        problem: what was solved.
-        contender: by whom.
-        n: solves measured; 0 for who is absent.
+        problem: title.
+        contender: name of the solver.
+        n: solves measured; 0 for a solver that is absent.
         p50_ms: median time [ms].
         p99_ms: 99th percentile [ms].
         worst_gap: largest relative gap it proved; NaN if it proves nothing.
-        objective: median, of the instances it solved; of a live measurement, the figure that
-            the problem's name ends with.
+        objective: median over the instances it solved; of a live measurement, the figure that
+            the problem's title ends with.
         ratio_p50: its median over ours, on common instances.
         ratio_p99: the same at the 99th percentile.
         required: limits by field: ratios at least, everything else at most.
         note: for the table alone.
         beaten: whether it found a trajectory that costs less than ours.
-        capped: solves that ran into their time limit: its times and ratios are at least these.
         failed: whether the measurement itself, or our own solver, broke off.
+        capped: solves that ran into their time limit: its times and ratios are at least these.
     """
 
     problem: str
@@ -72,23 +73,25 @@ class BenchRow:
         return {**bare, 'required': dict(self.required) if self.required else None}
 
     @property
-    def measured(self) -> bool:
-        """Return whether there is anything to judge."""
-        return self.n > 0
-
-    @property
     def rival(self) -> bool:
-        """Return whether somebody else was timed on the same problem as we."""
+        """Return whether this is another solver, timed on the same problem as ours."""
         return self.contender != OURS and not math.isnan(self.ratio_p50)
 
     @property
     def missed(self) -> list[str]:
-        """Return the fields that miss what is required of them; a NaN misses everything."""
-        return [k for k, limit in (self.required or {}).items() if not self._meets(k, limit)]
+        """Return the measured fields that miss their limits; a NaN misses every limit."""
+        limits = (self.required or {}).items() if self.n else ()
+        return [name for name, limit in limits if not self._meets(name, limit)]
 
     def _meets(self, name: str, limit: float) -> bool:
         value = getattr(self, name)
         return bool(value >= limit if name.startswith('ratio') else value <= limit)
+
+
+def percentiles(times: Sequence[float]) -> tuple[float, float]:
+    """Return median and 99th percentile."""
+    p50, p99 = np.percentile(times, [50, 99])
+    return float(p50), float(p99)
 
 
 def rows_of(
@@ -121,132 +124,103 @@ def _row(
     p50, p99 = percentiles([theirs.times[i] for i in common])
     base_50, base_99 = percentiles([ours.times[i] for i in common])
     solutions = theirs.solutions.values()
+    gaps = [each.gap for each in solutions if not math.isnan(each.gap)]
+    off = np.array([_off(theirs, ours, i) for i in common])
+    capped = sum(each.capped for each in solutions)
     return BenchRow(
         problem=problem,
         contender=name,
         n=len(theirs.times),
         p50_ms=p50,
         p99_ms=p99,
-        worst_gap=_largest([a.gap for a in solutions]),
-        objective=float(np.nanmedian([a.objective for a in solutions])),
+        worst_gap=max(gaps, default=math.nan),
+        objective=float(np.nanmedian([each.objective for each in solutions])),
         ratio_p50=p50 / base_50,
         ratio_p99=p99 / base_99,
         required=required,
-        note=_note(theirs, ours, same),
-        beaten=not _relaxed(theirs) and bool((differences(theirs, ours) < -same).any()),
+        note=theirs.refused if theirs is ours else _note(off, same, capped, theirs, ours),
+        beaten=bool((off < -same).any()),
         failed=broken,
-        capped=sum(each.capped for each in solutions),
+        capped=capped,
     )
 
 
-def _largest(gaps: list[float]) -> float:
-    known = [gap for gap in gaps if not math.isnan(gap)]
-    return max(known) if known else math.nan
+def _off(theirs: Samples, ours: Samples, i: int) -> float:
+    """Return (theirs - ours) / |ours| of the objectives of an instance."""
+    value = ours.solutions[i].objective
+    return (theirs.solutions[i].objective - value) / max(1e-9, abs(value))
 
 
-def _relaxed(samples: Samples) -> bool:
-    """Return whether a solver solves the relaxation: its result is a bound."""
-    return any(each.relaxed for each in samples.solutions.values())
-
-
-def _note(theirs: Samples, ours: Samples, same: float) -> str:
-    """Return remarks on its objectives and its time limit."""
-    if theirs is ours:
-        return theirs.refused
-    apart, notes = differences(theirs, ours), []
-    failed, worse, better = np.isnan(apart).sum(), (apart > same).sum(), (apart < -same).sum()
-    below = 'relaxed: a bound, lower' if _relaxed(theirs) else 'BETTER than ours'
-    for count, what in ((failed, 'no solution'), (worse, 'worse'), (better, below)):
-        if count:
-            notes.append(f'{what} on {count}')
-    capped = sum(each.capped for each in theirs.solutions.values())
+def _note(off: Array, same: float, capped: int, theirs: Samples, ours: Samples) -> str:
+    """Return remarks on objectives and time limit."""
+    counts = {
+        'no solution on': np.isnan(off).sum(),
+        'worse on': (off > same).sum(),
+        'BETTER than ours on': (off < -same).sum(),
+    }
+    notes = [f'{text} {count}' for text, count in counts.items() if count]
     if capped:
         notes.append(f'time limit hit on {capped}: ratios are at least')
     if theirs.refused:
         notes.append(theirs.refused)
-    fewer = f' on {len(apart)} of {len(ours.solutions)}' if len(apart) < len(ours.solutions) else ''
-    return ', '.join(notes) or f'objectives agree{fewer}'
+    few = f' on {len(off)} of {len(ours.solutions)}' if len(off) < len(ours.solutions) else ''
+    return ', '.join(notes) or f'objectives agree{few}'
 
 
 def growth(rows: Sequence[BenchRow]) -> list[BenchRow]:
-    """Return how time grows with N over the hull's rows, whose problem ends with it: its exponent.
-
-    Fitted to the medians, both logarithmic.
-    """
-    rows = [row for row in rows if row.problem.startswith(HULLS) and row.measured]
+    """Return a row with the exponent of N in the median time of the hull's problems."""
+    rows = [row for row in rows if row.problem.startswith(HULLS) and row.n]
     if len(rows) < 3:
         return []
     sizes = [float(row.problem.rpartition('=')[2]) for row in rows]
     slope, _ = np.polyfit(np.log(sizes), np.log([row.p50_ms for row in rows]), 1)
-    title = f'SE(2) hull N={sizes[0]:.0f}..{sizes[-1]:.0f}: exponent of N'
+    title = f'{HULLS}{sizes[0]:.0f}..{sizes[-1]:.0f}: exponent of N'
     wanted = {'objective': 1.1}
     return [BenchRow(title, OURS, len(rows), objective=float(slope), required=wanted)]
 
 
 def table(rows: Sequence[BenchRow]) -> str:
     """Return the table; ``x`` are multiples of our time on the same instances."""
-    lines = [_aligned(HEAD)]
+    lines = [LAYOUT.format(*HEAD).rstrip()]
     for problem, group in itertools.groupby(rows, attrgetter('problem')):
         lines.append(problem)
         for row in group:
-            lines += [_aligned(_cells(row)), *itertools.chain(*map(_wrapped, _notes(row)))]
+            lines.append(LAYOUT.format(*_cells(row)).rstrip())
+            for note in filter(None, (_required(row), row.note)):
+                lines += textwrap.wrap(note, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT)
     return '\n'.join(lines)
 
 
-def _wrapped(note: str) -> list[str]:
-    return textwrap.wrap(
-        note, sum(WIDTHS), initial_indent=INDENT * ' ', subsequent_indent=INDENT * ' '
-    )
-
-
-def _aligned(cells: Sequence[str]) -> str:
-    name, *others = zip(cells, WIDTHS, strict=True)
-    return ''.join([name[0].ljust(name[1]), *(c.rjust(width) for c, width in others)]).rstrip()
-
-
 def _cells(row: BenchRow) -> tuple[str, ...]:
-    verdict = ('MISSED' if row.missed else 'met') if row.required and row.measured else ''
-    return (
-        f'  {row.contender}',
-        str(row.n) if row.n else '-',
-        _number(row.p50_ms, '.3g'),
-        _number(row.p99_ms, '.3g'),
-        _number(row.worst_gap, '.0e'),
-        _number(row.objective, '.5g'),
-        _number(row.ratio_p50, '.1f'),
-        _number(row.ratio_p99, '.1f'),
-        verdict,
+    numbers = (
+        *((row.p50_ms, '.3g'), (row.p99_ms, '.3g'), (row.worst_gap, '.0e')),
+        *((row.objective, '.5g'), (row.ratio_p50, '.1f'), (row.ratio_p99, '.1f')),
     )
+    shown = ('-' if math.isnan(value) else format(value, form) for value, form in numbers)
+    verdict = ('MISSED' if row.missed else 'met') if row.required and row.n else ''
+    return (row.contender, str(row.n or '-'), *shown, verdict)
 
 
-def _notes(row: BenchRow) -> Iterator[str]:
-    if row.required:
-        yield 'required: ' + ', '.join(f'{_short(k)} {v:g}' for k, v in row.required.items())
-    if row.note:
-        yield row.note
-
-
-def _number(value: float, form: str) -> str:
-    return '-' if math.isnan(value) else format(value, form)
-
-
-def _short(name: str) -> str:
-    """Return a field's limit as words: ratio_p50 becomes ``x p50 >=``."""
-    if name.startswith('ratio_'):
-        return f'x {name.removeprefix("ratio_")} >='
-    return f'{name.replace("_ms", " ms").replace("worst_", "")} <='
+def _required(row: BenchRow) -> str:
+    """Return the limits in words: that of ratio_p50 as ``x p50 >= 10``."""
+    limits = (
+        f'x {name[6:]} >= {limit:g}'
+        if name.startswith('ratio_')
+        else f'{name.replace("_ms", " ms").replace("worst_", "")} <= {limit:g}'
+        for name, limit in (row.required or {}).items()
+    )
+    return f'required: {", ".join(limits)}' if row.required else ''
 
 
 class Result:
-    """What has been measured so far, on disk from the first row on.
+    """Everything measured so far, on disk from the first row on.
 
     Args:
         file: takes the rows as JSON; None for nowhere.
-        picture: takes a PNG at the end; None for none.
     """
 
-    def __init__(self, file: Path | None, picture: Path | None) -> None:
-        self._file, self._picture = file, picture
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
         self._head = {'machine': machine(), 'versions': versions()}
         self.rows: list[BenchRow] = []
 
@@ -257,11 +231,3 @@ class Result:
             content = {**self._head, 'rows': [row.as_json() for row in self.rows]}
             text = json.dumps(content, indent=1, allow_nan=False) + '\n'
             write_whole(self._file, lambda new: new.write_text(text))
-
-    def close(self) -> None:
-        """Print the table and draw the picture of what there is."""
-        print(table(self.rows))
-        if self._picture is not None and self.rows:
-            from benchmarks.bench.picture import draw
-
-            draw(self.rows, self._picture)

@@ -21,7 +21,7 @@ from orbimpc_ros.tool.files import require_writable
 
 if TYPE_CHECKING:
     from benchmarks.faults.harness import Fixtures
-    from benchmarks.faults.outcome import FaultCase, MatrixRow, Outcome
+    from benchmarks.faults.matrix import FaultCase, MatrixRow
 
 DEFAULT_SOAK = 30.0  # [min]
 
@@ -64,21 +64,24 @@ def run(args: argparse.Namespace) -> int:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
     rows = tried(cases, args.long, args.executor)
-    _write(args.json, rows)
+    if args.json:
+        result = {'machine': machine(), 'rows': [row.as_json() for row in rows]}
+        Path(args.json).write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
     return 0 if all(row.ok for row in rows) else 1
 
 
 def _wanted(only: Sequence[str] | None) -> list[FaultCase]:
-    from benchmarks.faults.matrix import MATRIX
+    from benchmarks.faults import inputs, processes
 
-    names = [case.name for case in MATRIX]
+    matrix = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
+    names = [case.name for case in matrix]
     for name in only or ():
         if name not in names:
             raise BadInput('--only', name, ' | '.join(names))
-    return [case for case in MATRIX if not only or case.name in only]
+    return [case for case in matrix if not only or case.name in only]
 
 
-def tried(cases: Sequence[FaultCase], long: bool, executor: str = 'wait_set') -> list[MatrixRow]:
+def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixRow]:
     """Return the rows of fault cases and print them; all processes are gone at the end.
 
     Args:
@@ -87,56 +90,45 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str = 'wait_set') ->
         executor: of the nodes.
     """
     from benchmarks.faults.harness import Fixtures
-    from benchmarks.faults.outcome import MatrixRow, table
+    from benchmarks.faults.matrix import MatrixRow, table
+    from orbimpc_ros.tool.run.progress import ProgressLine
 
-    rows = [MatrixRow(case) for case in cases]
+    rows, progress = [MatrixRow(case) for case in cases], ProgressLine(len(cases))
     try:
         with (
             tempfile.TemporaryDirectory() as name,
             _terminated(),
-            Fixtures(Path(name), executor) as made,
+            Fixtures(Path(name), executor) as fixtures,
         ):
-            _try_all(rows, made, long)
+            for number, row in enumerate(rows):
+                for count in _tried(row, fixtures, long):
+                    progress.show(number, f'{row.case.title}: {count} cases')
+            progress.close()
     finally:
         print(table([row for row in rows if row.outcomes]))
     return rows
 
 
-def _try_all(rows: Sequence[MatrixRow], fixtures: Fixtures, long: bool) -> None:
-    from orbimpc_ros.tool.run.progress import ProgressLine
+def _tried(row: MatrixRow, fixtures: Fixtures, long: bool) -> Iterator[int]:
+    """Try a row, yielding its cases so far; a planner that never recovers ends the row alone."""
+    from benchmarks.faults.matrix import Outcome
 
-    progress = ProgressLine(len(rows))
-    for number, row in enumerate(rows):
-        begin = time.monotonic()
-        for outcome in _outcomes(row.case, fixtures, long):
+    begin = time.monotonic()
+    try:
+        for outcome in row.case.cases(fixtures, long):
             row.outcomes.append(outcome)
             row.seconds = time.monotonic() - begin
-            progress.show(number, f'{row.case.title}: {len(row.outcomes)} cases')
-    progress.close()
-
-
-def _outcomes(case: FaultCase, fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Yield a row's outcomes; a planner that cannot be recovered ends the row, not the matrix."""
-    from benchmarks.faults.outcome import Outcome
-
-    try:
-        yield from case.cases(fixtures, long)
+            yield len(row.outcomes)
     except OrbimpcError as error:
-        yield Outcome('then', failure=str(error))
+        row.outcomes.append(Outcome('then', failure=str(error)))
         fixtures.clear()
 
 
 @contextmanager
 def _terminated() -> Iterator[None]:
-    """Take SIGTERM like Ctrl-C, so that both leave in order."""
+    """Treat SIGTERM like Ctrl-C, so that both leave in order."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _write(file: str | None, rows: Sequence[MatrixRow]) -> None:
-    if file:
-        result = {'machine': machine(), 'rows': [row.as_json() for row in rows]}
-        Path(file).write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')

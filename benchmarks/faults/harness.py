@@ -8,9 +8,8 @@ import random
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
@@ -21,7 +20,6 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 from benchmarks.faults import stimulus
-from benchmarks.faults.flood import HELD_UP, Pause
 from benchmarks.faults.monitor import Limits, Monitor
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.kernels.__main__ import PARTS
@@ -34,17 +32,22 @@ from orbimpc_ros.tool.run.processes import Process
 
 Some = TypeVar('Some', bound='Session')
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
+STEP = 0.2  # [s]
+EPOCH = 1000.0  # [s] at which simulated time begins
+RATE = 20.0  # [Hz] of odometry and goal
+NODE = 'orbimpc_ros.ros.planner'
+PLANNER: dict[str, Any] = {
+    'step': STEP,
+    'floor.shape': 'polygon',
+    'goal_timeout': 0.4,
+    'goal_jump_limit': 5.0,
+    'max_rate': 3.0,
+    'safe_command': 'stop',  # with a floor it would be to circle, which is no sign to judge by
+}  # [s], [m], [rad/s]
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where processes run.
-
-    Attributes:
-        folder: takes parameters and logs.
-        domain: of ROS, nobody else's.
-        executor: of the nodes.
-    """
+class Place(NamedTuple):
+    """A folder for parameters and logs, a ROS domain, and the executor of nodes."""
 
     folder: Path
     domain: int
@@ -60,7 +63,7 @@ class Session(Observer):
 
     Attributes:
         folder: takes parameters and logs.
-        monitor: hears commands, ticks and diagnostics.
+        monitor: of commands, ticks and diagnostics.
     """
 
     def __init__(self, place: Place, limits: Limits) -> None:
@@ -76,7 +79,7 @@ class Session(Observer):
         name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
         settings.write(file, {**values, 'executor': self._place.executor})
-        process = Process(module, file, file.with_suffix('.log'), self._place.domain)
+        process = Process(module, file, file.with_suffix('.log'), self.domain)
         self._processes.append(process)
         return process
 
@@ -91,10 +94,10 @@ class Session(Observer):
             self._processes[-1].require_health()
             raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
 
-    def until_first(self, event: Callable[..., float], since: float, *about: str) -> float:
+    def until_first(self, event: Callable[[Monitor, float], float], since: float) -> float:
         """Spin until an event of the monitor since a time [s]; return when, infinite for never."""
-        self.spin(PATIENCE, lambda: event(since, *about) < math.inf)
-        return event(since, *about)
+        self.spin(PATIENCE, lambda: event(self.monitor, since) < math.inf)
+        return event(self.monitor, since)
 
     def __enter__(self: Some) -> Some:
         return self
@@ -105,19 +108,6 @@ class Session(Observer):
         self.close()
 
 
-STEP = 0.2  # [s]
-EPOCH = 1000.0  # [s] at which simulated time begins
-RATE = 20.0  # [Hz] of odometry and goal
-PLANNER: dict[str, Any] = {
-    'step': STEP,
-    'floor.shape': 'polygon',
-    'goal_timeout': 0.4,
-    'goal_jump_limit': 5.0,
-    'max_rate': 3.0,
-    'safe_command': 'stop',  # with a floor it would be to circle, which is no sign to judge by
-}  # [s], [m], [rad/s]
-
-
 class Harness(Session):
     """Feeds a planner at a steady rate and records all that it publishes, until closed.
 
@@ -125,17 +115,14 @@ class Harness(Session):
         place: of the planner.
         parameters: of the planner, beside those of all harnesses.
         simulated: whether to be the planner's clock as well.
-        seed: of all that is drawn.
+        seed: of all draws.
         module: of the planner.
 
     Attributes:
         planner: its process.
-        draw: all that is drawn.
-        spoiled: what is wrong with the stimulus.
-        running: whether the clock runs; only where that is simulated.
-        jump: what the clock is off [s].
-        pauses: times without a goal, as on a busy machine.
-        frozen_at: when the clock was stopped last, on the monotonic clock [s].
+        draw: generator of all draws.
+        spoiled: fault of the stimulus.
+        jump: error of the clock [s]; only where that is simulated.
     """
 
     def __init__(
@@ -145,17 +132,14 @@ class Harness(Session):
         *,
         simulated: bool = False,
         seed: int = 0,
-        module: str = 'orbimpc_ros.ros.planner',
+        module: str = NODE,
     ) -> None:
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
         super().__init__(place, Limits(1.0, self._values['max_rate']))
         self._simulated, self._module = simulated, module
-        self.draw = random.Random(seed)
-        self.spoiled = stimulus.Spoiled('nothing')
-        self.running, self.jump = True, 0.0
+        self.draw, self.spoiled = random.Random(seed), stimulus.HEALTHY
+        self.jump, self._frozen_at = 0.0, math.nan
         self._begun = self._due = time.monotonic()
-        self.frozen_at = 0.0
-        self.pauses: list[Pause] = []
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
         self._transforms: Any = None
@@ -168,36 +152,31 @@ class Harness(Session):
         """Start a planner."""
         self.planner = self.launch(self._module, self._values)
 
-    # --- time
-
     @property
     def now(self) -> int:
-        """Return the time that messages are stamped with [ns]."""
+        """Return the time for stamps [ns]."""
         if not self._simulated:
             return time.time_ns()
-        at = time.monotonic() if self.running else self.frozen_at
+        at = time.monotonic() if math.isnan(self._frozen_at) else self._frozen_at
         return round((EPOCH + at - self._begun + self.jump) * messages.SECOND)
 
     def freeze(self) -> None:
         """Stop the clock."""
-        self.frozen_at, self.running = time.monotonic(), False
+        self._frozen_at = time.monotonic()
 
     def thaw(self) -> None:
         """Let the clock run on from where it stopped."""
-        self.jump += self.frozen_at - time.monotonic()
-        self.running = True
+        self.jump += self._frozen_at - time.monotonic()
+        self._frozen_at = math.nan
 
     def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Feed and listen for a while, or until ``done``."""
         end = time.monotonic() + seconds
         while (now := time.monotonic()) < end and not done():
             if now >= self._due:
-                if now > self._due + HELD_UP:
-                    self.pauses.append(Pause(self._due, now))
                 self._due = max(self._due + 1.0 / RATE, now)
                 self._feed()
-            wait = min(self._due, end) - time.monotonic()
-            self.spin_once(wait)
+            self.spin_once(min(self._due, end) - time.monotonic())
 
     def until_planned(self) -> None:
         """Feed a healthy planner until it commands to move."""
@@ -230,21 +209,30 @@ class Harness(Session):
         """Publish odometry again."""
         self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
 
-    def set_parameters(self, values: Mapping[str, Any]) -> list[str]:
+    def refusals(self, values: Mapping[str, Any]) -> list[str]:
         """Set parameters of the running planner, one by one; return the reasons for refusals."""
         parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
         request = SetParameters.Request(parameters=parameters)
         results = self.call(SetParameters, '/planner/set_parameters', request).results
         return [result.reason for result in results if not result.successful]
 
+    def set_live(self, **values: Any) -> None:
+        """Set parameters of the running planner.
+
+        Raises:
+            OrbimpcError: they are refused.
+        """
+        if refused := self.refusals(values):
+            raise OrbimpcError(f'refused: {refused}')
+
 
 class Fixtures(AbstractContextManager['Fixtures']):
-    """Hands out harnesses; those that rows share live until the fixtures are closed.
+    """Makes harnesses; those that rows share live until the fixtures are closed.
 
     Machine code is compiled first: a planner that has to do so itself answers nothing for so long.
 
     Args:
-        folder: takes what processes need and print.
+        folder: takes parameters and logs.
         executor: of the nodes.
     """
 
@@ -263,16 +251,16 @@ class Fixtures(AbstractContextManager['Fixtures']):
         return Place(folder, discovery.isolate(folder), self._executor)
 
     def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
-        """Return a harness of one's own, to be closed."""
+        """Return a new harness, to be closed."""
         return Harness(self.place(), parameters, **more)
 
-    def shared(
-        self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any
-    ) -> Harness:
-        """Return the harness of a name, made when first asked for; its planner runs."""
-        if name not in self._shared:
-            self._shared[name] = self._stack.enter_context(self.harness(parameters, **more))
-        harness = self._shared[name]
+    def shared(self, parameters: Mapping[str, Any], *, simulated: bool = False) -> Harness:
+        """Return the shared harness of some parameters; its planner runs."""
+        key = repr((parameters, simulated))
+        if key not in self._shared:
+            made = self.harness(parameters, simulated=simulated)
+            self._shared[key] = self._stack.enter_context(made)
+        harness = self._shared[key]
         if not harness.planner.running:
             harness.start()
         return harness

@@ -1,21 +1,23 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Injection of faults: the times at which they begin, and the reactions that follow."""
+"""Injection of faults into a running planner: moments of their beginning, and reactions."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 from benchmarks.faults.harness import STEP, Fixtures, Harness
-from benchmarks.faults.monitor import Monitor
-from benchmarks.faults.outcome import Outcome
-from benchmarks.faults.stimulus import Spoiled
+from benchmarks.faults.matrix import FaultCase, Outcome
+from benchmarks.faults.monitor import Monitor, complaint
+from benchmarks.faults.stimulus import HEALTHY
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
-TIMES = (START, MIDWAY, SOLVING)
+RUNNING = (MIDWAY, SOLVING)
+TIMES = (START, *RUNNING)
 SEEDS = (1, 2, 3)
 AFTER = 3  # ticks that a fault lasts beyond the latest reaction
 INTO = 0.03  # [s] of a solve
@@ -30,60 +32,136 @@ SLOW = {
     'gap_tolerance': 1e-9,
     'delay_compensation': False,  # the stimulus does not obey commands: foreseen, it is no problem
 }
-HEALTHY = Spoiled('nothing')
+
+
+def _healthy(harness: Harness) -> None:
+    harness.spoiled = HEALTHY
+
+
+def _flawless(_harness: Harness, _since: float) -> str:
+    return ''
 
 
 @dataclass(frozen=True)
-class Expected:
-    """The reaction that a fault of the stimulus requires.
+class Fault:
+    """A fault, and the reaction that it requires.
 
     Attributes:
-        wait: until nothing that was planned may be flown: an input counts as stale, and the plan
+        name: of the fault.
+        begin: makes it begin.
+        end: makes everything healthy again.
+        wait: time after which no earlier plan may be flown: an input counts as stale, and the plan
             that outlives it has had its ticks [s].
         allowed: ticks after that.
         strict: whether the planner must be safe as long as the fault lasts.
+        event: returns when the reaction came, since a time [s]; None where none is due.
+        flaw: returns any other failure in words, since a time [s].
+        times: moments of injection in the long form.
+        unit: of the reaction [s].
     """
 
-    wait: float
-    allowed: float
+    name: str
+    begin: Callable[[Harness], None]
+    end: Callable[[Harness], None] = _healthy
+    wait: float = 0.0
+    allowed: float = 1.0
     strict: bool = True
+    event: Callable[[Monitor, float], float] | None = Monitor.first_safe
+    flaw: Callable[[Harness, float], str] = _flawless
+    times: Sequence[str] = TIMES
+    unit: float = STEP
 
 
-def harness_for(fixtures: Fixtures, when: str, *, simulated: bool = False) -> Harness:
-    """Return a harness with a healthy planner, one that searches long if that matters."""
-    name, parameters = ('slow', SLOW) if when == SOLVING else ('plain', {})
-    clock = ', simulated time' if simulated else ''
-    return fixtures.shared(name + clock, parameters, simulated=simulated)
-
-
-def harnesses(
-    fixtures: Fixtures,
-    long: bool,
-    times: Sequence[str] = (MIDWAY,),
+def fault_case(
+    name: str,
+    title: str,
+    faults: Callable[[], Sequence[Fault]],
+    short: Sequence[str] = (MIDWAY,),
     *,
-    label: str = '',
+    allowed: float = 1.0,
+    unit: str = 'ticks',
     simulated: bool = False,
-) -> Iterator[tuple[Harness, str]]:
-    """Yield harnesses, their draws seeded anew, with the time at which to inject a fault.
+    **own: Any,
+) -> FaultCase:
+    """Return a row of faults that are injected into a running planner.
 
     Args:
-        fixtures: hand them out.
-        long: whether to take every time and every seed, or the first of each.
-        times: of injection.
-        label: seeds the draws too, so that variants of a fault draw apart.
+        name: for ``--only``.
+        title: description.
+        faults: makes them anew.
+        short: moments of injection in the short form, the faults taken in turns.
+        allowed: latest reaction.
+        unit: of reactions.
         simulated: whether the harness is the planner's clock as well.
+        own: of harnesses of the row's own; without any it shares those of others.
     """
-    for when in times if long else times[:1]:
+
+    def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+        made = faults()
+        every = [(fault, when) for fault in made for when in fault.times]
+        pairs = every if long else [*zip(itertools.cycle(made), short)]
         for seed in SEEDS if long else SEEDS[:1]:
-            harness = harness_for(fixtures, when, simulated=simulated)
-            harness.draw.seed(f'{label} {when} {seed}')
-            yield harness, when
+            if own:
+                with fixtures.harness(seed=seed, **own) as harness:
+                    yield from (injected(harness, *pair) for pair in pairs)
+            else:
+                for fault, when in pairs:
+                    slow = SLOW if when == SOLVING else {}
+                    harness = fixtures.shared(slow, simulated=simulated)
+                    harness.draw.seed(f'{fault.name} {when} {seed}')
+                    yield injected(harness, fault, when)
+
+    return FaultCase(name, title, allowed, run, unit)
 
 
-def inject(harness: Harness, when: str, begin: Callable[[], None]) -> float:
-    """Make a healthy planner's fault begin and return when that was [s]."""
+def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
+    """Return the outcome of a fault; the planner is healthy again at the end.
+
+    Raises:
+        OrbimpcError: it does not recover.
+    """
+    begin, late = _begun(harness, fault, when), math.nan
+    due = (time.monotonic() if when == START else begin) + fault.wait
+    harness.spin(due + fault.allowed * STEP - time.monotonic())
+    if when != START and fault.event is not None:
+        late = max(0.0, harness.until_first(fault.event, begin) - due) / fault.unit
+    harness.spin(AFTER * STEP)
+    unsafe = unsafe_commands(harness.monitor, fault, begin, due)
+    if when == START and fault.strict:  # then there is nothing from before to be flown
+        unsafe += harness.monitor.moving(begin, due)
+    failure = fault.flaw(harness, begin)
+    fault.end(harness)
+    harness.planner.require_health()
+    harness.until_planned()
+    return Outcome(f'{fault.name}, {when}', unsafe, late, failure)
+
+
+def unsafe_commands(monitor: Monitor, fault: Fault, begin: float, due: float) -> int:
+    """Return how many commands should not have been sent since a fault began [s].
+
+    Args:
+        monitor: has the commands.
+        fault: that was injected.
+        begin: when it began [s].
+        due: when nothing planned before may be flown any more [s].
+    """
+    again = monitor.moving_again(due, due + fault.allowed * STEP)
+    return monitor.broken(begin) + (again if fault.strict else 0)
+
+
+def _begun(harness: Harness, fault: Fault, when: str) -> float:
+    """Make a fault begin and return when that was [s]."""
+    if when == START:
+        harness.planner.stop()
+        harness.spin(0.1)
+        begin = time.monotonic()
+        fault.begin(harness)
+        harness.start()
+        waits = complaint('wait')
+        harness.until(lambda: waits(harness.monitor, begin) < math.inf, 'its diagnostics')
+        return begin
     until_due(harness, when)
-    begin()
+    fault.begin(harness)
     return time.monotonic()
 
 
@@ -97,54 +175,3 @@ def until_due(harness: Harness, when: str) -> None:
         harness.spin(solved - 1e-3 * harness.monitor.solve_ms + STEP + INTO - time.monotonic())
     else:
         harness.spin(harness.draw.uniform(0.0, STEP))
-
-
-def spoiling(harness: Harness, spoiled: Spoiled, when: str, expected: Expected) -> Outcome:
-    """Spoil a planner's stimulus for a while and return the outcome; healthy again at the end."""
-    if when == START:
-        return _from_the_start(harness, spoiled, expected)
-    begin = inject(harness, when, partial(setattr, harness, 'spoiled', spoiled))
-    due = begin + expected.wait
-    harness.spin(due + expected.allowed * STEP - time.monotonic())
-    if expected.strict:
-        harness.until_first(harness.monitor.first_safe, begin)
-    harness.spin(AFTER * STEP)
-    unsafe = unsafe_commands(harness.monitor, begin, expected)
-    late = reaction(harness.monitor.first_safe(begin), due)
-    return recovered(harness, Outcome(f'{spoiled.name}, {when}', unsafe, late))
-
-
-def unsafe_commands(monitor: Monitor, begin: float, expected: Expected) -> int:
-    """Return how many commands should not have been sent since a fault began [s]."""
-    unsafe = monitor.broken(begin)
-    if expected.strict:
-        due = begin + expected.wait
-        unsafe += monitor.moving_again(due, due + expected.allowed * STEP)
-    return unsafe
-
-
-def reaction(safe: float, due: float) -> float:
-    """Return how many ticks after it was due something happened; 0 if before."""
-    return max(0.0, (safe - due) / STEP)
-
-
-def recovered(harness: Harness, outcome: Outcome) -> Outcome:
-    """Return the outcome once the planner, healthy again, commands to move."""
-    harness.spoiled = HEALTHY
-    harness.planner.require_health()
-    harness.until_planned()
-    return outcome
-
-
-def _from_the_start(harness: Harness, spoiled: Spoiled, expected: Expected) -> Outcome:
-    harness.planner.stop()
-    harness.spin(0.1)
-    harness.spoiled, begin = spoiled, time.monotonic()
-    harness.start()
-    waits = partial(harness.monitor.first_complaint, begin, 'wait')
-    harness.until(lambda: waits() < math.inf, 'its diagnostics')
-    harness.spin(expected.wait + (expected.allowed + AFTER) * STEP)
-    unsafe = harness.monitor.broken(begin)
-    if expected.strict:
-        unsafe += harness.monitor.moving(begin)
-    return recovered(harness, Outcome(f'{spoiled.name}, {START}', unsafe))

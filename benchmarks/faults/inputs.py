@@ -1,174 +1,242 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows on inputs and clocks: none, too late, out of order, out of range; stopped, or reset."""
+"""Rows of faults at a planner that runs: inputs, clocks, other participants, no feasible plan."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy
 
-from benchmarks.faults import injection, stimulus
-from benchmarks.faults.harness import STEP, Fixtures, Harness
-from benchmarks.faults.injection import AFTER, MIDWAY, SOLVING, START, Expected
-from benchmarks.faults.outcome import FaultCase, Outcome
-from benchmarks.faults.stimulus import HUGE, Spoiled, shifted, with_field
+from benchmarks.faults import stimulus
+from benchmarks.faults.harness import PATIENCE, STEP, Harness
+from benchmarks.faults.injection import MIDWAY, RUNNING, SOLVING, START, Fault, fault_case
+from benchmarks.faults.monitor import Monitor, complaint
+from benchmarks.faults.stimulus import HUGE, Spoiled, Spoiler, shifted, with_field
 from orbimpc_ros.loop.planner import FALLBACK_TICKS
+from orbimpc_ros.mpc.outcome import Fallback
+from orbimpc_ros.ros.process import qos
 
-ODOMETRY = Expected(wait=0.3, allowed=1.0)  # odom_timeout: 1.5 steps
-# goal_timeout of the harness, after which the last plan is flown on for two ticks at most.
-GOAL = Expected(wait=0.4 + FALLBACK_TICKS * STEP, allowed=1.0)
+STALE = 0.3  # [s] odom_timeout: 1.5 steps
+LADDER = FALLBACK_TICKS * STEP  # [s] that a shifted plan may be flown
+LOST = 0.4 + LADDER  # [s] goal_timeout of the harness, and the last plan after it
+TIMEOUT = 0.2  # [s] transform_timeout
 HEALTH = 1.2  # [s] in which counts are reported
+REPORT = 1.0  # [s] in which a mismatch must be reported
+MEET = 0.6  # [s] that discovery may take
+TURNED = 6.0  # [s] in which a velocity's frame must be doubted: first the vehicle has to turn
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)
-STALE = 0.3  # [s] odom_timeout
-JUMPS = {'back 0.5 s': -0.5, 'back 900 s': -900.0, 'reset to 1 s': None, 'forward 600 s': 600.0}
-TO_ONE = 1.0  # [s] what a reset clock begins at
-SHORT = 2  # jumps that are tried in the short form
-
-STAMPS = {
-    'future stamps': shifted(5.0, 1e6),
-    'nanosec >= 1e9': with_field('header.stamp.nanosec', 10**9, 2**32 - 1),
-    'sec < 0': with_field('header.stamp.sec', -1, -(2**31)),
-    'the same stamp': None,  # made anew for every case: it remembers
-}
-NUMBERS = {
-    'position': with_field('pose.pose.position.x', *BEYOND),
-    'orientation': with_field('pose.pose.orientation.w', *BEYOND),
-    'quaternion not unit': stimulus.scaled_quaternion('odometry'),
-    'velocity': with_field('twist.twist.linear.x', *BEYOND),
-    'rate': with_field('twist.twist.angular.z', *BEYOND),
-    'frame': with_field('header.frame_id', 'map', '', 'x' * HUGE),
-    'child frame': with_field('child_frame_id', 'map', '', '\x00' * HUGE),
-}
-GOALS = {
-    'goal position': with_field('pose.position.y', *BEYOND),
-    'goal orientation': with_field('pose.orientation.x', *BEYOND),
-    'goal quaternion not unit': stimulus.scaled_quaternion('goal'),
-    'goal frame': with_field('header.frame_id', 'map', 'x' * HUGE),
-    'goal stamp in the future': shifted(5.0, 1e6),
-    'goal stamp sec < 0': with_field('header.stamp.sec', -1),
-}
+TO_ONE = 1.0  # [s] first time of a reset clock
+WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # everywhere is inside of this box
+ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
 
 
-def _stamps() -> list[Spoiled]:
-    found = {name: spoil or stimulus.repeated() for name, spoil in STAMPS.items()}
-    return [Spoiled(name, odometry=spoil) for name, spoil in found.items()]
-
-
-def _contents() -> list[Spoiled]:
-    odometry = [Spoiled(name, odometry=spoil) for name, spoil in NUMBERS.items()]
-    return odometry + [Spoiled(name, goal=spoil) for name, spoil in GOALS.items()]
-
-
-def _fault_case(
-    name: str, title: str, variants: Callable[[], Sequence[Spoiled]], *short: str
-) -> FaultCase:
-    def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-        every = itertools.product(variants(), injection.TIMES)
-        for spoiled, time in every if long else zip(itertools.cycle(variants()), short):
-            expected = GOAL if spoiled.goal is not None else ODOMETRY
-            for harness, when in injection.harnesses(fixtures, long, (time,), label=spoiled.name):
-                yield injection.spoiling(harness, spoiled, when, expected)
-
-    return FaultCase(name, title, 1.0, run)
-
-
-def _unset(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Odometry that loses its stamp: at the start it might be that of simulated time."""
-    spoiled = Spoiled('stamps not set', odometry=with_field('header.stamp', Time()))
-    for harness, when in injection.harnesses(fixtures, long, (MIDWAY, SOLVING), label='unset'):
-        yield injection.spoiling(harness, spoiled, when, ODOMETRY)
-
-
-def _mixed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Old messages and doubles among good ones: refused and counted, planned on all the same."""
-    spoiled = Spoiled('old among new', stimulus.interleaved(), stimulus.interleaved())
-    for harness, when in injection.harnesses(fixtures, long):
-        expected = Expected(0.0, 5.0, strict=False)
-        outcome = injection.spoiling(harness, spoiled, when, expected)
-        harness.spin(HEALTH)
-        yield Outcome(outcome.case, outcome.unsafe, math.nan, _uncounted(harness))
-
-
-def _uncounted(harness: Harness) -> str:
-    counted: dict[str, str] = {}
-    for each in harness.monitor.health:
-        counted |= each.values
-    wanted = itertools.product(('odom', 'goal'), ('duplicate', 'reordered'))
-    lacking = [
-        f'{topic}: {what}'
-        for topic, what in wanted
-        if not any(topic in name and what in name for name in counted)
-    ]
-    return f'not counted: {", ".join(lacking)}' if lacking else ''
-
-
-def _garbage() -> list[Spoiled]:
-    odometry = Spoiled('no odometry message', odometry=stimulus.garbled)
-    return [odometry, Spoiled('no goal message', goal=stimulus.garbled)]
-
-
-def _disturbed(
-    harness: Harness, case: str, when: str, begin: Callable[[], None], wait: float
-) -> Outcome:
-    """Return how soon the planner is safe ``wait`` [s] after the clock is tampered with."""
-    at = injection.inject(harness, when, begin)
-    harness.spin(wait + STEP)
-    safe = harness.until_first(harness.monitor.first_safe, at)
-    harness.spin(AFTER * STEP)
-    unsafe = harness.monitor.broken(at)
-    return Outcome(f'{case}, {when}', unsafe, injection.reaction(safe, at + wait))
-
-
-def _frozen(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    times = injection.TIMES[1:]
-    for harness, when in injection.harnesses(fixtures, long, times, simulated=True):
-        outcome = _disturbed(harness, 'frozen', when, harness.freeze, STALE)
-        stale = harness.frozen_at + STALE
-        moving = harness.monitor.moving_again(stale, stale + STEP)
-        harness.thaw()
-        outcome = replace(outcome, unsafe=outcome.unsafe + moving)
-        yield injection.recovered(harness, outcome)
-
-
-def _jumped(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    for case, jump in list(JUMPS.items())[: None if long else SHORT]:
-        times = injection.TIMES[1:]
-        found = injection.harnesses(fixtures, long, times, label=case, simulated=True)
-        for harness, when in found:
-            outcome = _disturbed(harness, case, when, _jumping(harness, jump), 0.0)
-            yield injection.recovered(harness, outcome)
-
-
-def _jumping(harness: Harness, jump: float | None) -> Callable[[], None]:
-    """Return what makes the clock jump by a time, or back to one second."""
-
-    def begin() -> None:
-        by = TO_ONE - 1e-9 * harness.now if jump is None else jump
-        harness.jump += max(by, TO_ONE - 1e-9 * harness.now)
+def _spoils(spoiled: Spoiled) -> Callable[[Harness], None]:
+    def begin(harness: Harness) -> None:
+        harness.spoiled = spoiled
 
     return begin
 
 
+def _odometry(name: str, spoil: Spoiler, **more: Any) -> Fault:
+    return Fault(name, _spoils(Spoiled(odometry=spoil)), wait=STALE, **more)
+
+
+def _goal(name: str, spoil: Spoiler, **more: Any) -> Fault:
+    return Fault(name, _spoils(Spoiled(goal=spoil)), wait=LOST, **more)
+
+
+def _stamps() -> list[Fault]:
+    return [
+        _odometry('future stamps', shifted(5.0, 1e6)),
+        _odometry('nanosec >= 1e9', with_field('header.stamp.nanosec', 10**9, 2**32 - 1)),
+        _odometry('sec < 0', with_field('header.stamp.sec', -1, -(2**31))),
+        _odometry('the same stamp', stimulus.repeated()),
+    ]
+
+
+def _contents() -> list[Fault]:
+    return [
+        _odometry('position', with_field('pose.pose.position.x', *BEYOND)),
+        _odometry('orientation', with_field('pose.pose.orientation.w', *BEYOND)),
+        _odometry('quaternion not unit', stimulus.scaled_quaternion('odometry')),
+        _odometry('velocity', with_field('twist.twist.linear.x', *BEYOND)),
+        _odometry('rate', with_field('twist.twist.angular.z', *BEYOND)),
+        _odometry('frame', with_field('header.frame_id', 'map', '', 'x' * HUGE)),
+        _odometry('child frame', with_field('child_frame_id', 'map', '', '\x00' * HUGE)),
+        _goal('goal position', with_field('pose.position.y', *BEYOND)),
+        _goal('goal orientation', with_field('pose.orientation.x', *BEYOND)),
+        _goal('goal quaternion not unit', stimulus.scaled_quaternion('goal')),
+        _goal('goal frame', with_field('header.frame_id', 'map', 'x' * HUGE)),
+        _goal('goal stamp in the future', shifted(5.0, 1e6)),
+        _goal('goal stamp sec < 0', with_field('header.stamp.sec', -1)),
+    ]
+
+
+def _unset() -> list[Fault]:
+    """Return odometry that loses its stamp: at the start it might be that of simulated time."""
+    return [_odometry('stamps not set', with_field('header.stamp', Time()), times=RUNNING)]
+
+
+def _mixed() -> list[Fault]:
+    """Return old messages and doubles among good ones: counted, and planned on all the same."""
+
+    def uncounted(harness: Harness, _since: float) -> str:
+        harness.spin(HEALTH)
+        pairs = itertools.product(('odom', 'goal'), ('duplicate', 'reordered'))
+        lacking = [': '.join(pair) for pair in pairs if not harness.monitor.counted(*pair)]
+        return f'not counted: {", ".join(lacking)}' if lacking else ''
+
+    spoiled = Spoiled(stimulus.interleaved(), stimulus.interleaved())
+    return [
+        Fault('old among new', _spoils(spoiled), allowed=5.0, strict=False, event=None,
+              flaw=uncounted, times=(MIDWAY,))
+    ]  # fmt: skip
+
+
+def _garbage() -> list[Fault]:
+    return [
+        _odometry('no odometry message', stimulus.garbled),
+        _goal('no goal message', stimulus.garbled),
+    ]
+
+
+def _transforms() -> list[Fault]:
+    """Return goals in another frame with bad transforms from there: as if there were no goals."""
+
+    def uncounted(name: str) -> Callable[[Harness, float], str]:
+        def flaw(harness: Harness, _since: float) -> str:
+            harness.spin(PATIENCE, lambda: harness.monitor.counted(f'{name} transform'))
+            counted = harness.monitor.counted(f'{name} transform')
+            return '' if counted else f'no {name} transform counted'
+
+        return flaw
+
+    ahead = shifted(10.0, 10.5)  # extrapolated until their time has come
+    spoiled = [
+        ('missing', Spoiled(goal=with_field('header.frame_id', 'nowhere')), LOST, MIDWAY),
+        ('stale', Spoiled(transform=stimulus.lost), LOST + TIMEOUT, MIDWAY),
+        ('extrapolated', Spoiled(transform=ahead), LOST, START),
+    ]
+    return [
+        Fault(name, _spoils(each), wait=wait, flaw=uncounted(name), times=(when,))
+        for name, each, wait, when in spoiled
+    ]
+
+
+def _velocities() -> list[Fault]:
+    """Return velocities along the world's axes: doubted, and flown with."""
+    spoils = _spoils(Spoiled(odometry=stimulus.in_the_world))
+    doubted = complaint('see velocity_frame')
+    return [Fault('of the world', spoils, strict=False, event=doubted, times=(MIDWAY,), unit=1.0)]
+
+
+def _frozen() -> list[Fault]:
+    return [Fault('frozen', Harness.freeze, Harness.thaw, wait=STALE, times=RUNNING)]
+
+
+def _jumps() -> list[Fault]:
+    jumps = {'back 0.5 s': -0.5, 'back 900 s': -900.0, 'reset to 1 s': -INF, 'forward 600 s': 600.0}
+
+    def jumping(by: float) -> Callable[[Harness], None]:
+        def begin(harness: Harness) -> None:
+            harness.jump += max(by, TO_ONE - 1e-9 * harness.now)
+
+        return begin
+
+    return [Fault(name, jumping(by), strict=False, times=RUNNING) for name, by in jumps.items()]
+
+
+def _leaps() -> list[Fault]:
+    """Return goals that are elsewhere in every message: refused or clamped, and reported."""
+    return [
+        Fault(f'goal leaps {distance:g} m', _spoils(Spoiled(goal=stimulus.leaping(distance))),
+              strict=False, event=complaint('goal'), times=RUNNING)
+        for distance in (1e6, 30.0, 1e3)
+    ]  # fmt: skip
+
+
+def _infeasible() -> list[Fault]:
+    """Return a box that grows around the vehicle: no plan is left, the fallbacks have to end."""
+
+    def unreported(harness: Harness, since: float) -> str:
+        reported = any(
+            tick.at >= since and Fallback.SAFE_COMMAND in tick.values['fallback']
+            for tick in harness.monitor.ticks
+        )
+        return '' if reported else 'no reason on tick'
+
+    return [
+        Fault('walled in', lambda harness: harness.set_live(obstacles=WALLED_IN),
+              lambda harness: harness.set_live(obstacles=ELSEWHERE), wait=LADDER, flaw=unreported,
+              times=RUNNING)
+    ]  # fmt: skip
+
+
+def _endpoints(
+    name: str, make: Callable[[Harness], Any], destroy: Callable[[Harness, Any], Any], **more: Any
+) -> Fault:
+    """Return the fault of another participant that appears."""
+    made: list[Any] = []
+
+    def end(harness: Harness) -> None:
+        destroy(harness, made.pop())
+
+    return Fault(name, lambda harness: made.append(make(harness)), end, **more)
+
+
+def _mismatch() -> Sequence[Fault]:
+    """Return a subscription to commands as latched, which they are not: it would get none."""
+    latched = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
+
+    def subscribe(harness: Harness) -> Any:
+        return harness.node.create_subscription(
+            TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
+        )
+
+    return [
+        _endpoints('latched cmd_vel', subscribe, lambda h, it: h.node.destroy_subscription(it),
+                   strict=False, event=Monitor.first_error, times=(MIDWAY,), unit=1.0)
+    ]  # fmt: skip
+
+
+def _sources() -> list[Fault]:
+    """Return a second publisher of odometry: neither may be believed."""
+    return [
+        _endpoints('another', lambda h: h.node.create_publisher(Odometry, 'odom', qos()),
+                   lambda h, second: h.node.destroy_publisher(second), wait=MEET, times=RUNNING)
+    ]  # fmt: skip
+
+
+ALTERED = 'benchmarks.faults.altered'
 FAULT_CASES = (
-    _fault_case(
-        'odometry',
-        'stale odometry',
-        lambda: [Spoiled('no odometry', odometry=stimulus.lost)],
-        MIDWAY,
-        SOLVING,
-    ),
-    _fault_case('goal', 'stale goal', lambda: [Spoiled('no goal', goal=stimulus.lost)], MIDWAY),
-    _fault_case('stamps', 'future, repeated, malformed stamps', _stamps, MIDWAY, SOLVING),
-    FaultCase('unset', 'stamps that are not set, after good ones', 1.0, _unset),
-    FaultCase('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
-    _fault_case('garbage', 'bytes that are no message', _garbage, MIDWAY),
-    _fault_case(
-        'contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, START, MIDWAY, SOLVING
-    ),
-    FaultCase('frozen', 'clock frozen: safe after odom_timeout', 1.0, _frozen),
-    FaultCase('jumps', 'clock jumps or is reset', 1.0, _jumped),
-)
+    fault_case('odometry', 'stale odometry', lambda: [_odometry('no odometry', stimulus.lost)],
+               RUNNING),
+    fault_case('goal', 'stale goal', lambda: [_goal('no goal', stimulus.lost)]),
+    fault_case('stamps', 'future, repeated, malformed stamps', _stamps, RUNNING),
+    fault_case('unset', 'stamps that are not set, after good ones', _unset),
+    fault_case('mixed', 'duplicates and older stamps among good ones', _mixed),
+    fault_case('garbage', 'bytes that are no message', _garbage),
+    fault_case('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents,
+               (START, MIDWAY, SOLVING)),
+    fault_case('frozen', 'clock frozen: safe after odom_timeout', _frozen, simulated=True),
+    fault_case('jumps', 'clock jumps or is reset', _jumps, (MIDWAY, MIDWAY), simulated=True),
+    fault_case('transforms', 'transforms missing, stale, extrapolated', _transforms,
+               (MIDWAY, MIDWAY), parameters={'tf': True}, module=ALTERED),
+    fault_case('twist', 'velocities in the wrong frame: reported', _velocities, allowed=TURNED,
+               unit='s', parameters={}),
+    fault_case('leaps', 'goal teleports, out of reach: refused and reported', _leaps,
+               allowed=1.2 / STEP),
+    fault_case('infeasible', 'no plan: shifted plan, then safe', _infeasible),
+    fault_case('qos', 'a quality of service that does not match: reported', _mismatch,
+               allowed=REPORT, unit='s'),
+    fault_case('sources', 'two publishers of odometry', _sources),
+)  # fmt: skip

@@ -1,16 +1,130 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The fault matrix: every row, in the order in which they are tried."""
+"""Fault cases, outcomes of single tries, rows of the matrix, and its table."""
 
 from __future__ import annotations
 
-from benchmarks.faults import (
-    inputs,
-    network,
-    parameters,
-    plans,
-    shutdowns,
-    vehicle,
-)
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
 
-GROUPS = (inputs, vehicle, plans, network, shutdowns, parameters)
-MATRIX = tuple(each for group in GROUPS for each in group.FAULT_CASES)
+if TYPE_CHECKING:
+    from benchmarks.faults.harness import Fixtures
+
+HEAD = ('row', 'cases', 'unsafe', 'worst', 'allowed', 'unit', 'ok', 'remarks')
+NUMBERS = range(1, 5)  # columns that are flush right
+NEVER = 'never'
+SHOWN = 3  # failures that a row names
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of one case.
+
+    Attributes:
+        case: description in a few words.
+        unsafe: commands that should never have been sent.
+        reaction: delay, in the row's unit; NaN if nothing had to happen.
+        failure: other failures, in words; empty if there were none.
+    """
+
+    case: str
+    unsafe: int = 0
+    reaction: float = math.nan
+    failure: str = ''
+
+
+@dataclass(frozen=True)
+class FaultCase:
+    """A fault: a row of the matrix before it is injected.
+
+    Attributes:
+        name: for ``--only``.
+        title: description.
+        allowed: latest reaction, in ``unit``.
+        cases: yields the outcomes; of every case in the long form.
+        unit: of reactions.
+    """
+
+    name: str
+    title: str
+    allowed: float
+    cases: Callable[[Fixtures, bool], Iterator[Outcome]]
+    unit: str = 'ticks'
+
+
+@dataclass
+class MatrixRow:
+    """A row of the matrix: the outcomes so far of a fault case, and the time that it took [s]."""
+
+    case: FaultCase
+    outcomes: list[Outcome] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def unsafe(self) -> int:
+        """Return how many commands should never have been sent."""
+        return sum(each.unsafe for each in self.outcomes)
+
+    @property
+    def worst(self) -> float:
+        """Return the latest reaction; NaN where none was due."""
+        found = [each.reaction for each in self.outcomes if not math.isnan(each.reaction)]
+        return max(found, default=math.nan)
+
+    @property
+    def failures(self) -> list[str]:
+        """Return the failures, case by case."""
+        return [text for each in self.outcomes if (text := self._failure(each))]
+
+    def _failure(self, outcome: Outcome) -> str:
+        late = outcome.reaction > self.case.allowed
+        when = f'{outcome.reaction:.3g} {self.case.unit}' if outcome.reaction < math.inf else NEVER
+        wrong = [
+            outcome.failure,
+            f'{outcome.unsafe} unsafe commands' if outcome.unsafe else '',
+            f'reaction: {when}' if late else '',
+        ]
+        text = ', '.join(filter(None, wrong))
+        return f'{outcome.case}: {text}' if text else ''
+
+    @property
+    def ok(self) -> bool:
+        """Return whether every case was safe and in time, and there was one."""
+        return bool(self.outcomes) and not self.failures
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the row for a JSON file."""
+        found = {name: getattr(self.case, name) for name in ('name', 'title', 'allowed', 'unit')}
+        found |= {name: getattr(self, name) for name in ('unsafe', 'ok', 'seconds', 'failures')}
+        cases = [asdict(each) | {'reaction': _number(each.reaction)} for each in self.outcomes]
+        return {**found, 'worst': _number(self.worst), 'cases': cases}
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the row of the table."""
+        more = len(self.failures) - SHOWN
+        shown = self.failures[:SHOWN] + ([f'and {more} more'] if more > 0 else [])
+        return (
+            *(self.case.title, str(len(self.outcomes)), str(self.unsafe)),
+            '-' if math.isnan(self.worst) else f'{self.worst:.3g}',
+            *(f'{self.case.allowed:g}', self.case.unit, 'yes' if self.ok else 'NO'),
+            '; '.join(shown),
+        )
+
+
+def _number(value: float) -> float | str | None:
+    """Return a number for JSON, which has neither NaN nor infinity."""
+    return None if math.isnan(value) else NEVER if value == math.inf else value
+
+
+def table(rows: Sequence[MatrixRow]) -> str:
+    """Return the rows as a plain table."""
+    lines = [HEAD, *(row.cells() for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return '\n'.join(
+        '  '.join(
+            cell.rjust(width) if i in NUMBERS else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )

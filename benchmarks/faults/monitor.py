@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The monitor: every command that is heard, judged by its content and by when it was sent."""
+"""The monitor: every command received, judged by its content and by its time of sending."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from geometry_msgs.msg import TwistStamped
 
 from orbimpc_ros.ros.reports import ERROR, OK
 
-About = Mapping[str, int]  # what DDS knows of a message: when it was sent, of the system's clock
+About = Mapping[str, int]  # message information of DDS: time of sending, of the system's clock
 SLACK = 1e-6  # relative, on limits
 STILL = 1e-9  # [m/s], [rad/s]: nothing moves
 
 
 class HeardCommand(NamedTuple):
-    """A command: when it was sent [s], forward speed [m/s], turn rates [rad/s]."""
+    """A command: time of sending [s], forward speed [m/s], turn rates [rad/s]."""
 
     at: float
     speed: float
@@ -34,7 +34,7 @@ class HeardCommand(NamedTuple):
 
 
 class HeardStatus(NamedTuple):
-    """A diagnostic status: when it was sent [s], its level, its message and its values."""
+    """A diagnostic status: time of sending [s], level, message and values."""
 
     at: float
     level: bytes
@@ -44,24 +44,17 @@ class HeardStatus(NamedTuple):
 
 @dataclass(frozen=True)
 class Limits:
-    """What no command may exceed, fault or not.
-
-    Attributes:
-        speed: full [m/s].
-        rate: greatest [rad/s].
-    """
+    """Limits of every command, fault or not: full speed [m/s] and greatest rate [rad/s]."""
 
     speed: float
     rate: float
 
     def broken(self, command: HeardCommand) -> bool:
         """Return whether a command is not finite or beyond a limit."""
-        numbers = (command.speed, *command.rates)
-        if not all(map(math.isfinite, numbers)):
+        if not all(map(math.isfinite, (command.speed, *command.rates))):
             return True
-        turning = math.hypot(*command.rates)
         too_fast = not -STILL <= command.speed <= self.speed * (1.0 + SLACK)
-        return too_fast or turning > self.rate * (1.0 + SLACK)
+        return too_fast or math.hypot(*command.rates) > self.rate * (1.0 + SLACK)
 
 
 @dataclass
@@ -73,9 +66,9 @@ class Monitor:
 
     Attributes:
         limits: of commands.
-        commands: heard so far.
-        ticks: reports heard on ``tick``, as when they were sent and what they say.
-        health: diagnostics heard.
+        commands: received so far.
+        ticks: reports on ``tick``.
+        health: diagnostics.
     """
 
     limits: Limits
@@ -84,17 +77,17 @@ class Monitor:
     health: list[HeardStatus] = field(default_factory=list)
 
     def on_command(self, message: TwistStamped, about: About) -> None:
-        """Take down a command."""
+        """Record a command."""
         turn = message.twist.angular
         rates = (turn.x, turn.y, turn.z)
         self.commands.append(HeardCommand(_sent(about), message.twist.linear.x, rates))
 
     def on_tick(self, message: DiagnosticArray, about: About) -> None:
-        """Take down the report of a tick."""
+        """Record the report of a tick."""
         self.ticks += _statuses(message, about)
 
     def on_health(self, message: DiagnosticArray, about: About) -> None:
-        """Take down diagnostics."""
+        """Record diagnostics."""
         self.health += _statuses(message, about)
 
     def broken(self, since: float = -math.inf) -> int:
@@ -109,15 +102,15 @@ class Monitor:
         """Return how many commands are not safe though one was, or, if none was, are overdue.
 
         Args:
-            since: when what came in before the fault is out of date [s]. Until then a planner that
-                is safe for another reason, as on a busy machine, may go on with it.
-            due: when a safe command must have come [s].
+            since: when inputs from before the fault are out of date [s]. Until then a planner that
+                is safe for another reason, as on a busy machine, may go on with them.
+            due: latest time of a safe command [s].
         """
         safe = self.first_safe(since)
         return self.moving(safe if safe < math.inf else due)
 
     def first_safe(self, since: float) -> float:
-        """Return when the first safe command was sent [s]; infinite if none has."""
+        """Return when the first safe command was sent [s]; infinite if none was."""
         return _first(self.commands, lambda each: each.at >= since and each.safe)
 
     def first_error(self, since: float) -> float:
@@ -125,7 +118,7 @@ class Monitor:
         return _first(self.health, lambda each: each.at >= since and each.level == ERROR)
 
     def first_complaint(self, since: float, word: str) -> float:
-        """Return when a diagnostic that is not well spoke of a word [s]; infinite if none did."""
+        """Return when a diagnostic above OK first contained a word [s]; infinite if none did."""
 
         def complains(each: HeardStatus) -> bool:
             text = ' '.join((each.message, *each.values))
@@ -133,11 +126,21 @@ class Monitor:
 
         return _first(self.health, complains)
 
+    def counted(self, *words: str) -> bool:
+        """Return whether diagnostics have a counter whose name contains all of some words."""
+        names = {name for each in self.health for name in each.values}
+        return any(all(word in name for word in words) for name in names)
+
     @property
     def solve_ms(self) -> float:
         """Return how long the last solve took [ms]."""
         text = self.ticks[-1].values.get('solve_time_ms', '0') if self.ticks else '0'
         return float(json.loads(text))
+
+
+def complaint(word: str) -> Callable[[Monitor, float], float]:
+    """Return the event of a diagnostic that contains a word."""
+    return lambda monitor, since: monitor.first_complaint(since, word)
 
 
 def _sent(about: About) -> float:

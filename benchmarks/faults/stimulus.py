@@ -27,7 +27,7 @@ SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
 SLIP = 5.0  # [m/s] sideways, which makes the failing planner raise
 
-# What becomes of a message: others in its place, none, or bytes that are no message at all.
+# From a message to others in its place, none, or bytes that are no message at all.
 Spoiler = Callable[[Any, random.Random], list[Any]]
 
 
@@ -58,19 +58,14 @@ def transform_at(stamp: int) -> TransformStamped:
 
 @dataclass(frozen=True)
 class Spoiled:
-    """A fault of the inputs.
+    """Changes of odometry, goals and transforms on their way; None leaves them as they are."""
 
-    Attributes:
-        name: of the fault.
-        odometry: what becomes of odometry; None leaves it as it is.
-        goal: what becomes of goals.
-        transform: what becomes of transforms.
-    """
-
-    name: str
     odometry: Spoiler | None = None
     goal: Spoiler | None = None
     transform: Spoiler | None = None
+
+
+HEALTHY = Spoiled()
 
 
 def lost(_message: Any, _draw: random.Random) -> list[Any]:
@@ -79,7 +74,7 @@ def lost(_message: Any, _draw: random.Random) -> list[Any]:
 
 
 def with_field(path: str, *values: Any) -> Spoiler:
-    """Return what sets a field, such as ``pose.position.x``, to one of some values."""
+    """Return a change of a field, such as ``pose.position.x``, to one of some values."""
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
         *parents, name = path.split('.')
@@ -93,7 +88,7 @@ def with_field(path: str, *values: Any) -> Spoiler:
 
 
 def shifted(low: float, high: float) -> Spoiler:
-    """Return what moves stamps by a time between two [s]."""
+    """Return a shift of stamps by a time between two [s]."""
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
         stamp = messages.nanoseconds(message.header.stamp, 'stamp')
@@ -113,7 +108,7 @@ def in_the_world(message: Any, _draw: random.Random) -> list[Any]:
 
 
 def repeated() -> Spoiler:
-    """Return what repeats the first message for ever."""
+    """Return a repetition of the first message for ever."""
     first: list[Any] = []
 
     def spoil(message: Any, _draw: random.Random) -> list[Any]:
@@ -125,7 +120,7 @@ def repeated() -> Spoiler:
 
 
 def interleaved() -> Spoiler:
-    """Return what sends good messages, older ones, and the last good one again, in turns."""
+    """Return a mixture of good messages, older ones, and the last good one again."""
     sent: list[Any] = []
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
@@ -139,13 +134,25 @@ def interleaved() -> Spoiler:
 
 
 def scaled_quaternion(path: str) -> Spoiler:
-    """Return what makes a quaternion zero, or 1 % too long."""
+    """Return a change of a quaternion to zero, or by 1 % in length."""
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
         pose = message.pose.pose if path == 'odometry' else message.pose
         factor = draw.choice((0.0, 1.01, 0.99, 1e200))
         for name in 'xyzw':
             setattr(pose.orientation, name, factor * getattr(pose.orientation, name))
+        return [message]
+
+    return spoil
+
+
+def leaping(distance: float) -> Spoiler:
+    """Return a shift of goals by a distance [m] in random directions."""
+
+    def spoil(message: Any, draw: random.Random) -> list[Any]:
+        angle = draw.uniform(0.0, 2.0 * math.pi)
+        message.pose.position.x += distance * math.cos(angle)
+        message.pose.position.y += distance * math.sin(angle)
         return [message]
 
     return spoil

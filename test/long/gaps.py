@@ -25,9 +25,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # of benchmarks, which are not installed
 
-from benchmarks.baselines.nonlinear import OPTIONS, NonlinearProgram
 from benchmarks.bench.instances import Instance, circling, landings, winged
 from benchmarks.bench.problems import FULL, LANDER, RATE, ROUND
+from benchmarks.bench.solvers.ipopt import OPTIONS, NonlinearProgram
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem

@@ -1,15 +1,20 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The interface of a solver, and its refusal to take part."""
+"""The interface of a solver, and this package's own."""
 
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from typing import Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.plan import Plan, shifted
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.solver import Solver as OwnSolver
+
+PROJECTION = 'thrust_aligned'
 
 
 class Declined(OrbimpcError):
@@ -24,25 +29,62 @@ class Solution:
         objective: of its trajectory; NaN if it found none.
         gap: relative, as it proved it; NaN if it proves nothing.
         capped: whether it ran into its time limit.
-        relaxed: whether it is of the convex relaxation: a bound, below every trajectory's.
     """
 
     objective: float
     gap: float = math.nan
     capped: bool = False
-    relaxed: bool = False
 
 
 class Solver(Protocol):
     """A solver set up for one problem. Only :meth:`solve` is timed."""
 
-    def solve(self, state: State, goals: Array) -> None:
-        """Put the data of an instance in and solve.
+    def prepare(self, state: State, goals: Array) -> None:
+        """Set the data of an instance.
 
         Args:
-            state: where the plan starts.
+            state: start of the plan.
             goals: g_1..g_N, shape (N, n) [m].
         """
 
+    def solve(self) -> None:
+        """Solve the instance."""
+
     def solution(self) -> Solution:
         """Return the result of the last solve."""
+
+
+class Ours:
+    """This package's solver, with the shifted previous plan as its guess.
+
+    Args:
+        problem: to solve.
+        gap: relative gap within which a plan counts as proved.
+        cap: time limit [s].
+        closed_loop: whether instances follow each other, so that the previous plan is of use.
+    """
+
+    def __init__(
+        self, problem: Problem, gap: float = 1e-4, cap: float = 60.0, *, closed_loop: bool = False
+    ) -> None:
+        self._problem, self._cap, self._closed_loop = problem, cap, closed_loop
+        self._solver = OwnSolver(problem, projection=PROJECTION, gap_tolerance=gap)
+        self._plan: Plan | None = None
+
+    def prepare(self, state: State, goals: Array) -> None:
+        """Set the data of an instance."""
+        self._state, self._goals = state, goals
+
+    def solve(self) -> None:
+        """Plan as the controller does; shifting the previous plan is a part of it."""
+        state, goals = self._state, self._goals
+        guess, end = None, time.perf_counter() + self._cap
+        if self._closed_loop and self._solver.takes_guess(state) and self._plan is not None:
+            guess = shifted(self._problem, state, goals, self._plan, projection=PROJECTION)
+        self._plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
+
+    def solution(self) -> Solution:
+        """Return the plan's objective and proof."""
+        plan = self._plan
+        assert plan is not None
+        return Solution(plan.objective, plan.gap, not plan.is_closed)

@@ -1,45 +1,36 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""CVXPY solved anew at each tick: stated once, DPP, only parameters change.
-
-Its solver runs on one thread, with its own tolerances (Clarabel: 1e-8, QOCO: 1e-7).
-"""
+"""CVXPY with Clarabel: the paper's relaxation, stated once (DPP), solved anew at each tick."""
 
 from __future__ import annotations
 
 import warnings
 
 import cvxpy as cp
-import numpy as np
 
 from benchmarks.bench.solvers import Solution
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 
+TOLERANCE = 1e-8  # Clarabel's own
 
-class Resolve:
-    """The relaxed problem as the paper states it, in CVXPY.
+
+class Conic:
+    """The relaxation of a problem with explicit Euler steps, without floor and boxes.
 
     Args:
-        problem: what to solve; its floor and boxes are left out.
-        solver: by its name in CVXPY.
+        problem: to solve.
     """
 
-    def __init__(self, problem: Problem, *, solver: str = cp.CLARABEL) -> None:
-        if solver not in cp.installed_solvers():
-            raise ImportError(solver)
-        self._solver = solver
-        self._options = {'max_threads': 1} if solver == cp.CLARABEL else {}
+    def __init__(self, problem: Problem) -> None:
         self._problem, n, steps = problem, problem.dimension, problem.horizon
         self._s_0, self._p_0 = cp.Parameter(n), cp.Parameter(n)
-        self._goals, self._wind = cp.Parameter((steps, n)), cp.Parameter(n)
         self._x_0, self._w_0 = cp.Parameter(n * n), cp.Parameter(n * n)
+        self._goals = cp.Parameter((steps, n))
         # R_k, column by column, in row k: the first n entries are R_k e1.
         self._x = cp.Variable((steps + 1, n * n))
         self._s = cp.Variable((steps + 1, n))
         rows = [*self._rotations(), *self._translations()]
         self._program = cp.Problem(cp.Minimize(self._cost()), rows)
-        self._value = np.nan
 
     def _rotations(self) -> list[cp.Constraint]:
         problem, x, h = self._problem, self._x, self._problem.step
@@ -55,26 +46,17 @@ class Resolve:
         return rows
 
     def _translations(self) -> list[cp.Constraint]:
-        problem, s, n = self._problem, self._s, self._problem.dimension
-        once = step_of(problem.translation, problem.step, problem.forward)
-        before, after = self._x[:-1, :n], self._x[1:, :n]
-        blown = cp.reshape(self._wind, (1, n), order='C')
-        pushed = [
-            push * before + follow * after + np.ones((problem.horizon, 1)) @ (blow * blown)
-            for push, follow, blow in zip(once.push, once.follow, once.blow, strict=True)
-        ]
+        problem, s, h = self._problem, self._s, self._problem.step
+        pushed = h * problem.forward * self._x[:-1, : problem.dimension]
+        arrives = problem.terminal == 'constraint'
         rows = [s[0] == self._s_0]
         if problem.translation_order == 1:
-            rows.append(s[1:] == s[:-1] + pushed[0])
+            rows.append(s[1:] == s[:-1] + pushed)
         else:
             p = cp.Variable(s.shape)
-            rows += [p[0] == self._p_0, p[1:] == p[:-1] + pushed[1]]
-            rows.append(s[1:] == s[:-1] + problem.step * p[:-1] + pushed[0])
-            if problem.terminal == 'constraint':
-                rows.append(p[-1] == 0)
-        if problem.terminal == 'constraint':
-            rows.append(s[-1] == self._goals[-1])
-        return rows
+            rows += [p[0] == self._p_0, p[1:] == p[:-1] + pushed, s[1:] == s[:-1] + h * p[:-1]]
+            rows += [p[-1] == 0] if arrives else []
+        return [*rows, s[-1] == self._goals[-1]] if arrives else rows
 
     def _cost(self) -> cp.Expression:
         problem, w, n = self._problem, self._problem.weights, self._problem.dimension
@@ -88,22 +70,21 @@ class Resolve:
             cost += w.length * problem.step * problem.forward * (problem.maps.lasting @ lengths)
         return cost
 
-    def solve(self, state: State, goals: Array) -> None:
-        """Set the parameters and solve."""
+    def prepare(self, state: State, goals: Array) -> None:
+        """Set the parameters."""
         self._s_0.value, self._p_0.value, self._goals.value = state.position, state.velocity, goals
-        self._wind.value = state.disturbance
         self._x_0.value = state.rotation.ravel(order='F')
         self._w_0.value = state.rotation_rate.ravel(order='F')
+
+    def solve(self) -> None:
+        """Solve on one thread."""
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # of inaccurate solutions: objectives are compared
-            self._program.solve(solver=self._solver, enforce_dpp=True, **self._options)
-        self._value = float(self._program.value)
+            self._program.solve(solver=cp.CLARABEL, enforce_dpp=True, max_threads=1)
 
     def solution(self) -> Solution:
-        """Return the optimal value, which the solver's duality proves to its tolerance."""
-        relaxed = self._problem.floor.exists or bool(self._problem.obstacles)
-        tolerance = 1e-8 if self._solver == cp.CLARABEL else 1e-7
-        return Solution(self._value, tolerance, relaxed=relaxed)
+        """Return the optimal value, proved by duality to the solver's tolerance."""
+        return Solution(float(self._program.value), TOLERANCE)
 
 
 def _orbitope(x: cp.Expression, n: int) -> list[cp.Constraint]:

@@ -1,0 +1,273 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Gurobi and SCIP on one mixed-integer program: rotations and binaries alone, least big M.
+
+In z_k = R_k e1, k = 1..N, with s_k = s_1 + h z sum_{j<k} R_j e1 (n = 2, orders (1, 1)),
+
+    cost = sum_i |F z_i|^2 + q_i^T z_i + c + l h z sum_{k=1..N-1} |z_k|    (i: coordinates).
+
+A round floor and turns are quadratic and not convex. One thread each; the model is built before
+the clock runs, and the previous solution moved one step on is its start.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bench.solvers import Declined, Solution
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.problem import Problem, State
+
+SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
+
+
+class MixedInteger(ABC):
+    """The program of a planar problem with a floor, a turn rate, boxes or an arrival.
+
+    Args:
+        problem: to solve.
+        gap: relative gap to prove.
+        cap: time limit [s].
+        closed_loop: whether instances follow each other, so that a shifted start is of use.
+
+    Raises:
+        Declined: turns of a quarter and more, which are no pair of quadratic limits.
+    """
+
+    model: Any  # of the solver's Python interface
+
+    def __init__(self, problem: Problem, gap: float, cap: float, *, closed_loop: bool) -> None:
+        if problem.turns_are_angles and problem.widest_turn >= 0.5 * np.pi:
+            raise Declined('turns of a quarter and more are not stated')
+        self.problem, self.gap, self.cap, self._closed_loop = problem, gap, cap, closed_loop
+        condensed = Condensed(problem)
+        self.factor, self._affine = _factor(0.5 * condensed.hessian), condensed.affine
+        self._advance = problem.step * problem.forward
+        self._reach = problem.maps.reach[:, 1:]  # what z adds to s_1..s_N, shape (N, N)
+        self._groups: list[list[list[Any]]] = []  # variables by constraint, step and coordinate
+        self._last: list[list[list[float]]] = []  # their values in the last solution
+
+    def prepare(self, state: State, goals: Array) -> None:
+        """Build the model of an instance."""
+        problem = self.problem
+        self.open()
+        z = [[self._free(), self._free()] for _ in range(problem.horizon)]
+        self._groups = [z]
+        for x, y in z:
+            self.require(x * x + y * y <= 1.0)
+            if problem.floor.shape == 'circle':
+                self.require(x * x + y * y >= problem.floor.fraction**2)
+        if problem.turns_are_angles:
+            self._limit_turns([state.attitude[:, 0].tolist(), *z])
+        if problem.floor.shape == 'polygon':
+            low = problem.floor.fraction
+            faces = normals(2, problem.floor.faces)
+            self._choose(z, faces, np.full(len(faces), low), 1.0 + low)
+        first = state.position + self._advance * state.rotation[:, 0]  # s_1, which is decided
+        flown = [[_dot(row, column) for column in zip(*z, strict=True)] for row in self._reach]
+        for box in problem.boxes:
+            offsets = np.concatenate([-box.minimum, box.maximum]) - SIDES @ first
+            # The big M is twice what the horizon can fly.
+            self._choose(flown[1:], SIDES, offsets, 2.0 * problem.horizon * self._advance)
+        if problem.terminal == 'constraint':
+            for moved, distance in zip(flown[-1], goals[-1] - first, strict=True):
+                self.require(moved == float(distance))
+        linear, constant = self._affine(state, goals)
+        cost = _dot(linear.ravel(), itertools.chain(*z)) + constant + self._lengths(z[:-1])
+        self.minimise([_dot(row, c) for row in self.factor for c in zip(*z, strict=True)], cost)
+        if self._closed_loop and self._last:
+            moved = [[*group[1:], group[-1]] for group in self._last]
+            self.start(zip(_flat(self._groups), _flat(moved), strict=True))
+
+    def _free(self) -> Any:
+        return self.model.addVar(lb=-1.0, ub=1.0)
+
+    def _limit_turns(self, axes: Sequence[Sequence[Any]]) -> None:
+        """Limit the angle a of every turn: |x cross y| <= tan(a) x . y."""
+        slope = float(np.tan(self.problem.widest_turn))
+        for (x, y), (u, v) in itertools.pairwise(axes):
+            ahead, aside = x * u + y * v, x * v - y * u
+            self.require(aside <= slope * ahead)
+            self.require(-aside <= slope * ahead)
+
+    def _choose(
+        self, points: Sequence[Sequence[Any]], faces: Array, offsets: Array, big: float
+    ) -> None:
+        """Require one of faces_i . point >= offsets_i of every point, by binaries."""
+        group = [[self.model.addVar(vtype='B') for _ in faces] for _ in points]
+        for point, chosen in zip(points, group, strict=True):
+            self.require(_dot(np.ones(len(faces)), chosen) >= 1.0)
+            for face, offset, each in zip(faces, offsets, chosen, strict=True):
+                self.require(_dot(face, point) - big * each >= float(offset) - big)
+        self._groups.append(group)
+
+    def _lengths(self, axes: Sequence[Sequence[Any]]) -> Any:
+        """Return the cost of the length, |z_k| in an epigraph."""
+        weight = self.problem.weights.length * self._advance
+        if weight == 0.0:
+            return 0.0
+        norms = [self.model.addVar(lb=0.0, ub=1.0) for _ in axes]
+        for (x, y), norm in zip(axes, norms, strict=True):
+            self.require(x * x + y * y <= norm * norm)
+        return _dot(np.full(len(norms), weight), norms)
+
+    def solution(self) -> Solution:
+        """Return objective and gap, and keep the solution for the next start."""
+        found = self.found()
+        self._last = []
+        if not np.isnan(found.objective):
+            self._last = [
+                [[self.value(each) for each in row] for row in rows] for rows in self._groups
+            ]
+        return found
+
+    @abstractmethod
+    def open(self) -> None:
+        """Begin a model with the solver's options."""
+
+    @abstractmethod
+    def require(self, constraint: Any) -> None:
+        """Add a constraint."""
+
+    @abstractmethod
+    def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+        """Set the objective: a sum of squares and a linear part."""
+
+    @abstractmethod
+    def start(self, values: Any) -> None:
+        """Offer pairs of variable and value as a start."""
+
+    @abstractmethod
+    def solve(self) -> None:
+        """Optimise."""
+
+    @abstractmethod
+    def found(self) -> Solution:
+        """Return objective and gap; NaN without a solution."""
+
+    @abstractmethod
+    def value(self, variable: Any) -> float:
+        """Return a variable's value in the best solution."""
+
+
+def gurobi() -> type[MixedInteger]:
+    """Return the program in Gurobi.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    import gurobipy as gp
+
+    class Gurobi(MixedInteger):
+        """A quadratic objective, cones and nonconvex quadratic constraints."""
+
+        def open(self) -> None:
+            quiet = {'OutputFlag': 0, 'Threads': 1, 'MIPGap': self.gap, 'TimeLimit': self.cap}
+            self.model = gp.Model(env=gp.Env(params=quiet))
+
+        def require(self, constraint: Any) -> None:
+            self.model.addConstr(constraint)
+
+        def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+            self.model.setObjective(gp.quicksum(each * each for each in squared) + linear)
+            self.model.update()
+
+        def start(self, values: Any) -> None:
+            for variable, value in values:
+                variable.Start = value
+
+        def solve(self) -> None:
+            try:
+                self.model.optimize()
+            except gp.GurobiError as error:
+                raise Declined(str(error)) from None
+
+        def found(self) -> Solution:
+            capped = self.model.Status == gp.GRB.TIME_LIMIT
+            if not self.model.SolCount:
+                return Solution(np.nan, np.nan, capped)
+            return Solution(self.model.ObjVal, self.model.MIPGap, capped)
+
+        def value(self, variable: Any) -> float:
+            return float(variable.X)
+
+    return Gurobi
+
+
+def scip(fast: bool) -> type[MixedInteger]:
+    """Return the program in SCIP.
+
+    Args:
+        fast: whether with SCIP's fast settings, four times as fast around the rope.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    from pyscipopt import SCIP_PARAMSETTING, Model, quicksum
+
+    class Scip(MixedInteger):
+        """The quadratic cost in one constraint, as squares alone: seen as convex at once."""
+
+        def open(self) -> None:
+            self.model = model = Model()
+            model.hideOutput()
+            for tune in (model.setHeuristics, model.setPresolve, model.setSeparating):
+                tune(SCIP_PARAMSETTING.FAST if fast else SCIP_PARAMSETTING.DEFAULT)
+            model.setParam('limits/gap', self.gap)
+            model.setParam('limits/time', self.cap)
+
+        def require(self, constraint: Any) -> None:
+            self.model.addCons(constraint)
+
+        def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+            total = self.model.addVar(lb=0.0, ub=None)
+            terms = [self.model.addVar(lb=None, ub=None) for _ in squared]
+            for term, each in zip(terms, squared, strict=True):
+                self.model.addCons(each == term)
+            self.model.addCons(quicksum(term * term for term in terms) <= total)
+            self.model.setObjective(total + linear)
+
+        def start(self, values: Any) -> None:
+            solution = self.model.createPartialSol()
+            for variable, value in values:
+                self.model.setSolVal(solution, variable, value)
+            self.model.addSol(solution)
+
+        def solve(self) -> None:
+            self.model.optimize()
+
+        def found(self) -> Solution:
+            capped = self.model.getStatus() == 'timelimit'
+            if self.model.getNSols() == 0:
+                return Solution(np.nan, np.nan, capped)
+            value = self.model.getObjVal()
+            gap = (value - self.model.getDualbound()) / max(1e-9, abs(value))
+            return Solution(value, gap, capped)
+
+        def value(self, variable: Any) -> float:
+            return float(self.model.getVal(variable))
+
+    return Scip
+
+
+def _dot(numbers: Any, variables: Any) -> Any:
+    """Return a linear expression."""
+    pairs = zip(numbers, variables, strict=True)
+    return sum(float(number) * variable for number, variable in pairs)
+
+
+def _flat(groups: list[list[list[Any]]]) -> list[Any]:
+    return [each for rows in groups for row in rows for each in row]
+
+
+def _factor(matrix: Array) -> Array:
+    """Return F, as small as can be, with F^T F a positive semidefinite matrix."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > 1e-12 * max(values[-1], 1.0)
+    return np.asarray(np.linalg.qr(np.sqrt(values[kept])[:, None] * vectors[:, kept].T, 'r'))

@@ -1,0 +1,395 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Rows on whole processes: parameters, deadlines, modes, floods, exceptions, signals, restarts."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import GetParameters
+from rclpy.qos import DurabilityPolicy
+from std_msgs.msg import Bool
+
+from benchmarks.faults.harness import (
+    NODE,
+    PATIENCE,
+    RATE,
+    STEP,
+    Fixtures,
+    Harness,
+    Place,
+    Session,
+)
+from benchmarks.faults.injection import AFTER, MIDWAY, SEEDS, SLOW, until_due
+from benchmarks.faults.inputs import ALTERED, STALE
+from benchmarks.faults.matrix import FaultCase, Outcome
+from benchmarks.faults.monitor import STILL, Limits, complaint
+from benchmarks.faults.stimulus import HEALTHY, SLIP, Spoiled, with_field
+from orbimpc_ros.ros.entry import PACKAGES
+from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.ros.parameters.spec import ParameterSpec
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.sim.parameters import SIM
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.settings import config
+
+BAD_INPUT, SETS = 2, (4, 200)  # nonsense parameters, in the short and in the long form
+REFUSED = 2.0  # [s] in which a node with nonsense for parameters must have ended
+LEAVE = 5.0  # [s] in which a process must have ended
+FAREWELLS = 3  # safe commands at the end
+LATCH = 0.2  # [s] command_timeout
+FLOOD, SETTLED, LATE = 5000.0, 1.0, 5.0  # [Hz], [s] to be discovered, [ms] beyond a period
+SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy machine
+FLIPS, FLIP, REPORT = 15, 0.1, 2.0  # changes of mode, [s] between them, [s] to be reported
+UNDERWAY = 0.1  # [s] a change of mode may take, and a command that went out before
+
+
+# --- parameters
+
+
+def nonsense(row: ParameterSpec, draw: random.Random) -> Any:
+    """Return a value that a parameter must not have."""
+    wrong: list[Any] = [math.nan, math.inf, -math.inf, 'nonsense']
+    if row.choices:
+        return draw.choice(['nonsense', 'x' * 1000, 3, True])
+    if isinstance(row.default, bool):
+        return draw.choice([3, 0.5, 'nonsense'])
+    if isinstance(row.default, str):
+        return draw.choice([3, 0.5, True])
+    if isinstance(row.default, tuple):
+        return draw.choice([[math.nan] * 3, [1e300] * 3, 'nonsense', 7, [1.0, math.inf, 2.0, 3.0]])
+    if math.isfinite(row.high):
+        wrong.append(type(row.default)(row.high + max(1.0, abs(row.high))))
+    if math.isfinite(row.low):
+        wrong.append(type(row.default)(row.low - max(1.0, abs(row.low))))
+    return draw.choice(wrong)
+
+
+def _starts(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """Nodes that are started with one bad value: one line, code 2, no command."""
+    with Session(fixtures.place(), Limits(1.0, math.pi)) as session:
+        for number in range(SETS[long]):
+            yield _started(session, random.Random(number))
+        session.spin(0.5)
+        yield Outcome('commands of all of them', len(session.monitor.commands))
+
+
+def _started(session: Session, draw: random.Random) -> Outcome:
+    node, rows = draw.choice((('planner', PLANNER), ('sim', SIM)))
+    row = draw.choice(rows)
+    value = nonsense(row, draw)
+    begin = time.monotonic()
+    process = session.launch(PACKAGES[node], {row.name: value})
+    code = process.wait(PATIENCE)  # a busy machine is late, and no more
+    took = time.monotonic() - begin
+    process.stop()
+    lines = process.output.strip().splitlines()
+    failure = '' if code == BAD_INPUT else f'exit code {code}'
+    if len(lines) != 1 or row.name not in process.output:
+        failure = f'{failure} printed {lines[:3]}'.strip()
+    return Outcome(f'{node} {row.name} = {str(value)[:20]}', 0, took, failure)
+
+
+def _live(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """Nonsense for a running planner: refused, and nothing changes."""
+    harness = fixtures.shared({})
+    harness.until_planned()
+    request = GetParameters.Request(names=[row.name for row in PLANNER])
+    before = harness.call(GetParameters, '/planner/get_parameters', request)
+    begin = time.monotonic()
+    for number in range(SETS[long]):
+        draw = random.Random(number)
+        row = draw.choice(PLANNER)
+        value = nonsense(row, draw)
+        failure = '' if harness.refusals({row.name: value}) else 'accepted'
+        yield Outcome(f'{row.name} = {str(value)[:20]}', failure=failure)
+    changed = before != harness.call(GetParameters, '/planner/get_parameters', request)
+    harness.until_planned()
+    unsafe, failure = harness.monitor.broken(begin), 'values have changed' if changed else ''
+    yield Outcome('all of them', unsafe, failure=failure)
+
+
+def _no_time(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """Searches that cannot end: every tick has its command all the same."""
+    for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
+        harness = fixtures.shared(SLOW)
+        harness.set_live(deadline=0.0)
+        harness.until_planned()
+        harness.set_live(deadline=deadline)
+        begin = time.monotonic()
+        harness.spin(10 * STEP)
+        unsafe = harness.monitor.broken(begin)
+        yield Outcome(f'deadline {deadline:g} s', unsafe, _slowest(harness, begin))
+    harness.set_live(deadline=0.0)
+
+
+def _slowest(harness: Harness, since: float) -> float:
+    """Return the longest solve, or the excess of the longest gap between ticks, in ticks."""
+    ticks = [tick for tick in harness.monitor.ticks if tick.at >= since]
+    if len(ticks) < 2:
+        return math.inf
+    gap = max(later.at - tick.at for tick, later in itertools.pairwise(ticks))
+    slowest = 1e-3 * max(float(tick.values['solve_time_ms']) for tick in ticks)
+    return max(slowest / STEP, gap / STEP - 1.0)
+
+
+def _modes(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """A mode that flips ten times a second: silent in the other one, and reported."""
+    for seed in SEEDS if long else SEEDS[:1]:
+        with fixtures.harness({'gated': True}, seed=seed) as harness:
+            mode = harness.node.create_publisher(Bool, 'engaged', qos())
+            harness.until(partial(_subscribed, mode), 'a subscriber of the mode')
+            mode.publish(Bool(data=True))
+            harness.until_planned()
+            begin = time.monotonic()
+            for flip in range(FLIPS):
+                mode.publish(Bool(data=bool(flip % 2)))
+                harness.spin(FLIP)
+            reported = harness.until_first(complaint('the mode has changed'), begin) - begin
+            silent = time.monotonic() + UNDERWAY
+            harness.spin(UNDERWAY + AFTER * STEP)
+            spoken = sum(each.at > silent for each in harness.monitor.commands)
+            mode.publish(Bool(data=True))
+            harness.until_planned()
+            yield Outcome('at 10 Hz', spoken + harness.monitor.broken(), reported)
+
+
+def _subscribed(publisher: Any) -> bool:
+    return bool(publisher.get_subscription_count() > 0)
+
+
+# --- floods
+
+
+@contextmanager
+def flooded(harness: Harness, rate: float) -> Iterator[None]:
+    """Have another process publish a harness's odometry, at a rate [Hz]."""
+    harness.mute()
+    words = [sys.executable, '-m', 'benchmarks.faults.flood', str(rate)]
+    domain = {'ROS_DOMAIN_ID': str(harness.domain)}
+    child = subprocess.Popen(words, env=os.environ | domain, stdin=subprocess.DEVNULL)
+    try:
+        harness.until(lambda: harness.node.count_publishers('odom') > 0, 'the flood')
+        harness.spin(SETTLED)
+        yield
+    finally:
+        child.kill()
+        child.wait()
+        harness.unmute()
+
+
+def _flood(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """Odometry that comes faster than it can be read: plans go on, and every tick comes in time."""
+    with fixtures.harness() as harness:
+        harness.until_planned()
+        with flooded(harness, FLOOD):
+            begin = time.monotonic()
+            harness.until_planned()
+            harness.spin(30.0 if long else 4.0)
+            ticks = [each.at for each in harness.monitor.ticks if each.at >= begin]
+            harness.until_planned()
+        late = 1e3 * (np.percentile(np.diff(ticks), 99) - STEP)
+        yield Outcome('5 kHz', harness.monitor.broken(begin), max(0.0, float(late)))
+
+
+# --- ends of the planner
+
+
+def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """A controller that raises: one is survived, after five in a row the planner has to leave."""
+    slipping = Spoiled(odometry=with_field('twist.twist.linear.y', SLIP))
+    for seed in SEEDS if long else SEEDS[:1]:
+        with fixtures.harness(seed=seed, module=ALTERED) as harness:
+            until_due(harness, MIDWAY)
+            harness.spoiled, begin = slipping, time.monotonic()
+            harness.spin(2.5 * STEP)
+            raised = begin + 1.0 / RATE + STEP  # at the latest: the next odometry, the next tick
+            late = max(0.0, harness.monitor.first_safe(begin) - raised) / STEP
+            harness.spoiled = HEALTHY
+            harness.until_planned()
+            yield Outcome('raises', harness.monitor.broken(), late)
+            harness.spoiled, begin = slipping, time.monotonic()
+            _until_ended(harness)
+            code = harness.planner.wait(0.0)
+            failure = '' if code == 1 else f'exit code {code} after many in a row'
+            # Until odometry is stale, sound messages on their way may be answered.
+            moving = harness.monitor.moving_again(begin + STALE, begin + 2 * STEP)
+            unsafe = harness.monitor.broken() + moving
+            yield Outcome('raises again and again', unsafe, failure=failure)
+
+
+def _signalled(number: int) -> Any:
+    """Return the cases of a signal: after it three safe commands, and exit code 0."""
+
+    def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+        draw = random.Random(number)
+        for count in range(50 if long else 1):
+            slow = SLOW if (count + number) % 2 else None
+            with fixtures.harness(slow, seed=count) as harness:
+                if count % 10 != 9:  # every tenth receives it at the start
+                    harness.until_planned()
+                else:
+                    harness.until(harness.monitor.health.copy, 'its diagnostics')
+                harness.spin(draw.uniform(0.0, STEP))
+                yield _ended(harness, number, f'{signal.Signals(number).name} {count + 1}')
+
+    return run
+
+
+def _until_ended(harness: Harness) -> None:
+    harness.spin(PATIENCE, lambda: not harness.planner.running)
+
+
+def _ended(harness: Harness, number: int, case: str) -> Outcome:
+    def farewell() -> bool:
+        last = harness.monitor.commands[-FAREWELLS:]
+        return len(last) == FAREWELLS and all(each.safe for each in last)
+
+    begin = time.monotonic()
+    harness.planner.tell(number)
+    _until_ended(harness)
+    code, took = harness.planner.wait(0.0), time.monotonic() - begin
+    harness.spin(PATIENCE, farewell)
+    failure = '' if code == 0 else f'exit code {code}'
+    if not farewell():
+        failure = f'{failure} no {FAREWELLS} safe commands at the end'.strip()
+    return Outcome(case, harness.monitor.broken(), took, failure)
+
+
+class Flying(Session):
+    """The retrieval in real time, faster than the paper's by a factor: planner and simulator.
+
+    Args:
+        place: of the nodes.
+        step: between ticks [s]; speed, swing and cost of turning are scaled with it.
+        seed: of random moments.
+
+    Attributes:
+        planner: its process.
+        captured: how the flight ended; None while it lasts.
+    """
+
+    def __init__(self, place: Place, *, step: float, seed: int) -> None:
+        super().__init__(place, Limits(1.0 / step, math.pi / step))
+        self.draw = random.Random(seed)
+        self.usual = 16 * step  # [s] until the capture
+        self.captured: bool | None = None
+        changes = [
+            'clock=wall', f'step={step}', f'forward={1.0 / step}', f'rope.frequency={0.1 / step}',
+            'max_ticks=400', 'odom_timeout=0.0', 'goal_timeout=0.0', 'goal_prediction=harmonic',
+            'start.position=[-10.0, 0.0, 0.0]', f'weights.input={0.05 * step**2}',
+        ]  # fmt: skip
+        self._values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
+        self._poses: list[tuple[float, float, float]] = []
+        self.subscribe(Odometry, 'odom', self._on_odometry)
+        kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.subscribe(Bool, 'captured', self._on_captured, kept)
+        self.launch('orbimpc_ros.sim', self._values)
+        self.start_planner()
+
+    def start_planner(self) -> None:
+        """Start a planner."""
+        self.planner = self.launch(NODE, self._values)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        place = message.pose.pose.position
+        self._poses.append((place.x, place.y, message.twist.twist.linear.x))
+
+    def _on_captured(self, message: Bool) -> None:
+        self.captured = message.data
+
+    def until_moving(self) -> None:
+        """Listen until the vehicle flies.
+
+        Raises:
+            OrbimpcError: it does not.
+        """
+        poses = self._poses
+        self.until(lambda: poses and poses[0][:2] != poses[-1][:2], 'a vehicle that flies')
+
+    def until_over(self) -> None:
+        """Listen until the flight has ended, for many times as long as it usually lasts."""
+        self.spin(10 * self.usual, lambda: self.captured is not None)
+
+    def stands(self) -> bool:
+        """Return whether the vehicle stands still three odometry messages from now."""
+        enough = len(self._poses) + 3
+        self.spin(PATIENCE, lambda: len(self._poses) >= enough)
+        before, now = self._poses[-2:]
+        return before[:2] == now[:2] and abs(now[2]) <= STILL
+
+
+def _silenced(flying: Flying, number: int, case: str) -> Outcome:
+    """Silence a planner in flight by a signal; return whether the vehicle is stopped in time."""
+    flying.until_moving()
+    flying.spin(flying.draw.uniform(0.5, 1.5))
+    begin = time.monotonic()
+    flying.planner.tell(number)
+    reported = flying.until_first(complaint('stopped'), begin) - begin
+    failure = '' if flying.stands() else 'the vehicle moves on'
+    return Outcome(case, flying.monitor.broken(), reported, failure)
+
+
+def _killed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """The planner is killed in flight: the vehicle stops."""
+    for number in range(20 if long else 1):
+        with Flying(fixtures.place(), step=1.0 if number % 2 else 0.2, seed=number) as flying:
+            yield _silenced(flying, signal.SIGKILL, f'killed {number + 1}')
+
+
+def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """The planner hangs for a while, or its link is cut: the vehicle stops, and then flies on."""
+    for number in range(6 if long else 1):
+        with Flying(fixtures.place(), step=0.2, seed=number) as flying:
+            outcome = _silenced(flying, signal.SIGSTOP, f'hung {number + 1}')
+            flying.planner.tell(signal.SIGCONT)
+            flying.until_over()
+            lost = '' if flying.captured else 'not caught'
+            unsafe = flying.monitor.broken()
+            yield replace(outcome, unsafe=unsafe, failure=outcome.failure or lost)
+
+
+def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """The planner is killed at a random moment of the retrieval, and started again."""
+    for number in range(20 if long else 1):
+        with Flying(fixtures.place(), step=0.2, seed=number) as flying:
+            flying.until_moving()
+            flying.spin(flying.draw.uniform(0.0, flying.usual))
+            flying.planner.tell(signal.SIGKILL)
+            flying.planner.wait(LEAVE)
+            flying.spin(flying.draw.uniform(0.0, 0.5))
+            flying.start_planner()
+            flying.until_over()
+            failure = '' if flying.captured else 'not caught'
+            yield Outcome(f'restarted {number + 1}', flying.monitor.broken(), failure=failure)
+
+
+FAULT_CASES = (
+    FaultCase('mode', 'a mode that flips at 10 Hz: reported, else silent', REPORT, _modes, 's'),
+    FaultCase('deadline', 'no time to search: longest solve, or time missed', SLOWEST, _no_time),
+    FaultCase('flood', 'odometry at 5 kHz: p99 from tick to tick, beyond the period', LATE, _flood,
+              'ms'),
+    FaultCase('exceptions', 'exceptions in callbacks: safe, then given up', 1.0, _exceptions),
+    FaultCase('sigint', 'SIGINT: three safe commands, exit 0', LEAVE, _signalled(signal.SIGINT),
+              's'),
+    FaultCase('sigterm', 'SIGTERM: three safe commands, exit 0', LEAVE, _signalled(signal.SIGTERM),
+              's'),
+    FaultCase('sigkill', 'planner killed: the vehicle is stopped', LATCH, _killed, 's'),
+    FaultCase('hung', 'planner hangs for a while: stopped, then flies on', LATCH, _hung, 's'),
+    FaultCase('restart', 'planner killed and restarted: the rope is caught', 0.0, _restarted),
+    FaultCase('starts', 'nonsense parameters: exit code 2, no command', REFUSED, _starts, 's'),
+    FaultCase('live', 'nonsense parameters live: refused', 0.0, _live),
+)  # fmt: skip
