@@ -21,10 +21,10 @@ from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.approach import SLOWEST
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.feasibility import constraints_in_force
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.request import Request
-from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.solver import Solver
 
 NORTH = Approach(0.3, (0.0, 1.0))
@@ -127,7 +127,7 @@ def test_a_search_over_sectors_winds_round_to_its_cone():
     """A full circle to a heading just behind: left or right, each way a root of its own."""
     problem = replace(WING, horizon=16, max_rate=np.radians(30.0), floor=floor('circle', 1.0))
     problem = replace(problem, approach=Approach(0.2, (-1.0, 0.0)))
-    assert SectorSearch.solves(problem)
+    assert Engine.solves(problem)
     start = State.at(np.zeros(2), np.eye(2))
     for side in (1.0, -1.0):
         goals = np.tile([-20.0, 57.0 * side], (16, 1))
@@ -146,7 +146,7 @@ def test_a_search_over_sectors_agrees_with_the_general_one():
         )
         start = State.at(np.zeros(2), 0.8 * np.eye(2))
         goals = rng.uniform(-3.0, 3.0, (3, 2))
-        fast = SectorSearch(problem, 1e-7).solve(Request(start, goals))
+        fast = Engine(problem, 1e-7).solve(Request(start, goals))
         slow = DisjunctiveSearch(problem, 1e-5).solve(Request(start, goals))
         assert fast.lower_bound <= slow.cost * (1.0 + 1e-9)
         assert slow.lower_bound <= fast.cost * (1.0 + 1e-9)

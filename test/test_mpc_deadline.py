@@ -18,7 +18,6 @@ from benchmarks.bench.problems import lifted
 from orbimpc_ros.loop import fallback as clearest_of
 from orbimpc_ros.mpc.check import floor_margin, violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED, annulus
 from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -33,16 +32,16 @@ from orbimpc_ros.mpc.problem import (
     leaving,
     traffic,
 )
+from orbimpc_ros.mpc.search import engine
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve import (
     annulus_newton,
     arc_search,
-    cell_tree,
     choice_tree,
     disjunctive_bnb,
     hull_riccati,
     request,
     scouting,
-    sector_bnb,
     so3_multipliers,
     solver,
     stand_ins,
@@ -50,7 +49,6 @@ from orbimpc_ros.mpc.solve import (
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
-from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -60,14 +58,14 @@ pytestmark = pytest.mark.skipif(
 KERNELS = {
     annulus_newton: ('improve', 'improve_from_hull', 'climb'),
     arc_search: ('climb',),
-    cell_tree: ('search', 'dive'),
+    engine: ('search',),
     hull_riccati: ('settle',),
     so3_multipliers: ('minimise',),
 }
 ENGINES = {
     'circle': (AnnulusNewton, Problem(horizon=12, floor=floor('circle', 1.0))),
     'long circle': (AnnulusNewton, Problem(horizon=40, floor=floor('circle', 0.6))),
-    'polygon': (PolygonSearch, Problem(horizon=12, floor=floor('polygon', 0.6, 6))),
+    'polygon': (Engine, Problem(horizon=12, floor=floor('polygon', 0.6, 6))),
     'hull': (HullRiccati, Problem(horizon=40, floor=Floor('none'))),
     'space': (DisjunctiveSearch, Problem(3, 2, 2, horizon=10, floor=Floor('none'))),
     'faces in space': (DisjunctiveSearch, Problem(3, horizon=6, floor=floor('polygon', 0.5, 6))),
@@ -107,7 +105,6 @@ def watch(monkeypatch):
             monkeypatch.setattr(module, 'SLICE', 1)
         for name in names:
             monkeypatch.setattr(module, name, found.counted(getattr(module, name)))
-    monkeypatch.setattr(cell_tree, 'DIVE', 1)
     return found
 
 
@@ -120,9 +117,9 @@ def asked(problem, seed):
     return start, np.tile(goal, (problem.horizon, 1))
 
 
-@pytest.mark.parametrize('engine', ENGINES)
-def test_an_engine_looks_at_the_clock_between_slices_and_ends_after_its_deadline(watch, engine):
-    method, problem = ENGINES[engine]
+@pytest.mark.parametrize('kind', ENGINES)
+def test_an_engine_looks_at_the_clock_between_slices_and_ends_after_its_deadline(watch, kind):
+    method, problem = ENGINES[kind]
     solver, (start, targets) = method(problem, 1e-6), asked(problem, 3)
     watch.begin(400)
     solver.solve(Request(start, targets, out_of_time=watch.out_of_time))
@@ -137,34 +134,15 @@ def test_an_engine_looks_at_the_clock_between_slices_and_ends_after_its_deadline
         assert found.lower_bound <= found.cost * (1 + 1e-8)  # constraints hold to 1e-8
 
 
-@pytest.mark.parametrize('engine', ['circle', 'long circle', 'polygon'])
-def test_what_an_engine_returns_at_its_deadline_is_legal(watch, engine):
-    method, problem = ENGINES[engine]
+@pytest.mark.parametrize('kind', ['circle', 'long circle', 'polygon'])
+def test_what_an_engine_returns_at_its_deadline_is_legal(watch, kind):
+    method, problem = ENGINES[kind]
     solver, (start, targets) = method(problem, 1e-6), asked(problem, 4)
     for limit in (1, 2, 5, 20, 80):
         watch.begin(limit)
         x = solver.solve(Request(start, targets, out_of_time=watch.out_of_time)).x
         assert floor_margin(problem, x).min() >= -1e-9
         assert np.linalg.norm(x, axis=1).max() <= 1.0 + 1e-9
-
-
-def test_a_dive_is_cut_short_and_still_ends_on_the_floor(monkeypatch):
-    problem = Problem(horizon=12, floor=floor('polygon', 0.6, 6))
-    condensed, shortened = Condensed(problem), 0
-    for seed in range(8):
-        q, constant = condensed.affine(*asked(problem, seed))
-        values = []
-        for work in (1.0, np.inf):
-            monkeypatch.setattr(cell_tree, 'DIVE', work)
-            search = cell_tree.CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 1)
-            search.begin(q, constant)
-            search.run()
-            search.dive()
-            assert floor_margin(problem, search.best).min() >= -1e-9
-            assert np.linalg.norm(search.best, axis=1).max() <= 1.0 + 1e-9
-            values.append(search.value)
-        shortened += values[0] > values[1] + 1e-6
-    assert shortened > 0
 
 
 @pytest.mark.parametrize('fraction', [0.6, 1.0])
@@ -246,8 +224,7 @@ def test_a_solver_out_of_time_from_the_start_has_a_plan():
 )
 def test_what_would_take_long_to_count_is_not_counted_after_the_deadline(monkeypatch, problem):
     solver, (start, targets), watch = Solver(problem), asked(problem, 5), Watch()
-    for module in (cell_tree, sector_bnb):
-        monkeypatch.setattr(module, 'search', watch.counted(module.search))
+    monkeypatch.setattr(engine, 'search', watch.counted(engine.search))
     for allowed, counted in ((2000, False), (10**9, True)):
         monkeypatch.setattr(request, 'AFTERWARDS', allowed)
         watch.begin(10)
@@ -266,14 +243,14 @@ def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkey
         calls.append(True)
         return told
 
-    found, told = cell_tree.CellSearch.proof.fget, False
+    proof_of, told = engine.proof_of, False
 
-    def proof_of(search):
+    def told_of(tree):
         nonlocal told
         told = True
-        return found(search)
+        return proof_of(tree)
 
-    monkeypatch.setattr(cell_tree.CellSearch, 'proof', property(proof_of))
+    monkeypatch.setattr(engine, 'proof_of', told_of)
     proof = solver.solve(start, targets, out_of_time=out_of_time).proof
     assert (proof.checked, proof.tree) == (False, None)
     assert proof.lower_bound > 0.0

@@ -14,7 +14,6 @@ from problems import floor, goals, rotation, state, weights
 
 from orbimpc_ros.mpc import kernels
 from orbimpc_ros.mpc.check import floor_margin
-from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.geometry.orbitopes import margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels import riccati as chain
@@ -22,17 +21,17 @@ from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.cost import position_weights
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, Weights
+from orbimpc_ros.mpc.search import engine
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton
-from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
-from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
 from orbimpc_ros.mpc.solve.request import Request
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
 )
-FLOORS = [('polygon', 0.5477, 4), ('polygon', 0.5, 6), ('polygon', 0.45, 3), ('none', 0.5, 4)]
+FLOORS = [('polygon', 0.5477, 4), ('polygon', 0.5, 6), ('polygon', 0.45, 3)]
 
 
 def random_problem(rng, shape):
@@ -50,8 +49,8 @@ def random_problem(rng, shape):
 def test_planar_search_finds_and_proves_what_the_general_one_does(seed, shape):
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, shape)
-    assert PolygonSearch.solves(problem)
-    fast, general = PolygonSearch(problem, 1e-6), DisjunctiveSearch(problem, 1e-6)
+    assert Engine.solves(problem)
+    fast, general = Engine(problem, 1e-6), DisjunctiveSearch(problem, 1e-6)
     for _ in range(5):
         start = state(rng, problem, full_speed=False)
         targets = goals(rng, problem, distance=10.0 ** rng.uniform(-1, 3))
@@ -66,47 +65,44 @@ def test_planar_search_finds_and_proves_what_the_general_one_does(seed, shape):
         assert found.lower_bound >= expected.lower_bound * (1 - 3e-6) - 1e-8
 
 
-def test_a_search_that_runs_out_of_room_is_finished_by_the_next():
+def test_a_search_that_runs_out_of_room_has_a_legal_plan_and_its_bound():
     rng = np.random.default_rng(3)
     problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
-    start = state(rng, problem)
-    targets = np.tile(start.position, (6, 1))
-    condensed = Condensed(problem)
-    q, c = condensed.affine(start, targets)
-    search = CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 3)
-    search.begin(q, c)
-    assert search.run()  # there is no more to be had
-    assert search.nodes == 3
-    early = search.bound
-    search = CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 6400)
-    search.begin(q, c)
-    while not search.run():
-        assert search.nodes >= 200  # it stops where it needs more room
-    assert search.complete
-    assert early <= search.bound <= search.value
+    few, many = Engine(problem, 1e-6), Engine(problem, 1e-6)
+    few._most, cut_short = 3, 0
+    for _ in range(10):
+        request = Request(*passing(rng, problem))
+        early, late = few.solve(request), many.solve(request)
+        assert early.nodes <= 3
+        assert early.lower_bound <= late.lower_bound * (1 + 1e-9)
+        assert late.cost * (1 - 1e-4) <= early.cost
+        assert floor_margin(problem, early.x).min() >= -1e-9
+        cut_short += early.lower_bound < late.lower_bound * (1 - 1e-3)
+    assert cut_short
 
 
-def test_a_search_in_slices_is_the_same_search():
+def test_a_search_in_slices_proves_what_a_whole_one_does():
     rng = np.random.default_rng(11)
     problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
     for _ in range(20):
         start, targets = passing(rng, problem)
-        planar = PolygonSearch(problem, 1e-6)
+        planar = Engine(problem, 1e-6)
         whole = planar.solve(Request(start, targets))
         sliced = planar.solve(Request(start, targets, out_of_time=lambda: False))
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
+            patched.setattr(engine, 'SLICE', 1.0)
             each = planar.solve(Request(start, targets, out_of_time=lambda: False))
-        assert whole.cost == sliced.cost == each.cost
-        assert whole.nodes == sliced.nodes == each.nodes
+        assert (whole.cost, whole.nodes) == (sliced.cost, sliced.nodes)
+        assert each.cost == pytest.approx(whole.cost, rel=1e-6)
+        assert each.cost - each.lower_bound <= 1e-6 * each.cost
 
 
-@pytest.mark.parametrize('shape', [('polygon', 0.6, 6), ('polygon', 0.5, 4), ('none', 0.5, 4)])
+@pytest.mark.parametrize('shape', [('polygon', 0.6, 6), ('polygon', 0.5, 4)])
 def test_an_interrupted_search_returns_a_legal_plan_and_its_bound(monkeypatch, shape):
-    monkeypatch.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
+    monkeypatch.setattr(engine, 'SLICE', 1.0)
     rng = np.random.default_rng(12)
     problem = Problem(horizon=8, floor=floor(*shape))
-    planar = PolygonSearch(problem, 1e-6)
+    planar = Engine(problem, 1e-6)
     for polls in (1, 2, 5, 20):
         start, targets = passing(rng, problem)
         left = iter(range(polls))
@@ -128,7 +124,7 @@ def test_weights_far_apart_do_not_stop_a_search(seed):
     chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
     problem = Problem(horizon=2, floor=floor('polygon', 0.6, 4), weights=chosen)
     start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
-    found = PolygonSearch(problem, 1e-6).solve(Request(start, targets))
+    found = Engine(problem, 1e-6).solve(Request(start, targets))
     best = best_by_grid(problem, start, targets)
     assert found.lower_bound <= best * (1 + 1e-9) + 1e-9
     assert found.cost <= best * (1 + 1e-3)
@@ -171,7 +167,7 @@ import json, numpy as np
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.check import floor_margin
-from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 at = Request(State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1)))
@@ -180,7 +176,7 @@ seen = Weights(input=0.0)
 found = [
     AnnulusNewton(Problem(horizon=3, floor=Floor('circle', 4, 0.6)), 1e-6).solve(at),
     AnnulusNewton(Problem(3, horizon=3, weights=seen, floor=Floor('circle')), 1e-6).solve(high),
-    PolygonSearch(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(at),
+    Engine(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(at),
     HullRiccati(Problem(horizon=3), 1e-6).solve(at),
 ]
 print(json.dumps([number for each in found for number in (each.cost, each.lower_bound)]))

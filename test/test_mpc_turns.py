@@ -20,11 +20,11 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.request import Enough, Request
-from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.mpc.solve.stand_ins import straight
 
@@ -195,7 +195,7 @@ def test_two_steps_against_a_grid(shape, faces):
 def test_a_search_cut_short_has_a_legal_plan_and_a_sound_bound(polls):
     rng = np.random.default_rng(41)
     problem = replace(random_problem(rng, 'circle', 4, horizon=12), max_rate=0.7)
-    method = SectorSearch(problem, 1e-6)
+    method = Engine(problem, 1e-6)
     for _ in range(5):
         start, targets = random_start(rng, problem)
         asked = iter(range(polls))

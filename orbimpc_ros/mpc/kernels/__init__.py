@@ -84,6 +84,11 @@ def vectorised(function: Callable) -> Callable:
     return _kept(function, fastmath={'reassoc', 'contract'}) if COMPILED else function
 
 
+def inlined(function: Callable) -> Callable:
+    """Compile into what calls it, where to pass arrays takes longer than to go through them."""
+    return _kept(function, inline='always') if COMPILED else function
+
+
 def _kept(function: Callable, **options: Any) -> Callable:
     made = njit(cache=True, **options)(function)
     if made is not function:  # as it is with NUMBA_DISABLE_JIT

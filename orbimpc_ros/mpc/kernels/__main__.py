@@ -8,12 +8,11 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Box, Floor, Problem
 from orbimpc_ros.mpc.proof.verify import Verifier
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
-from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
 from orbimpc_ros.mpc.solve.scouting import Scout
-from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.spatial_bnb import SpatialSearch
 
@@ -21,14 +20,13 @@ from orbimpc_ros.mpc.solve.spatial_bnb import SpatialSearch
 def round_floors() -> None:
     """Compile what searches round floors: half of all machine code."""
     AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
-    SectorSearch(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
+    Engine(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
 
 
 def the_rest() -> None:
     """Compile all else."""
     Verifier(Problem())
     HullRiccati(Problem(), 1e-6)
-    PolygonSearch(Problem(floor=Floor('polygon')), 1e-6)
     SO3Multipliers(Problem(dimension=3))
     PlaceProgram(Problem())
     Scout(Problem())

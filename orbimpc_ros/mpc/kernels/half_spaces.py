@@ -13,7 +13,7 @@ through the sides that this passes on.
 
 No trajectory costs more than a ceiling: a node whose bound is above that has no solution.
 
-Mathematics: docs/mathematics.md, 4.11.
+Mathematics: docs/mathematics.md, 4.10.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ iterates minimises the Lagrangian for multipliers u >= 0. Where a violated row i
 others that cannot make way for it, its multipliers grow without limit: what they then prove is
 Farkas' lemma over the balls |z_k| <= 1.
 
-Mathematics: docs/mathematics.md, 4.13.
+Mathematics: docs/mathematics.md, 4.12.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ kept, one for each cell of a grid of positions and velocities. What a place prom
 far, and what is left of it where nothing but obstacles that stand still is in the way. Whatever
 comes out is a start for a search, and proves nothing.
 
-Mathematics: docs/mathematics.md, 4.12.
+Mathematics: docs/mathematics.md, 4.11.
 """
 
 from __future__ import annotations

@@ -282,6 +282,9 @@ class _Run:
             return
         if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):
             self._dives.dive(choice, trajectory, missed)
+        if posed.late:  # to branch may take as long as to solve
+            self._close(bound)
+            return
         branch = self._branching.children(choice, missed, bound, relaxed.dual_value)
         if branch is None:
             self._close(bound)

@@ -5,7 +5,7 @@ A *dive* holds all that a solution misses at its nearest cell, and solves again;
 it holds the tangent in the direction of v, beyond which |v| is surely above the floor. A *way* is
 followed on the sides on which it passes what is round or moves.
 
-Mathematics: docs/mathematics.md, 4.9 and 4.12.
+Mathematics: docs/mathematics.md, 4.9 and 4.11.
 """
 
 from __future__ import annotations
@@ -49,13 +49,15 @@ class Dives:
         """
         ahead, cost = self._posed.request.state.rotation[:, 0], np.inf
         for _ in range(FOLLOWED):
+            if self._posed.late:
+                return
             x = self._beside(np.vstack([ahead, headings]))
             if x is None:
                 return
             trajectory = self._posed.flown(x)
             if not self._posed.missed(trajectory):
                 self._best.offer(x, trajectory)
-            if self._posed.late or trajectory.cost > (1.0 - WORTH) * cost:
+            if trajectory.cost > (1.0 - WORTH) * cost:
                 return
             headings, cost = trajectory.headings[1:], trajectory.cost
 
@@ -74,6 +76,8 @@ class Dives:
                 return
         held = list(choice)
         for _ in range(DIVE_STEPS if posed.passages is None else PASSING_STEPS):
+            if posed.late:
+                return
             for j, (_, values) in missed.items():
                 held[j] = posed.nearest(j, values, held[j])
             x = self._solved(held)
@@ -103,6 +107,8 @@ class Dives:
         posed, held = self._posed, list(chosen)
         assert posed.turns is not None
         for _ in range(DIVE_STEPS):
+            if posed.late:
+                return
             missed = posed.missed(trajectory)
             for j, choice in enumerate(posed.alternatives):
                 if isinstance(choice, Disjunction) and choice.on == 'heading':
@@ -141,9 +147,7 @@ class Dives:
         return self._solved(held, None if turns is None else turns.close(around))
 
     def _solved(self, held: list[Cell | None], chords: Array | None = None) -> Array | None:
-        """Return the solution with cells held, shape (N, d); None without one, or if it is late."""
-        if self._posed.late:
-            return None
+        """Return the solution with cells held, shape (N, d); None without one."""
         try:
             relaxed = self._posed.relax(held, chords, narrow=chords is not None)
         except Infeasible:

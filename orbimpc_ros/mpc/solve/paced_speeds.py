@@ -30,12 +30,12 @@ from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.disjunction import disjunctions_of
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.relaxation import Point
 from orbimpc_ros.mpc.solve.request import Found, Request
-from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 
 try:
     import clarabel
@@ -70,7 +70,7 @@ class PacedSpeeds:
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return whether there is a limit, and no faster method for it."""
-        return problem.max_acceleration > 0.0 and not SectorSearch.solves(problem)
+        return problem.max_acceleration > 0.0 and not Engine.solves(problem)
 
     def solve(self, request: Request) -> Found:
         """Return the best trajectory with the bound of the problem without the limit.

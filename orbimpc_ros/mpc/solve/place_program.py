@@ -6,7 +6,7 @@ attitude have a weight. Then the program is a quadratic over z_1..z_N within bal
 half-spaces (:mod:`orbimpc_ros.mpc.kernels.places`), which a dual active-set method solves
 a hundred times as fast as an interior-point method that is set up anew for every choice of rows.
 
-Mathematics: docs/mathematics.md, 4.13.
+Mathematics: docs/mathematics.md, 4.12.
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.model.cost import position_weights
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.request import Guess, Request
-from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 
 
 class PlanarWay:
@@ -36,16 +36,14 @@ class PlanarWay:
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._weights = problem, np.sqrt(position_weights(problem))
-        self._search = SectorSearch(_planar(problem), tolerance)
+        self._search = Engine(_planar(problem), tolerance)
 
     @staticmethod
     def leads(problem: Problem) -> bool:
         """Return whether ways in a plane hold all of a problem but its obstacles."""
         plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
         spatial = (problem.dimension, problem.rotation_order) == (3, 1)
-        return (
-            spatial and plain and problem.turns_are_angles and SectorSearch.solves(_planar(problem))
-        )
+        return spatial and plain and problem.turns_are_angles and Engine.solves(_planar(problem))
 
     def way(self, request: Request) -> Array:
         """Return the rotation coordinates R_1..R_N of the best way found, shape (N, 9)."""

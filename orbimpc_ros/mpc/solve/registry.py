@@ -11,18 +11,17 @@ from importlib import import_module
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.request import Method
 
-# (module beside this one, class). The first whose ``solves`` holds is chosen; modules are imported
-# in turn, since the later ones take longer to import.
+# (module, class). The first whose ``solves`` holds is chosen; modules are imported in turn, since
+# the later ones take longer to import.
 METHODS = [
-    ('hull_riccati', 'HullRiccati'),
-    ('polygon_bnb', 'PolygonSearch'),
-    ('sector_bnb', 'SectorSearch'),
-    ('annulus_newton', 'AnnulusNewton'),
-    ('spatial_bnb', 'SpatialSearch'),
-    ('planar_catch', 'PlanarCatch'),
-    ('disjunctive_bnb', 'DisjunctiveSearch'),
+    ('solve.hull_riccati', 'HullRiccati'),
+    ('search.engine', 'Engine'),
+    ('solve.annulus_newton', 'AnnulusNewton'),
+    ('solve.spatial_bnb', 'SpatialSearch'),
+    ('solve.planar_catch', 'PlanarCatch'),
+    ('solve.disjunctive_bnb', 'DisjunctiveSearch'),
 ]
-PACED = ('paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
+PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
 
 
 def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) -> Method:
@@ -34,7 +33,7 @@ def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) ->
         coasting: whether states come with a ``coasted`` rotation.
     """
     for place, name in [PACED, *METHODS] if problem.max_acceleration else METHODS:
-        method = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
+        method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
         if method.solves(problem):
             made: Method = method(problem, tolerance, coasting=coasting)
             return made
@@ -51,7 +50,7 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
     """
     if problem.max_acceleration:
         place, name = PACED
-        paced = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
+        paced = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
         within: Method = paced(problem, tolerance, coasting=coasting, among=True)
         return within
     from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may take Clarabel

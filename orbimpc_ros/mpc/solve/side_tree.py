@@ -4,7 +4,7 @@
 A node that was solved has its own multipliers. One that was not has those of the node that it is a
 part of, and one step along the row of its own that raises the bound the most.
 
-Mathematics: docs/mathematics.md, 4.11, and docs/proofs.md.
+Mathematics: docs/mathematics.md, 4.10, and docs/proofs.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The search for vehicles among boxes in space, in machine code where numba is installed.
 
-Mathematics: docs/mathematics.md, 4.11.
+Mathematics: docs/mathematics.md, 4.10.
 """
 
 from __future__ import annotations

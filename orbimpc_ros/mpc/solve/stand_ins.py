@@ -24,14 +24,14 @@ from orbimpc_ros.mpc.problem.leaving import Tracks, ways_out
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
-TURNS = (0.0, -1.5, 3.0, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
+TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
 WITHIN = 1.0 - 1e-9  # of ``max_rate``
 CORRECTIONS = 20
 LARGEST = 0.5  # of a heading, in one correction
 MET = 1e-10  # of a step's length
 AT_LIMIT = 1e-9  # of a speed
 SINGULAR = 1e-9
-LATE = 3  # ways that are tried once time is up: a millisecond or two each
+LATE = 2  # ways that are tried once time is up: a millisecond or two each
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:

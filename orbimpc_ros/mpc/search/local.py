@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A local optimum over speeds and turns: trajectories that hold floor and turn rate all the way.
+"""The incumbent heuristic: descent over speeds and turns, every iterate of which is a trajectory.
 
 In the plane a heading is z_k = m_k (cos theta_k, sin theta_k). With the modulus written as
 m = rho(theta) + t (1 - rho(theta)), rho being the least speed in that direction, and
@@ -10,20 +10,20 @@ pushes against are held, all others move, and steps are projected back into the 
 A limit of the change of speed couples the moduli of neighbours. Its multipliers and a penalty join
 the cost (an augmented Lagrangian), and what they leave is cut off: that, too, ends legal.
 
-Mathematics: docs/mathematics.md, 4.10.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
+from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
+from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.search.relax import cost_of, rise_of
+from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
 
 STEPS = 40  # of Newton's method
-HALVINGS = 12
 SETTLED = 1e-9  # relative decrease of the cost at which it ends
 DAMPED, CALMED, STIFFENED = 1e-6, 0.2, 8.0  # the damping to begin with, and how it changes
 STIFFEST = 1e8
@@ -35,41 +35,12 @@ KEPT = 1e-8  # a change too large by less needs no further round
 STIFF, STIFFER = 10.0, 3.0  # times the largest curvature, and how that grows with the rounds
 
 
-class Ring(NamedTuple):
-    """A planar floor with its turn rate.
-
-    Attributes:
-        fraction: the least |z|: radius of the circle, or of the circle inside the polygon.
-        faces: of the polygon, 0 for the circle.
-        widest: delta, the largest turn in a step [rad]; at least pi where nothing limits it.
-        first: theta_0, the heading at the start [rad].
-        entry: the speed that the first change counts from.
-        change: the largest change of speed in a step; inf where nothing limits it.
-        last: direction of the last heading [rad].
-        within: angle that it may be off by; pi where it may be any [rad].
-    """
-
-    fraction: float
-    faces: int
-    widest: float
-    first: float
-    entry: float
-    change: float
-    last: float
-    within: float
-
-
 @compiled
-def least_speed(ring, angle):
-    """Return rho, the least speed along an angle, its slope and its second derivative.
-
-    Args:
-        ring: gives the floor.
-        angle: [rad].
-    """
+def _floor_along(ring, angle):
+    """Return rho, the least speed along an angle [rad], its slope and its second derivative."""
     if ring.faces == 0:
         return ring.fraction, 0.0, 0.0
-    share = 2.0 * np.pi / ring.faces
+    share = TURN / ring.faces
     off = angle - share * np.round(angle / share)
     rho, slope = ring.fraction / np.cos(off), np.tan(off)
     return rho, rho * slope, rho * (1.0 + 2.0 * slope * slope)
@@ -88,41 +59,40 @@ def set_headings(ring, speeds, turns, z):
     angle = ring.first
     for k in range(len(turns)):
         angle += turns[k]
-        rho = least_speed(ring, angle)[0]
+        rho = least_speed(ring.fraction, ring.faces, angle)
         size = rho + speeds[k] * (1.0 - rho)
         z[k, 0], z[k, 1] = size * np.cos(angle), size * np.sin(angle)
 
 
 @compiled
-def set_rounded(ring, x, low, high, speeds, turns):
+def round_off(ring, x, sector, speeds, turns):
     """Set speeds and turns of the trajectory next to headings x within sectors.
 
     Args:
         ring: floor and turn rate.
         x: headings, shape (N, 2).
-        low: least heading of each step [rad], shape (N,).
-        high: greatest, shape (N,).
+        sector: shape (N, 4).
         speeds: t, shape (N,), set.
         turns: d, shape (N,), set.
     """
     before = ring.first
     for k in range(len(x)):
         size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
-        angle = before
+        angle, low, high = before, sector[k, LOW], sector[k, HIGH]
         if size > SMALL:
             raw = np.arctan2(x[k, 1], x[k, 0])
-            middle = min(high[k], max(low[k], before))
-            angle = raw + 2.0 * np.pi * np.round((middle - raw) / (2.0 * np.pi))
-        angle = min(high[k], max(low[k], angle))
+            middle = min(high, max(low, before))
+            angle = raw + TURN * np.round((middle - raw) / TURN)
+        angle = min(high, max(low, angle))
         turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, angle - before))
         before += turns[k]
-        rho = least_speed(ring, before)[0]
+        rho = least_speed(ring.fraction, ring.faces, before)
         along = np.cos(before) * x[k, 0] + np.sin(before) * x[k, 1]
         speeds[k] = min(1.0, max(0.0, (along - rho) / max(SMALL, 1.0 - rho)))
 
 
 @compiled
-def set_paced(ring, speeds, turns):
+def is_paced(ring, speeds, turns):
     """Set the speeds next to others that change within the limit, headings being held.
 
     Args:
@@ -137,7 +107,7 @@ def set_paced(ring, speeds, turns):
     rho, least = np.empty(count), np.empty(count)
     for k in range(count):
         angle += turns[k]
-        rho[k] = least[k] = least_speed(ring, angle)[0]
+        rho[k] = least[k] = least_speed(ring.fraction, ring.faces, angle)
     for k in range(count - 2, -1, -1):
         least[k] = max(least[k], least[k + 1] - change)
     if ring.entry + change < least[0]:
@@ -160,18 +130,28 @@ def _changes(ring, z, k):
 
 
 @compiled
-def _value(hessian, q, ring, chain, stiff, z):
-    """Return the cost of headings, with what the multipliers of changes of speed add."""
-    value = quadratic(hessian, q, z)
+def _rise(quad, ring, chain, stiff, z, there):
+    """Return by how much headings cost more than z, with multipliers of changes of speed.
+
+    Args:
+        quad: the cost.
+        ring: gives the limit of the change of speed.
+        chain: multipliers of its rise and its fall at each step, shape (N, 2).
+        stiff: of the penalty; 0 for none.
+        z: headings, shape (N, 2).
+        there: those that may cost more, shape (N, 2).
+    """
+    rise = rise_of(quad, z, there)
     if stiff > 0.0:
         for k in range(len(z)):
-            rises, falls = _changes(ring, z, k)
-            up, down = chain[k, 0] + stiff * rises, chain[k, 1] + stiff * falls
-            value += (max(0.0, up) ** 2 + max(0.0, down) ** 2) / (2.0 * stiff)
-    return value
+            for x, sign in ((there, 1.0), (z, -1.0)):
+                rises, falls = _changes(ring, x, k)
+                up, down = chain[k, 0] + stiff * rises, chain[k, 1] + stiff * falls
+                rise += sign * (max(0.0, up) ** 2 + max(0.0, down) ** 2) / (2.0 * stiff)
+    return rise
 
 
-@compiled
+@inlined
 def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
     """Add what changes of speed contribute to the model, in speeds and headings.
 
@@ -181,7 +161,7 @@ def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
     by, at = np.zeros(4), np.zeros(4, np.int64)  # of m_k in t_k and theta_k; then of -m_{k-1}
     for k in range(count):
         angle += turns[k]
-        rho, slope, _ = least_speed(ring, angle)
+        rho, slope, _ = _floor_along(ring, angle)
         by[2], by[3], at[2], at[3] = -by[0], -by[1], at[0], at[1]
         by[0], by[1], at[0], at[1] = 1.0 - rho, (1.0 - speeds[k]) * slope, k, count + k
         rises, falls = _changes(ring, z, k)
@@ -196,41 +176,39 @@ def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
                 curved[at[i], at[j]] += active * stiff * by[i] * by[j]
 
 
-@compiled
-def _set_model(hessian, q, ring, chain, stiff, speeds, turns, z, gradient, curved):
+@inlined
+def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
     """Set the gradient, shape (2N,), and the Hessian, shape (2N, 2N), in speeds and then turns."""
-    count = len(q)
-    curved[:] = 0.0
-    by = np.empty((count, 2, 2))  # derivatives of z_k in t_k and theta_k
-    angle = ring.first
-    for k in range(count):
-        angle += turns[k]
+    hessian, count, angle = quad.hessian, len(z), ring.first
+    for k in range(count):  # derivatives of z_k in t_k and theta_k
+        angle += y[count + k]
         c, s = np.cos(angle), np.sin(angle)
-        rho, slope, bend = least_speed(ring, angle)
-        size, rest = rho + speeds[k] * (1.0 - rho), 1.0 - speeds[k]
+        rho, slope, bend = _floor_along(ring, angle)
+        size, rest = rho + y[k] * (1.0 - rho), 1.0 - y[k]
         along = rest * slope
         by[k, 0, 0], by[k, 0, 1] = (1.0 - rho) * c, (1.0 - rho) * s
         by[k, 1, 0], by[k, 1, 1] = along * c - size * s, along * s + size * c
-        a, b = q[k, 0], q[k, 1]
+        a, b, length = quad.q[k, 0], quad.q[k, 1], quad.lengths[k]
         for j in range(count):
             a += hessian[k, j] * z[j, 0]
             b += hessian[k, j] * z[j, 1]
-        gradient[k] = a * by[k, 0, 0] + b * by[k, 0, 1]
-        gradient[count + k] = a * by[k, 1, 0] + b * by[k, 1, 1]
+        gradient[k] = a * by[k, 0, 0] + b * by[k, 0, 1] + length * (1.0 - rho)
+        gradient[count + k] = a * by[k, 1, 0] + b * by[k, 1, 1] + length * along
         ahead, aside = a * c + b * s, b * c - a * s
-        curved[count + k, k] = -slope * ahead + (1.0 - rho) * aside
-        curved[count + k, count + k] = (rest * bend - size) * ahead + 2.0 * along * aside
-    for k in range(count):
-        for j in range(count):
-            same = 1.0 if j == k else 0.0
+        for j in range(k + 1):
+            h = hessian[k, j]
             for e in range(2):
                 for f in range(2):
-                    inner = by[k, e, 0] * by[j, f, 0] + by[k, e, 1] * by[j, f, 1]
-                    if e >= f:
-                        held = same * curved[e * count + k, f * count + j]
-                        curved[e * count + k, f * count + j] = held + hessian[k, j] * inner
+                    inner = h * (by[k, e, 0] * by[j, f, 0] + by[k, e, 1] * by[j, f, 1])
+                    curved[e * count + k, f * count + j] = inner
+                    curved[f * count + j, e * count + k] = inner
+        mixed = -slope * (ahead + length) + (1.0 - rho) * aside
+        curved[count + k, k] += mixed
+        curved[k, count + k] += mixed
+        turned = (rest * bend - size) * ahead + 2.0 * along * aside + rest * bend * length
+        curved[count + k, count + k] += turned
     if stiff > 0.0:
-        _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved)
+        _add_changes(ring, chain, stiff, y[:count], y[count:], z, gradient, curved)
     # theta_k is the sum of the turns up to k, so turns see the sums from k on.
     for k in range(count - 2, -1, -1):
         gradient[count + k] += gradient[count + k + 1]
@@ -241,12 +219,12 @@ def _set_model(hessian, q, ring, chain, stiff, speeds, turns, z, gradient, curve
             curved[count + j, count + k] += curved[count + j, count + k + 1]
 
 
-@compiled
-def _set_step(curved, gradient, y, bounds, damping, scale, step):
+@inlined
+def _set_step(curved, gradient, y, bounds, damping, room, step):
     """Set Newton's step of the variables that are free; return whether there is one."""
-    size = len(y)
-    free, count = np.empty(size, np.int64), 0
-    for i in range(size):
+    free, matrix, right = room
+    count = 0
+    for i in range(len(y)):
         step[i] = 0.0
         pushed = (y[i] <= bounds[i, 0] + AT_BOUND and gradient[i] > 0.0) or (
             y[i] >= bounds[i, 1] - AT_BOUND and gradient[i] < 0.0
@@ -254,90 +232,88 @@ def _set_step(curved, gradient, y, bounds, damping, scale, step):
         if not pushed:
             free[count] = i
             count += 1
-    if count == 0:
-        return True
-    matrix, right = np.empty((count, count)), np.empty(count)
     for i in range(count):
         right[i] = -gradient[free[i]]
         for j in range(i + 1):
             matrix[i, j] = curved[free[i], free[j]]
-        matrix[i, i] += damping * scale
-    if not solve_spd(matrix, right, count):
+        matrix[i, i] += damping
+    if count > 0 and not solve_spd(matrix, right, count):
         return False
     for i in range(count):
         step[free[i]] = right[i]
     return True
 
 
-@compiled
-def _descend(hessian, q, ring, constant, chain, stiff, speeds, turns, z):
-    """Descend as :func:`steer` does, at given multipliers of the changes of speed."""
-    count = len(q)
-    y, trial, step = np.empty(2 * count), np.empty(2 * count), np.empty(2 * count)
-    bounds, gradient = np.empty((2 * count, 2)), np.empty(2 * count)
-    curved, there = np.empty((2 * count, 2 * count)), np.empty((count, 2))
-    y[:count], y[count:] = speeds, turns
-    bounds[:count, 0], bounds[:count, 1] = 0.0, 1.0
-    bounds[count:, 0], bounds[count:, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
+@inlined
+def _descend(quad, ring, chain, stiff, speeds, turns, z):
+    """Descend as :func:`descend` does, at given multipliers of the changes of speed."""
+    count = len(z)
+    size = 2 * count
+    y, trial, step, gradient = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    bounds, curved, there = np.empty((size, 2)), np.empty((size, size)), np.empty((count, 2))
+    room = np.empty(size, np.int64), np.empty((size, size)), np.empty(size)
+    by = np.empty((count, 2, 2))
+    for k in range(count):
+        y[k], y[count + k] = speeds[k], turns[k]
+        bounds[k, 0], bounds[k, 1] = 0.0, 1.0
+        bounds[count + k, 0], bounds[count + k, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
     set_headings(ring, speeds, turns, z)
-    cost, damping, taken = _value(hessian, q, ring, chain, stiff, z), DAMPED, 0
-    while taken < STEPS:
-        taken += 1
-        _set_model(hessian, q, ring, chain, stiff, y[:count], y[count:], z, gradient, curved)
-        scale, before = 1e-300, cost
-        for i in range(2 * count):
+    damping = DAMPED
+    for _ in range(STEPS):
+        _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved)
+        scale, fall = 1e-300, 0.0
+        for i in range(size):
             scale = max(scale, abs(curved[i, i]))
         while damping <= STIFFEST:
-            if _set_step(curved, gradient, y, bounds, damping, scale, step):
-                for i in range(2 * count):
+            if _set_step(curved, gradient, y, bounds, damping * scale, room, step):
+                for i in range(size):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)
-                reached = _value(hessian, q, ring, chain, stiff, there)
-                if reached < cost:
-                    y[:], z[:], cost = trial, there, reached
+                fall = -_rise(quad, ring, chain, stiff, z, there)
+                if fall > 0.0:
+                    y, trial = trial, y
+                    for k in range(count):
+                        z[k, 0], z[k, 1] = there[k, 0], there[k, 1]
                     damping = max(1e-10, CALMED * damping)
                     break
             damping *= STIFFENED
-        if before - cost <= SETTLED * abs(cost + constant):
+        if fall <= SETTLED * max(abs(cost_of(quad, z) + quad.constant), NEGLIGIBLE):
             break
-    speeds[:], turns[:] = y[:count], y[count:]
-    return cost, taken
+    for k in range(count):
+        speeds[k], turns[k] = y[k], y[count + k]
 
 
 @compiled
-def steer(hessian, q, ring, constant, speeds, turns, z):
+def descend(quad, ring, speeds, turns, z):
     """Descend to a local optimum.
 
     Args:
-        hessian: H, shape (N, N).
-        q: linear terms, shape (N, 2).
+        quad: the cost.
         ring: floor and turn rate, and the limit of the change of speed.
-        constant: what costs lack; it only scales the accuracy.
         speeds: t to begin with, shape (N,), updated.
         turns: d to begin with, shape (N,), updated.
         z: headings, shape (N, 2), set.
 
     Returns:
-        The cost without the constant, infinite where no speeds were found that change within the
-        limit, and the Newton steps taken.
+        Whether speeds were found that change within the limit.
     """
-    chain, curvature, taken = np.zeros((len(q), 2)), 0.0, 0
-    if ring.change == np.inf:
-        return _descend(hessian, q, ring, constant, chain, 0.0, speeds, turns, z)
-    for k in range(len(q)):
-        curvature = max(curvature, hessian[k, k])
-    stiff = STIFF * curvature
+    chain, curvature, limited = np.zeros((len(z), 2)), 0.0, ring.change < np.inf
+    for k in range(len(z)):
+        curvature = max(curvature, quad.hessian[k, k])
+    stiff = STIFF * curvature if limited else 0.0
     for _ in range(ROUNDS):
-        taken += _descend(hessian, q, ring, constant, chain, stiff, speeds, turns, z)[1]
+        _descend(quad, ring, chain, stiff, speeds, turns, z)
         worst = 0.0
-        for k in range(len(q)):
-            for side, beyond in enumerate(_changes(ring, z, k)):
-                chain[k, side] = max(0.0, chain[k, side] + stiff * beyond)
-                worst = max(worst, beyond)
+        for k in range(len(z) if limited else 0):
+            rises, falls = _changes(ring, z, k)
+            chain[k, 0] = max(0.0, chain[k, 0] + stiff * rises)
+            chain[k, 1] = max(0.0, chain[k, 1] + stiff * falls)
+            worst = max(worst, rises, falls)
         if worst <= KEPT:
             break
         stiff *= STIFFER
-    if not set_paced(ring, speeds, turns):
-        return np.inf, taken
-    set_headings(ring, speeds, turns, z)
-    return quadratic(hessian, q, z), taken
+    if limited:
+        if not is_paced(ring, speeds, turns):
+            return False
+        set_headings(ring, speeds, turns, z)
+    return True

@@ -1,0 +1,142 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The search as a method of the solver: a request in, a trajectory and the tree of its proof out.
+
+Mathematics: docs/mathematics.md, 4.3.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.best_first import PAUSED
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.tree import NOTHING, ProofTree
+from orbimpc_ros.mpc.search.posed import Posed
+from orbimpc_ros.mpc.search.relax import Quadratic, room_for
+from orbimpc_ros.mpc.search.ring import Ring
+from orbimpc_ros.mpc.search.tree import (
+    LEAST,
+    MADE,
+    MOST_ARCS,
+    NODES,
+    PROMISING,
+    VALUE,
+    Tree,
+    begin,
+    improve,
+    is_promising,
+    number_leaves,
+    search,
+    tree_for,
+)
+from orbimpc_ros.mpc.solve.request import Found, Request
+
+LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves do not
+ROOM = 600_000  # nodes times steps that there is memory for
+MOST = 20_000  # nodes of a search
+SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
+SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
+
+
+class Engine:
+    """Solves problems of the plane by branch and bound over stage sets.
+
+    Args:
+        problem: what to solve, in natural units.
+        tolerance: relative gap at which a plan is good enough to stop.
+    """
+
+    takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        steps = problem.horizon
+        self._posed, self._tolerance = Posed(problem), tolerance
+        if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
+            self._tolerance *= SETTLED
+        self._most = min(MOST, ROOM // steps)
+        parts = max(MOST_ARCS, problem.floor.faces)
+        self._tree, self._room = tree_for(steps, parts * self._most + 2), room_for(steps)
+        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
+        with suppress(Infeasible):
+            self.solve(Request(start, np.ones((steps, 2)), out_of_time=lambda: True))
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether there are stage sets for all limits of a problem, and machine code."""
+        floor, changes = problem.floor, problem.max_rate > 0.0 or problem.max_acceleration > 0.0
+        disks = not (floor.exists or changes or problem.approach.exists)
+        straight = (disks or floor.shape == 'polygon') and not problem.weights.length
+        return (
+            COMPILED
+            and (problem.dimension, problem.rotation_order) == (2, 1)
+            and (straight or (floor.shape == 'circle' and changes))
+            and problem.terminal == 'penalty'
+            and not problem.obstacles
+            and problem.horizon <= LONGEST
+        )
+
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory found, with the tree that proves a bound.
+
+        Raises:
+            Infeasible: no turn leads to a last heading that is allowed.
+        """
+        quad, ring = self._posed.quadratic(request), self._posed.ring(request.state)
+        tree, room = self._tree, self._room
+        if not begin(quad, ring, tree):
+            raise Infeasible('no turn meets the cone of approach')
+        self._start(quad, ring, request)
+        asked = quad, ring, self._tolerance, tree, self._most, room, SLICE
+        while (status := search(*asked)) in (PROMISING, PAUSED):
+            if status == PROMISING:
+                improve(quad, ring, tree, room)
+            if request.late or request.enough.met(self._found(quad)):
+                break
+        in_time = request.leaves_time_for(int(tree.counts[MADE]))
+        return replace(self._found(quad), proof=proof_of(tree) if in_time else None)
+
+    def _start(self, quad: Quadratic, ring: Ring, request: Request) -> None:
+        """Improve the guess, or the unconstrained optimum; else to go straight on."""
+        tree, guess = self._tree, request.guess
+        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+        start = tree.start[0].copy() if guess is None else np.array(guess.x, order='C')
+        ahead = ring.entry * request.state.attitude[:, 0] * np.ones((len(start), 1))
+        for x in (start, ahead):
+            if tree.numbers[VALUE] < np.inf:
+                return
+            if is_promising(quad, ring, tree, x, tree.sectors[0], np.inf, self._room):
+                improve(quad, ring, tree, self._room)
+
+    def _found(self, quad: Quadratic) -> Found:
+        """Return the best of a search so far, with the bound that it has proved."""
+        numbers = self._tree.numbers
+        best = self._tree.best.copy() if numbers[VALUE] < np.inf else None
+        cost = float(numbers[VALUE]) + quad.constant
+        bound = float(numbers[LEAST]) - self._posed.excess + quad.constant
+        return Found(best, cost, bound, int(self._tree.counts[NODES]))
+
+
+def proof_of(tree: Tree) -> ProofTree:
+    """Return the tree of a search as the proof of its bound; the search is over then."""
+    made, leaves, steps = int(tree.counts[MADE]), number_leaves(tree), len(tree.best)
+    none = np.zeros(0, np.int64)
+    return ProofTree(
+        tree.nodes[:made].copy(),
+        tree.at[:made].copy(),
+        tree.point[:leaves].copy(),
+        np.zeros((leaves, steps)),
+        np.zeros(leaves, np.int64),
+        none,
+        np.zeros(0),
+        NOTHING,
+        NOTHING,
+        NOTHING,
+        NOTHING,
+        np.zeros((0, 0)),
+    )

@@ -1,0 +1,449 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The relaxation of a node: a convex quadratic over the hulls of its stage sets.
+
+Block coordinate descent (each step in turn takes its proximal map) finds the faces, and one Newton
+step moves along all of them at once. Where the cost depends on few sums of headings, the point is
+mixed with corners of the sets instead; where neither leads on, an interior-point method does.
+Whatever point that leads to, the tangent of the cost there has its least over the sets themselves
+in closed form: a lower bound.
+
+Mathematics: docs/mathematics.md, 4.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
+from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.search.interior import (
+    BLOCKED,
+    CENTRED,
+    LIMITS,
+    LONG,
+    STEPS,
+    gap_inside,
+    move_inside,
+    set_inside,
+    set_multipliers,
+    set_system,
+)
+from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, extreme, prox, support
+
+SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
+ROUNDS = 60
+PATIENCE = 6  # rounds between two looks at whether the bound still rises
+KEY, TAKEN, BEFORE = range(3)  # of a node: its bound; rounds; its bound at the last look
+FEW = 2  # rank of a Hessian up to which points are mixed
+MIXED = 2 * FEW + 1  # points
+PASSES, STILL = 50, 1e-9  # over their shares; and by how much less than this they do not move
+LONGEST = 4e6  # multiplications that are done without a look at the time
+ROUNDING = 1e-15  # of numbers that cancel
+HALVINGS, SHRINK = 6, 0.4
+
+
+class Quadratic(NamedTuple):
+    """The cost 1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + sum_k l_k |z_k|.
+
+    Attributes:
+        hessian: H, positive definite, shape (N, N).
+        inverse: of H, shape (N, N).
+        q: shape (N, 2).
+        lengths: l >= 0, shape (N,).
+        constant: what the cost lacks; it only scales tolerances.
+        rank: of H, before it was made regular; N where lengths count.
+    """
+
+    hessian: Array
+    inverse: Array
+    q: Array
+    lengths: Array
+    constant: float
+    rank: int
+
+
+class Room(NamedTuple):
+    """Room to work in.
+
+    Attributes:
+        slope: of the cost, shape (N, 2).
+        shapes: outlines of the sets, shape (N, 12).
+        parts: those of a part, shape (N, 12).
+        changed: whether the part's differs, shape (N,).
+        faces: that the point is on, shape (N,).
+        along: their directions, shape (N, 2).
+        trial: a point, shape (N, 2).
+        other: another, shape (N, 2).
+        steps: which headings may move, shape (2N,).
+        basis: in which directions, shape (2N, 2).
+        system: shape (2N, 2N).
+        right: shape (2N,).
+        corners: of the sets, which the point is mixed with, shape (M, N, 2).
+        images: H of them, shape (M, N, 2).
+    """
+
+    slope: Array
+    shapes: Array
+    parts: Array
+    changed: np.ndarray
+    faces: np.ndarray
+    along: Array
+    trial: Array
+    other: Array
+    steps: np.ndarray
+    basis: Array
+    system: Array
+    right: Array
+    corners: Array
+    images: Array
+
+
+def room_for(steps: int) -> Room:
+    """Return room for N = ``steps`` headings."""
+    size, integers = 2 * steps, np.int64
+    return Room(
+        np.zeros((steps, 2)),
+        np.zeros((steps, OUTLINE)),
+        np.zeros((steps, OUTLINE)),
+        np.zeros(steps, np.bool_),
+        np.zeros(steps, integers),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros(size, integers),
+        np.zeros((size, 2)),
+        np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros((MIXED, steps, 2)),
+        np.zeros((MIXED, steps, 2)),
+    )
+
+
+@compiled
+def copy_to(target, source):
+    """Set points, shape (N, 2), to others."""
+    for k in range(len(source)):
+        target[k, 0], target[k, 1] = source[k, 0], source[k, 1]
+
+
+@compiled
+def set_slope(hessian, q, z, slope):
+    """Set H z + q."""
+    count = len(z)
+    for j in range(count):
+        a, b = q[j, 0], q[j, 1]
+        for k in range(count):
+            a += hessian[j, k] * z[k, 0]
+            b += hessian[j, k] * z[k, 1]
+        slope[j, 0], slope[j, 1] = a, b
+
+
+@compiled
+def tangent_bound(quad, shapes, curvatures, z, slope):
+    """Return the cost at a point and a lower bound on it over the sets: its tangent's least.
+
+    Args:
+        quad: the cost, H being less the curvatures.
+        shapes: outlines, shape (N, 12).
+        curvatures: b_k |z_k|^2 / 2 that the sets are to count, shape (N,).
+        z: where the tangent touches, shape (N, 2).
+        slope: H z + q, shape (N, 2).
+    """
+    cost = least = size = 0.0
+    for k in range(len(z)):
+        gx, gy, x, y, length = slope[k, 0], slope[k, 1], z[k, 0], z[k, 1], quad.lengths[k]
+        half = 0.5 * (x * (gx + quad.q[k, 0]) + y * (gy + quad.q[k, 1]))
+        along = gx * x + gy * y
+        there = support(shapes[k], curvatures[k], length, gx, gy)
+        cost += half + length * np.sqrt(x * x + y * y)
+        least += half + there - along
+        size += abs(half) + abs(there) + abs(along)
+    return cost, least - ROUNDING * len(z) * size
+
+
+@inlined
+def _sweep(quad, z, room):
+    """Take each heading in turn to its proximal map; the slope follows."""
+    hessian, slope, count = quad.hessian, room.slope, len(z)
+    for k in range(count):
+        h, x, y = hessian[k, k], z[k, 0], z[k, 1]
+        cx, cy = slope[k, 0] - h * x, slope[k, 1] - h * y
+        px, py, face, dx, dy = prox(room.shapes[k], h, quad.lengths[k], cx, cy)
+        room.faces[k], room.along[k, 0], room.along[k, 1] = face, dx, dy
+        moved_x, moved_y = px - x, py - y
+        if moved_x != 0.0 or moved_y != 0.0:
+            for j in range(count):
+                slope[j, 0] += hessian[j, k] * moved_x
+                slope[j, 1] += hessian[j, k] * moved_y
+            z[k, 0], z[k, 1] = px, py
+
+
+@inlined
+def _set_basis(quad, z, room):
+    """Set the directions along the faces, and what lengths and rims curve; return how many."""
+    count, steps, basis, right, system = 0, room.steps, room.basis, room.right, room.system
+    for k in range(len(z)):
+        face, x, y, length = room.faces[k], z[k, 0], z[k, 1], quad.lengths[k]
+        if face == POINT:
+            continue
+        gx, gy, size = room.slope[k, 0], room.slope[k, 1], np.sqrt(x * x + y * y)
+        if length > 0.0:
+            if size < 1e-12:  # at the apex of the length's cone
+                continue
+            gx, gy = gx + length * x / size, gy + length * y / size
+        if face == FREE:
+            steps[count] = steps[count + 1] = k
+            basis[count, 0], basis[count, 1] = 1.0, 0.0
+            basis[count + 1, 0], basis[count + 1, 1] = 0.0, 1.0
+            right[count], right[count + 1] = -gx, -gy
+            bent = length / size**3 if length > 0.0 else 0.0
+            system[count, count] = bent * y * y
+            system[count + 1, count] = -bent * x * y
+            system[count + 1, count + 1] = bent * x * x
+            count += 2
+            continue
+        dx, dy = room.along[k, 0], room.along[k, 1]
+        if face == RIM:
+            dx, dy = -y / size, x / size
+            bent = max(0.0, -(gx * x + gy * y) / (size * size))
+        else:
+            across = x * dy - y * dx
+            bent = length * across * across / size**3 if length > 0.0 else 0.0
+        steps[count], basis[count, 0], basis[count, 1] = k, dx, dy
+        right[count], system[count, count] = -(gx * dx + gy * dy), bent
+        count += 1
+    return count
+
+
+@inlined
+def _newton(quad, z, reached, room):
+    """Take a Newton step along all faces at once; return the cost, lower where there was one."""
+    count, steps, basis, system = _set_basis(quad, z, room), room.steps, room.basis, room.system
+    for i in range(count):
+        k, a, b = steps[i], basis[i, 0], basis[i, 1]
+        for j in range(i):
+            inner = quad.hessian[k, steps[j]] * (a * basis[j, 0] + b * basis[j, 1])
+            system[i, j] = inner + (system[i, j] if steps[j] == k else 0.0)
+        system[i, i] += quad.hessian[k, k]
+    if count == 0 or not solve_spd(system, room.right, count):
+        return reached
+    trial, slope, share = room.trial, room.slope, 1.0
+    for _ in range(HALVINGS):
+        copy_to(trial, z)
+        for i in range(count):
+            trial[steps[i], 0] += share * room.right[i] * basis[i, 0]
+            trial[steps[i], 1] += share * room.right[i] * basis[i, 1]
+        _pull_back(z, room)
+        set_slope(quad.hessian, quad.q, trial, slope)
+        cost = cost_at(quad, trial, slope)
+        if cost < reached:
+            copy_to(z, trial)
+            return cost
+        share *= SHRINK
+    set_slope(quad.hessian, quad.q, z, slope)
+    return reached
+
+
+@inlined
+def _pull_back(z, room):
+    """Take a trial point back to the hulls."""
+    trial, shapes = room.trial, room.shapes
+    for k in range(len(z)):
+        face = room.faces[k]
+        if face == POINT:
+            continue
+        x, y = trial[k, 0], trial[k, 1]
+        if face == RIM:
+            scale = shapes[k, OUTER] / np.sqrt(x * x + y * y)
+            x, y = x * scale, y * scale
+        trial[k, 0], trial[k, 1], _, _, _ = prox(shapes[k], 1.0, 0.0, -x, -y)
+
+
+@inlined
+def _mix(quad, z, taken, room):
+    """Move to where the cost is least among mixtures of the point and corners of the sets.
+
+    The newest corner is where the tangent of the cost at the point is least.
+    """
+    slope, corners, images, start = room.slope, room.corners, room.images, room.trial
+    gram, fall, share = np.zeros((MIXED, MIXED)), np.zeros(MIXED), np.zeros(MIXED)
+    newest, count = taken % MIXED, min(taken + 1, MIXED)
+    for k in range(len(z)):
+        x, y = extreme(room.shapes[k], slope[k, 0], slope[k, 1])
+        corners[newest, k, 0], corners[newest, k, 1] = x, y
+    set_slope(quad.hessian, quad.q, corners[newest], images[newest])
+    copy_to(start, z)
+    for i in range(count):
+        for k in range(len(z)):
+            for e in range(2):
+                off = corners[i, k, e] - z[k, e]
+                fall[i] += slope[k, e] * off
+                for j in range(count):
+                    gram[i, j] += off * (images[j, k, e] - slope[k, e])
+    _share_out(gram, fall, share, count)
+    for i in range(count):
+        for k in range(len(z)):
+            for e in range(2):
+                z[k, e] += share[i] * (corners[i, k, e] - start[k, e])
+    set_slope(quad.hessian, quad.q, z, slope)
+
+
+@compiled
+def _share_out(gram, fall, share, count):
+    """Set the shares, >= 0 and at most 1 in all, of which a quadratic is least, nearly.
+
+    Args:
+        gram: its Hessian, shape (M, M).
+        fall: its slope where all shares are zero, shape (M,); becomes that at the shares.
+        share: zeros, shape (M,), set.
+        count: of the shares that there are.
+    """
+    rest = 1.0
+    for _ in range(PASSES):
+        most = 0.0
+        for i in range(count):  # at the cost of what is left, then of another
+            for j in range(i, count):
+                curved, down = gram[i, i], fall[i]
+                if j > i:
+                    curved += gram[j, j] - 2.0 * gram[i, j]
+                    down -= fall[j]
+                if curved <= 0.0:
+                    continue
+                source = share[j] if j > i else rest
+                move = min(source, max(-share[i], -down / curved))
+                if move == 0.0:
+                    continue
+                share[i] += move
+                if j > i:
+                    share[j] -= move
+                else:
+                    rest -= move
+                for each in range(count):
+                    fall[each] += move * (gram[each, i] - (gram[each, j] if j > i else 0.0))
+                most = max(most, abs(move))
+        if most <= STILL:
+            break
+
+
+@compiled
+def cost_at(quad, z, slope):
+    """Return the cost at a point of given slope H z + q, without the constant."""
+    cost = 0.0
+    for k in range(len(z)):
+        x, y = z[k, 0], z[k, 1]
+        cost += 0.5 * (x * (slope[k, 0] + quad.q[k, 0]) + y * (slope[k, 1] + quad.q[k, 1]))
+        if quad.lengths[k] > 0.0:
+            cost += quad.lengths[k] * np.sqrt(x * x + y * y)
+    return cost
+
+
+@compiled
+def cost_of(quad, z):
+    """Return the cost at a point, without the constant."""
+    slope = np.empty_like(z)
+    set_slope(quad.hessian, quad.q, z, slope)
+    return cost_at(quad, z, slope)
+
+
+@compiled
+def rise_of(quad, z, there):
+    """Return by how much one point costs more than z.
+
+    The difference of both costs would be lost in their rounding where they differ little.
+    """
+    rise, hessian, q, lengths = 0.0, quad.hessian, quad.q, quad.lengths
+    for j in range(len(z)):
+        a, b = q[j, 0], q[j, 1]
+        for k in range(len(z)):
+            a += 0.5 * hessian[j, k] * (z[k, 0] + there[k, 0])
+            b += 0.5 * hessian[j, k] * (z[k, 1] + there[k, 1])
+        rise += (there[j, 0] - z[j, 0]) * a + (there[j, 1] - z[j, 1]) * b
+        if lengths[j] > 0.0:
+            longer = np.sqrt(there[j, 0] ** 2 + there[j, 1] ** 2)
+            rise += lengths[j] * (longer - np.sqrt(z[j, 0] ** 2 + z[j, 1] ** 2))
+    return rise
+
+
+@inlined
+def _pass_through(quad, curvatures, node, limits, room):
+    """Minimise through the interior of the hulls; return what becomes of the node."""
+    z, best, known = node
+    cutoff, gap = limits
+    inside = set_inside(room.shapes, z)
+    multipliers = np.zeros((len(z), LIMITS))
+    set_slope(quad.hessian, quad.q, z, room.slope)
+    cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
+    aim, share = (cost - least) / max(1, inside), 0.0
+    set_multipliers(room.shapes, z, aim, multipliers)
+    for _ in range(STEPS):
+        left, inside = gap_inside(room.shapes, z, multipliers)
+        aim = (CENTRED if share > LONG else BLOCKED) * left / max(1, inside)
+        set_system(quad, room.shapes, z, room.slope, multipliers, aim, room.system, room.right)
+        if not solve_spd(room.system, room.right, 2 * len(z)):
+            break
+        share = move_inside(room.shapes, z, room.right, multipliers, aim)
+        set_slope(quad.hessian, quad.q, z, room.slope)
+        cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
+        if least > known[KEY]:
+            known[KEY] = least
+            copy_to(best, z)
+        if known[KEY] >= cutoff:
+            return PRUNED
+        if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
+            _sweep(quad, z, room)
+            return SOLVED
+    return STALLED
+
+
+@compiled
+def relax(quad, curvatures, node, limits, room, work):
+    """Minimise over the hulls, on from a point.
+
+    Args:
+        quad: the cost.
+        curvatures: zeros, shape (N,).
+        node: where to begin, and where it ends, shape (N, 2); the point of its bound, shape (N, 2);
+            that bound, and what is known from slices before, shape (3,); all updated.
+        limits: the bound at which the node is of no use, and the relative gap that is enough.
+        room: with the outlines of the sets.
+        work: multiplications to do, though no less than one round takes.
+
+    Returns:
+        What becomes of the node, and the multiplications left.
+    """
+    z, best, known = node
+    cutoff, gap = limits
+    count, mixes = len(z), quad.rank <= FEW
+    set_slope(quad.hessian, quad.q, z, room.slope)
+    for taken in range(ROUNDS):
+        _sweep(quad, z, room)
+        for turn in range(2):
+            cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
+            if least > known[KEY]:
+                known[KEY] = least
+                copy_to(best, z)
+            if known[KEY] >= cutoff:
+                return PRUNED, work
+            if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
+                return SOLVED, work
+            if turn == 0 and mixes:
+                _mix(quad, z, taken, room)
+            elif turn == 0:
+                _newton(quad, z, cost, room)
+        work -= 10.0 * count * count + (0.0 if mixes else count**3)
+        known[TAKEN] += 1.0
+        if known[TAKEN] % PATIENCE == 0.0:  # as high as rounding lets it be, or nearly
+            if known[TAKEN] >= ROUNDS or known[KEY] - known[BEFORE] < 0.1 * (cost - known[KEY]):
+                status, spent = STALLED, STEPS * 2.0 * count**3
+                if spent <= LONGEST:
+                    status = _pass_through(quad, curvatures, node, limits, room)
+                    work -= spent
+                return status, work
+            known[BEFORE] = known[KEY]
+        if work <= 0.0:
+            return GOING, work
+    return STALLED, work

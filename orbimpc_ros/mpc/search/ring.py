@@ -1,0 +1,239 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Stage sets of the plane: the part of a ring within a sector of headings and a range of speeds.
+
+A heading z = t (cos a, sin a) belongs to the set where low <= a <= high and
+max(slow, rho(a)) <= t <= fast, rho being the least speed of the floor along a. Without a floor and
+a sector that is the disk. The set answers three questions, and the search needs no other:
+
+- ``prox``: where h |z|^2 / 2 + c . z + l |z| is least over its convex hull;
+- ``support``: the least of g . z + l |z| + b |z|^2 / 2 over the set itself;
+- the face of the hull that such a point lies on, along which it may move.
+
+Mathematics: docs/mathematics.md, 4.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled
+
+TURN, HALF = 2.0 * np.pi, np.pi - 1e-9
+ALL = TURN - 1e-9  # [rad], a sector that leaves nothing out
+FREE, RIM, EDGE, CHORD, POINT = range(5)  # faces: the plane, the fastest arc, a line, none
+# Columns of a sector, and of its outline: its kind; the unit vectors of its edges; the least speeds
+# along them; the least and the greatest speed; the chord n . z >= b between the slowest points.
+LOW, HIGH, SLOW, FAST = range(4)
+KIND, LX, LY, UX, UY, LEAST_L, LEAST_U, INNER, OUTER, NX, NY, NB = range(12)
+SECTOR, OUTLINE = 4, 12
+WHOLE, WIDE, NARROW = 0.0, 1.0, 2.0
+ON = 1e-15  # by which a point may miss a chord that it is on
+TINY = 1e-300
+NEWTON = 4  # steps along a chord where lengths count
+
+
+class Ring(NamedTuple):
+    """A planar floor and the limits that tie headings to their neighbours.
+
+    Attributes:
+        fraction: the least |z|: radius of the circle, or of the circle inside the polygon; 0 where
+            there is no floor.
+        faces: of the polygon, 0 for the circle.
+        widest: the largest turn in a step [rad]; at least pi where nothing limits it.
+        first: the heading at the start [rad].
+        entry: the speed that the first change counts from.
+        change: the largest change of speed in a step; inf where nothing limits it.
+        last: direction of the last heading [rad].
+        within: angle that it may be off by; pi where it may be any [rad].
+    """
+
+    fraction: float
+    faces: int
+    widest: float
+    first: float
+    entry: float
+    change: float
+    last: float
+    within: float
+
+
+@compiled
+def least_speed(fraction, faces, angle):
+    """Return the least speed of a floor along an angle [rad]."""
+    if faces == 0:
+        return fraction
+    share = TURN / faces
+    return fraction / np.cos(angle - share * np.round(angle / share))
+
+
+@compiled
+def nearest_speed(fraction, faces, low, high):
+    """Return the least speed of a polygon over a sector [rad]."""
+    share = TURN / faces
+    normal = share * np.round(0.5 * (low + high) / share)
+    return least_speed(fraction, faces, min(high, max(low, normal)))
+
+
+@compiled
+def outline(ring, sector, shape):
+    """Set the outline of a sector.
+
+    Where speeds are limited below, a polygon counts only as far as all of it is faster, and else
+    not at all: what is left out vanishes as sectors become narrow.
+
+    Args:
+        ring: gives the floor.
+        sector: shape (4,).
+        shape: its outline, shape (12,), set.
+    """
+    low, high, slow, fast = sector[LOW], sector[HIGH], sector[SLOW], sector[FAST]
+    shape[INNER], shape[OUTER] = slow, fast
+    shape[KIND] = WHOLE if high - low >= ALL else WIDE if high - low >= HALF else NARROW
+    if shape[KIND] == WHOLE:
+        return
+    lx, ly, ux, uy = np.cos(low), np.sin(low), np.cos(high), np.sin(high)
+    a, b = slow, slow
+    if ring.faces > 0 and slow <= nearest_speed(ring.fraction, ring.faces, low, high):
+        a = min(fast, least_speed(ring.fraction, ring.faces, low))
+        b = min(fast, least_speed(ring.fraction, ring.faces, high))
+    shape[LX], shape[LY], shape[UX], shape[UY], shape[LEAST_L], shape[LEAST_U] = (
+        lx,
+        ly,
+        ux,
+        uy,
+        a,
+        b,
+    )
+    nx, ny = b * uy - a * ly, a * lx - b * ux
+    size = np.sqrt(nx * nx + ny * ny)
+    if size > 1e-9:
+        nx, ny = nx / size, ny / size
+    else:
+        nx, ny = lx, ly
+    shape[NX], shape[NY] = nx, ny
+    shape[NB] = min(a * (nx * lx + ny * ly), b * (nx * ux + ny * uy))
+
+
+@compiled
+def is_within(shape, x, y):
+    """Return whether a point's direction is one of the sector's."""
+    if shape[KIND] == WHOLE:
+        return True
+    after, before = shape[LX] * y - shape[LY] * x, x * shape[UY] - y * shape[UX]
+    if shape[KIND] == WIDE:
+        return after >= 0.0 or before >= 0.0
+    return after >= 0.0 and before >= 0.0
+
+
+@compiled
+def least_along(slope, curvature, slow, fast):
+    """Return the least of slope t + curvature t^2 / 2 over speeds from slow to fast."""
+    if curvature > 0.0:
+        t = min(fast, max(slow, -slope / curvature))
+        return (slope + 0.5 * curvature * t) * t
+    return min((slope + 0.5 * curvature * slow) * slow, (slope + 0.5 * curvature * fast) * fast)
+
+
+@compiled
+def support(shape, curvature, length, gx, gy):
+    """Return the least of g . z + l |z| + b |z|^2 / 2 over the set.
+
+    Args:
+        shape: its outline, shape (12,).
+        curvature: b; 0 over polygons.
+        length: l >= 0; 0 over polygons.
+        gx: of g.
+        gy: of g.
+    """
+    inner, outer = shape[INNER], shape[OUTER]
+    if is_within(shape, -gx, -gy):
+        return least_along(length - np.sqrt(gx * gx + gy * gy), curvature, inner, outer)
+    first = gx * shape[LX] + gy * shape[LY] + length
+    last = gx * shape[UX] + gy * shape[UY] + length
+    return min(
+        least_along(first, curvature, shape[LEAST_L], outer),
+        least_along(last, curvature, shape[LEAST_U], outer),
+    )
+
+
+@compiled
+def extreme(shape, gx, gy):
+    """Return where g . z is least over the set."""
+    size, outer = np.sqrt(gx * gx + gy * gy), shape[OUTER]
+    if is_within(shape, -gx, -gy):
+        t = -outer / max(TINY, size)
+        return t * gx, t * gy
+    x, y, least = 0.0, 0.0, np.inf
+    for side in range(2):
+        vx, vy, t = shape[LX], shape[LY], shape[LEAST_L]
+        if side == 1:
+            vx, vy, t = shape[UX], shape[UY], shape[LEAST_U]
+        along = gx * vx + gy * vy
+        if along < 0.0:
+            t = outer
+        if along * t < least:
+            x, y, least = t * vx, t * vy, along * t
+    return x, y
+
+
+@compiled
+def prox(shape, h, length, cx, cy):
+    """Return where h |z|^2 / 2 + c . z + l |z| is least over the hull, its face and direction.
+
+    Args:
+        shape: the outline, shape (12,).
+        h: > 0.
+        length: l >= 0.
+        cx: of c.
+        cy: of c.
+    """
+    outer, size, face = shape[OUTER], max(TINY, np.sqrt(cx * cx + cy * cy)), FREE
+    r = max(0.0, size - length) / h
+    if r > outer:
+        r, face = outer, RIM
+    x, y = -cx / size * r, -cy / size * r
+    if shape[KIND] < NARROW:
+        return x, y, face, -y, x
+    lx, ly, ux, uy = shape[LX], shape[LY], shape[UX], shape[UY]
+    turned = lx * y - ly * x >= 0.0 and x * uy - y * ux >= 0.0
+    if turned and shape[NX] * x + shape[NY] * y >= shape[NB] - ON:
+        return x, y, face, -y, x
+    best, dx, dy, a, b = np.inf, 0.0, 0.0, shape[LEAST_L], shape[LEAST_U]
+    if turned and face == RIM:
+        best, dx, dy = (0.5 * h * r + length) * r + cx * x + cy * y, -y, x
+    for side in range(2):
+        vx, vy, least = (lx, ly, a) if side == 0 else (ux, uy, b)
+        slope = cx * vx + cy * vy + length
+        t = -slope / h
+        at = POINT if t <= least or t >= outer else EDGE
+        t = min(outer, max(least, t))
+        value = (0.5 * h * t + slope) * t
+        if value < best:
+            best, face, x, y, dx, dy = value, at, t * vx, t * vy, vx, vy
+    ex, ey = b * ux - a * lx, b * uy - a * ly
+    across = np.sqrt(ex * ex + ey * ey)
+    if across > 1e-12:
+        ex, ey = ex / across, ey / across
+        start, slope = a * (lx * ex + ly * ey), cx * ex + cy * ey
+        t = -slope / h  # from the foot of the perpendicular on
+        if length > 0.0:
+            t = _along_chord(h, length, slope, a * a - start * start, t)
+        if start < t < start + across:
+            px, py = a * lx + (t - start) * ex, a * ly + (t - start) * ey
+            value = 0.5 * h * (px * px + py * py) + cx * px + cy * py
+            value += length * np.sqrt(px * px + py * py)
+            if value < best:
+                best, face, x, y, dx, dy = value, CHORD, px, py, ex, ey
+    return x, y, face, dx, dy
+
+
+@compiled
+def _along_chord(h, length, slope, square, t):
+    """Return where h t^2 / 2 + slope t + l sqrt(square + t^2) is least, by Newton's method."""
+    t *= h / (h + length / np.sqrt(max(TINY, square) + t * t))
+    for _ in range(NEWTON):
+        size = np.sqrt(max(TINY, square) + t * t)
+        t -= (h * t + slope + length * t / size) / (h + length * square / size**3)
+    return t

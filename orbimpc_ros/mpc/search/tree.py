@@ -1,0 +1,591 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Best-first branch and bound over stage sets of the plane.
+
+A node holds a sector of every step: headings, unwrapped, and speeds. It is split by the heading or
+the speed of one step; what that leaves of its neighbours follows from turn rate and acceleration.
+Each node keeps the point whose tangent its bound is of, so that the tree is the proof.
+
+Mathematics: docs/mathematics.md, 4.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, PAUSED, cutoff_of, pop, push
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, SPEED
+from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
+from orbimpc_ros.mpc.search.relax import (
+    BEFORE,
+    GOING,
+    KEY,
+    SOLVED,
+    STALLED,
+    TAKEN,
+    Quadratic,
+    copy_to,
+    cost_of,
+    relax,
+    rise_of,
+    set_slope,
+    tangent_bound,
+)
+from orbimpc_ros.mpc.search.ring import (
+    ALL,
+    FAST,
+    HALF,
+    HIGH,
+    LOW,
+    SECTOR,
+    SLOW,
+    TURN,
+    least_speed,
+    nearest_speed,
+    outline,
+    prox,
+)
+
+PROMISING = 3  # a search ends with that, too: see :func:`search`
+MADE, OPEN, NODES, STALLS, STARTS, PROMISES = range(6)  # in Tree.counts
+VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
+KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
+MOST_ARCS = 5  # that all headings of a step are cut into
+MARGIN = 0.15  # of a sector: no part is narrower
+NODE = 300.0  # multiplications that a node costs besides those of its relaxation
+NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
+SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
+UNSETTLED = 1e-3  # [rad], the widest sector that arithmetic could not settle and is not cut either
+ACCURATE = 0.02  # of the tolerance: the gap of a node's relaxation
+PULLS = (1.0, 30.0, 1000.0)  # on the last heading, in curvatures of the cost
+
+
+class Tree(NamedTuple):
+    """A search: its nodes, and the best trajectory.
+
+    Attributes:
+        sectors: low, high, slow, fast of each step, shape (M, N, 4).
+        start: where a node's relaxation begins, or ended, shape (M, N, 2).
+        point: whose tangent the node's bound is of, shape (M, N, 2).
+        known: of each, see the names of its entries in :mod:`relax`, shape (M, 3).
+        nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
+            are not numbered, shape (M, 5).
+        at: the first angle [rad], or the speed, between a node's parts, shape (M,).
+        keys: bounds of the open nodes, a heap, shape (M,).
+        heap: their numbers, shape (M,).
+        best: the best trajectory, shape (N, 2).
+        speeds: of a trajectory being made, shape (N,).
+        turns: shape (N,).
+        counts: see the names of its entries, shape (6,).
+        numbers: shape (3,).
+    """
+
+    sectors: Array
+    start: Array
+    point: Array
+    known: Array
+    nodes: np.ndarray
+    at: Array
+    keys: Array
+    heap: np.ndarray
+    best: Array
+    speeds: Array
+    turns: Array
+    counts: np.ndarray
+    numbers: Array
+
+
+def tree_for(steps: int, nodes: int) -> Tree:
+    """Return room for a tree over N = ``steps`` steps; memory is used page by page."""
+    return Tree(
+        np.empty((nodes, steps, SECTOR)),
+        np.empty((nodes, steps, 2)),
+        np.empty((nodes, steps, 2)),
+        np.empty((nodes, 3)),
+        np.zeros((nodes, 5), np.int64),
+        np.zeros(nodes),
+        np.empty(nodes),
+        np.empty(nodes, np.int64),
+        np.zeros((steps, 2)),
+        np.zeros(steps),
+        np.zeros(steps),
+        np.zeros(6, np.int64),
+        np.zeros(3),
+    )
+
+
+@inlined
+def _close(numbers, bound):
+    """Note a bound that is not raised any more."""
+    numbers[CLOSED] = min(numbers[CLOSED], bound)
+
+
+@compiled
+def _narrow(sector, k, low, high, most):
+    """Carry what is known of one step to all others, a change of so much at a time."""
+    for j in range(k + 1, len(sector)):
+        sector[j, low] = max(sector[j, low], sector[j - 1, low] - most)
+        sector[j, high] = min(sector[j, high], sector[j - 1, high] + most)
+    for j in range(k - 1, -1, -1):
+        sector[j, low] = max(sector[j, low], sector[j + 1, low] - most)
+        sector[j, high] = min(sector[j, high], sector[j + 1, high] + most)
+
+
+@compiled
+def _is_empty(ring, sector):
+    """Return whether there is no heading, or no speed, in one of the sectors."""
+    for k in range(len(sector)):
+        low, high, slow, fast = sector[k, LOW], sector[k, HIGH], sector[k, SLOW], sector[k, FAST]
+        if low > high or slow > fast:
+            return True
+        beyond = ring.faces > 0 and fast < 1.0
+        if beyond and nearest_speed(ring.fraction, ring.faces, low, high) > fast + SATISFIED:
+            return True
+    return False
+
+
+@compiled
+def set_reachable(ring, sector):
+    """Set the headings and speeds that can be reached; return whether there are any."""
+    limited, end = ring.widest < HALF, len(sector) - 1
+    for k in range(len(sector)):
+        reach = (k + 1) * ring.widest if limited else np.pi
+        changed = (k + 1) * ring.change
+        sector[k, LOW], sector[k, HIGH] = ring.first - reach, ring.first + reach
+        sector[k, SLOW] = max(ring.fraction, ring.entry - changed)
+        sector[k, FAST] = min(1.0, ring.entry + changed)
+    if ring.within < HALF and not limited:
+        sector[end, LOW], sector[end, HIGH] = ring.last - ring.within, ring.last + ring.within
+    return _aim(ring, sector)[1] > 0 and not _is_empty(ring, sector)
+
+
+@compiled
+def _aim(ring, sector):
+    """Cut the last sector to the approach where there is one way round to it that it meets.
+
+    Returns:
+        By how many full turns the first way round is off, and how many there are.
+    """
+    if ring.within >= HALF:
+        return 0.0, 1
+    end = sector[len(sector) - 1]
+    first = np.ceil((end[LOW] - ring.within - ring.last) / TURN)
+    ways = int(np.floor((end[HIGH] + ring.within - ring.last) / TURN) - first) + 1
+    if ways == 1:
+        middle = ring.last + TURN * first
+        end[LOW] = max(end[LOW], middle - ring.within)
+        end[HIGH] = min(end[HIGH], middle + ring.within)
+        if ring.widest < HALF:
+            _narrow(sector, len(sector) - 1, LOW, HIGH, ring.widest)
+    return first, ways
+
+
+@inlined
+def _set_leaf(tree, node, key):
+    """Set a node that is not split, and its bound."""
+    for i in range(5):
+        tree.nodes[node, i] = 0
+    tree.known[node, KEY], tree.known[node, TAKEN], tree.known[node, BEFORE] = key, 0.0, -np.inf
+
+
+@compiled
+def begin(quad, ring, tree):
+    """Begin a search with its root; return whether there is anything in it."""
+    counts, numbers, start = tree.counts, tree.numbers, tree.start[0]
+    for i in range(len(counts)):
+        counts[i] = 0
+    counts[MADE] = 1
+    numbers[VALUE], numbers[CLOSED], numbers[LEAST] = np.inf, np.inf, -np.inf
+    for k in range(len(start)):
+        start[k, 0] = start[k, 1] = 0.0
+        for j in range(len(start)):
+            start[k, 0] -= quad.inverse[k, j] * quad.q[j, 0]
+            start[k, 1] -= quad.inverse[k, j] * quad.q[j, 1]
+    copy_to(tree.point[0], start)
+    _set_leaf(tree, 0, -np.inf)
+    if not set_reachable(ring, tree.sectors[0]):
+        return False
+    push(tree.keys, tree.heap, 0, -np.inf, 0)
+    counts[OPEN] = 1
+    return True
+
+
+@compiled
+def _cut_at(ring, angle, low, high):
+    """Return where to cut a sector: at a corner of the floor inside it, else near an angle."""
+    middle, width = 0.5 * (low + high), high - low
+    if width > HALF:
+        angle = middle
+    angle += TURN * np.round((middle - angle) / TURN)
+    angle = min(high - MARGIN * width, max(low + MARGIN * width, angle))
+    if ring.faces > 0:
+        share = TURN / ring.faces
+        corner = share * (np.round(angle / share - 0.5) + 0.5)
+        for away in (0.0, share, -share):
+            if low + 1e-9 < corner + away < high - 1e-9:
+                return corner + away
+    return angle
+
+
+@inlined
+def _heading_parts(ring, angle, low, high):
+    """Return where to cut a sector, and into how many parts."""
+    if high - low < ALL or ring.widest < HALF:
+        return _cut_at(ring, angle, low, high), 2
+    if ring.faces > 0:
+        return np.pi / ring.faces, ring.faces
+    return angle, MOST_ARCS
+
+
+@inlined
+def _heading_branching(ring, inverse, z, sector):
+    """Return the step whose heading to branch on, -1 for none, at which angle, and the gain.
+
+    Where a turn is too wide, the wider of its two sectors is cut such that either part leaves the
+    one heading or the other out. Late turns come first, in proportion to their number: what a late
+    step has to be headed for narrows all before it, whereas an early turn leaves those after it
+    nearly as free as they were.
+    """
+    chosen, at, gain, before, last = -1, 0.0, 0.0, ring.first, 1.0
+    for k in range(len(z)):
+        size, angle = np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2), np.arctan2(z[k, 1], z[k, 0])
+        width, wider = sector[k, HIGH] - sector[k, LOW], -1.0
+        least = least_speed(ring.fraction, ring.faces, angle)
+        short = max(sector[k, SLOW], least) - size
+        if short > SATISFIED and width > NARROWEST:
+            raised = short * short / (2.0 * inverse[k, k])
+            if raised > gain:
+                chosen, gain, at = k, raised, angle
+        turn = angle - before - TURN * np.round((angle - before) / TURN)
+        excess = abs(turn) - ring.widest
+        if excess > SATISFIED:
+            half, away = np.sin(0.5 * excess), np.copysign(0.5 * excess, turn)
+            raised = (size * half) ** 2 / (2.0 * inverse[k, k])
+            if k > 0:
+                raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
+                wider = sector[k - 1, HIGH] - sector[k - 1, LOW]
+            raised *= k + 1.0
+            if wider > max(NARROWEST, width) and raised > gain:
+                chosen, gain, at = k - 1, raised, before + away
+            elif width > NARROWEST and raised > gain:
+                chosen, gain, at = k, raised, angle - away
+        before, last = angle, size
+    return chosen, at, gain
+
+
+@inlined
+def _speed_branching(ring, inverse, z, sector):
+    """Return what :func:`_heading_branching` does, of the ranges of speeds.
+
+    Where the speed changes too much, the wider of both ranges is cut such that either part leaves
+    the one speed or the other out.
+    """
+    chosen, cut, gain, last, held = -1, 0.0, 0.0, ring.entry, False
+    for k in range(len(z)):
+        slow, fast = sector[k, SLOW], sector[k, FAST]
+        size = np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2)
+        half, holds = 0.5 * (abs(size - last) - ring.change), size > slow - 3e-6
+        if half > SATISFIED and held and holds:
+            away = np.copysign(half, size - last)
+            j, at = k, size - away
+            if sector[k - 1, FAST] - sector[k - 1, SLOW] > fast - slow:
+                j, at = k - 1, last + away
+            width = sector[j, FAST] - sector[j, SLOW]
+            raised = half * half / (2.0 * max(inverse[k, k], inverse[k - 1, k - 1])) * (k + 1.0)
+            if width > NARROWEST and raised > gain:
+                edge = MARGIN * width
+                chosen, gain = j, raised
+                cut = min(sector[j, FAST] - edge, max(sector[j, SLOW] + edge, at))
+        last, held = size, holds
+    return chosen, cut, gain
+
+
+@inlined
+def _branching(ring, inverse, z, sector):
+    """Return what to split by, -1 for nothing, where, and into how many parts."""
+    k, at, gain = _heading_branching(ring, inverse, z, sector)
+    if ring.change < np.inf:
+        j, speed, more = _speed_branching(ring, inverse, z, sector)
+        if more > gain:
+            return j + len(z), speed, 2
+    if k < 0:
+        return k, at, 0
+    cut, parts = _heading_parts(ring, at, sector[k, LOW], sector[k, HIGH])
+    return k, cut, parts
+
+
+@inlined
+def _widest(ring, z, sector):
+    """Return a split of the widest sector, of what arithmetic could not settle; -1 for none."""
+    chosen, width = -1, UNSETTLED
+    for k in range(len(z) if ring.fraction > 0.0 else 0):
+        if sector[k, HIGH] - sector[k, LOW] > width:
+            chosen, width = k, sector[k, HIGH] - sector[k, LOW]
+    if chosen < 0:
+        return chosen, 0.0, 0
+    angle = np.arctan2(z[chosen, 1], z[chosen, 0])
+    cut, parts = _heading_parts(ring, angle, sector[chosen, LOW], sector[chosen, HIGH])
+    return chosen, cut, parts
+
+
+@inlined
+def _set_part(ring, sector, choice, cut, parts, i):
+    """Set the sectors of a part, on from those of the whole; return whether anything is left."""
+    count = len(sector)
+    k = choice % count
+    low, high, most = LOW, HIGH, ring.widest
+    if choice >= count:
+        low, high, most = SLOW, FAST, ring.change
+    if parts > 2:
+        sector[k, LOW], sector[k, HIGH] = cut + i * TURN / parts, cut + (i + 1) * TURN / parts
+    elif i == 0:
+        sector[k, high] = cut
+    else:
+        sector[k, low] = cut
+    if choice >= count or most < HALF:
+        _narrow(sector, k, low, high, most)
+    return _aim(ring, sector)[1] > 0 and not _is_empty(ring, sector)
+
+
+@inlined
+def _moved(quad, shapes, changed, start, z):
+    """Set a point moved onto the set that its heading misses most, all others following freely."""
+    count, worst, k, ox, oy = len(z), 0.0, -1, 0.0, 0.0
+    for j in range(count):
+        if not changed[j]:
+            continue
+        px, py, _, _, _ = prox(shapes[j], 1.0, 0.0, -start[j, 0], -start[j, 1])
+        dx, dy = px - start[j, 0], py - start[j, 1]
+        missed = (dx * dx + dy * dy) / quad.inverse[j, j]
+        if missed > worst:
+            worst, k, ox, oy = missed, j, dx, dy
+    if k < 0:
+        return False
+    for j in range(count):
+        share = quad.inverse[j, k] / quad.inverse[k, k]
+        z[j, 0], z[j, 1] = start[j, 0] + share * ox, start[j, 1] + share * oy
+    return True
+
+
+@inlined
+def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
+    """Make the parts of a node, each with the bound of its parent's point or of one moved."""
+    counts, numbers = tree.counts, tree.numbers
+    kind = SPEED if choice >= len(quad.q) else ARCS if parts > 2 else CUT
+    tree.nodes[node, KIND], tree.nodes[node, CHOICE], tree.nodes[node, ROW] = kind, choice, -1
+    tree.nodes[node, FIRST], tree.nodes[node, PARTS] = counts[MADE], parts
+    tree.at[node] = cut
+    for i in range(parts):
+        made = counts[MADE]
+        counts[MADE] += 1
+        sector = tree.sectors[made]
+        for k in range(len(sector)):
+            for e in range(SECTOR):
+                sector[k, e] = tree.sectors[node, k, e]
+        copy_to(tree.start[made], tree.start[node])
+        copy_to(tree.point[made], tree.point[node])
+        _set_leaf(tree, made, tree.known[node, KEY])
+        if not _set_part(ring, sector, choice, cut, parts, i):
+            tree.nodes[made, ROW], tree.known[made, KEY] = -1, np.inf  # nothing is left of it
+            continue
+        for k in range(len(sector)):
+            room.changed[k] = False
+            for e in range(SECTOR):
+                room.changed[k] |= sector[k, e] != tree.sectors[node, k, e]
+            if room.changed[k]:
+                outline(ring, sector[k], room.parts[k])
+            else:
+                room.parts[k] = room.shapes[k]
+        if _moved(quad, room.parts, room.changed, tree.start[made], room.trial):
+            set_slope(quad.hessian, quad.q, room.trial, room.slope)
+            key = tangent_bound(quad, room.parts, flat, room.trial, room.slope)[1]
+            if key > tree.known[made, KEY]:
+                tree.known[made, KEY] = key
+                copy_to(tree.point[made], room.trial)
+        if tree.known[made, KEY] >= cutoff:
+            _close(numbers, tree.known[made, KEY])
+        else:
+            push(tree.keys, tree.heap, counts[OPEN], tree.known[made, KEY], made)
+            counts[OPEN] += 1
+
+
+@compiled
+def _take(quad, tree, z):
+    """Take a trajectory for the best one if it is better."""
+    if tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0:
+        tree.numbers[VALUE] = cost_of(quad, z)
+        copy_to(tree.best, z)
+
+
+@compiled
+def _way(ring, turns):
+    """Return the last heading of turns, and the way round to the approach nearest to it [rad]."""
+    angle = ring.first
+    for k in range(len(turns)):
+        angle += turns[k]
+    return angle, ring.last + TURN * np.round((angle - ring.last) / TURN)
+
+
+@compiled
+def is_promising(quad, ring, tree, z, sector, share, room):
+    """Round headings to a trajectory; return whether that is worth a descent.
+
+    Args:
+        quad: the cost.
+        ring: floor and limits.
+        tree: its speeds and turns are set; where a descent may end at nothing legal, its best is
+            replaced by a better one.
+        z: headings, shape (N, 2).
+        sector: that they are taken to, shape (N, 4).
+        share: of the best cost that the rounded one may be worse by.
+        room: to work in.
+    """
+    value = tree.numbers[VALUE]
+    round_off(ring, z, sector, tree.speeds, tree.turns)
+    if ring.change < np.inf and not is_paced(ring, tree.speeds, tree.turns):
+        return False
+    set_headings(ring, tree.speeds, tree.turns, room.trial)
+    rounded = cost_of(quad, room.trial)
+    free = ring.faces > 0 and ring.widest >= HALF  # parts of a polygon need no descent
+    angle, way = _way(ring, tree.turns)
+    aimed = ring.within >= HALF or abs(angle - way) <= ring.within + SATISFIED
+    if aimed and (ring.change < np.inf or ring.within < HALF or free):
+        _take(quad, tree, room.trial)
+        if free:
+            return False
+    return rounded <= value + share * abs(value + quad.constant)
+
+
+@compiled
+def improve(quad, ring, tree, room):
+    """Descend from the speeds and turns that were found promising."""
+    hessian, q, z, end = quad.hessian.copy(), quad.q.copy(), room.trial, len(quad.q) - 1
+    pulled = Quadratic(hessian, quad.inverse, q, quad.lengths, quad.constant, quad.rank)
+    curvature, sector = 0.0, np.empty((end + 1, SECTOR))
+    for k in range(end + 1):
+        curvature = max(curvature, hessian[k, k])
+    tree.counts[STARTS] += 1
+    for attempt in range(len(PULLS)):
+        legal = descend(pulled, ring, tree.speeds, tree.turns, z)
+        angle, way = _way(ring, tree.turns)
+        if ring.within >= HALF or abs(angle - way) <= ring.within:
+            break
+        # The nearest heading that is allowed pulls the last one, ever harder.
+        edge, size = (
+            way + np.copysign(ring.within, angle - way),
+            np.sqrt(z[end, 0] ** 2 + z[end, 1] ** 2),
+        )
+        force = PULLS[attempt] * curvature
+        hessian[end, end] = quad.hessian[end, end] + force
+        q[end, 0] = quad.q[end, 0] - force * size * np.cos(edge)
+        q[end, 1] = quad.q[end, 1] - force * size * np.sin(edge)
+    if ring.within < HALF:
+        if not set_reachable(ring, sector):
+            return
+        sector[end, LOW] = max(sector[end, LOW], way - ring.within)
+        sector[end, HIGH] = min(sector[end, HIGH], way + ring.within)
+        _narrow(sector, end, LOW, HIGH, ring.widest)
+        if _is_empty(ring, sector):
+            return
+        copy_to(room.other, z)
+        if is_promising(quad, ring, tree, room.other, sector, 0.0, room):
+            return
+    if legal:
+        _take(quad, tree, z)
+
+
+@inlined
+def _choose(quad, ring, tree, node, status, room):
+    """Use what a relaxation found; return what to split the node by, -1 for nothing more."""
+    counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
+    choice, cut, parts = _branching(ring, quad.inverse, z, sector)
+    if choice < 0 and ring.change == np.inf and ring.within >= HALF:
+        _take(quad, tree, z)
+    elif ring.fraction > 0.0:
+        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # ever less often
+        counts[PROMISES] = is_promising(quad, ring, tree, z, sector, share, room)
+    if choice < 0 and status == STALLED:
+        counts[STALLS] += 1
+        choice, cut, parts = _widest(ring, z, sector)
+    return choice, cut, parts
+
+
+@inlined
+def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
+    """Relax a node, use what it found, and split it; return the multiplications left."""
+    counts, numbers = tree.counts, tree.numbers
+    first, ways = _aim(ring, tree.sectors[node])
+    choice, cut, parts, status = len(quad.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
+    for k in range(len(quad.q)):
+        outline(ring, tree.sectors[node, k], room.shapes[k])
+    if ways == 1:
+        limits = cutoff_of(numbers[VALUE], quad.constant, tolerance), ACCURATE * tolerance
+        relaxed = tree.start[node], tree.point[node], tree.known[node]
+        status, work = relax(quad, flat, relaxed, limits, room, work)
+        choice = -1
+        if status in (SOLVED, STALLED):
+            choice, cut, parts = _choose(quad, ring, tree, node, status, room)
+    if status == GOING:
+        push(tree.keys, tree.heap, counts[OPEN], tree.known[node, KEY], node)
+        counts[OPEN] += 1
+        return work
+    counts[NODES] += 1
+    if choice < 0:
+        _close(numbers, tree.known[node, KEY])
+        return work
+    cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
+    _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room)
+    return work
+
+
+@compiled
+def search(quad, ring, tolerance, tree, most, room, work):
+    """Search best first, on from where the tree is.
+
+    Args:
+        quad: the cost.
+        ring: floor and limits.
+        tolerance: relative gap at which to stop.
+        tree: begun by :func:`begin`; updated in place.
+        most: nodes to solve in all.
+        room: to work in.
+        work: multiplications to do.
+
+    Returns:
+        ``DONE``; ``FULL``, where as many nodes are solved as may be; ``PROMISING``, where
+        :func:`improve` may find a better trajectory; ``PAUSED``, where the work has run out.
+    """
+    counts, numbers, flat, status = tree.counts, tree.numbers, np.zeros(len(quad.q)), PAUSED
+    counts[PROMISES] = 0
+    while work > 0.0 and status == PAUSED:
+        cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
+        if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
+            status = DONE
+        elif counts[NODES] >= most:
+            status = FULL
+        else:
+            node = tree.heap[0]
+            pop(tree.keys, tree.heap, counts[OPEN])
+            counts[OPEN] -= 1
+            work = _solve_node(quad, ring, flat, tree, node, tolerance, room, work) - NODE
+            if counts[PROMISES] > 0:
+                status = PROMISING
+    numbers[LEAST] = min(numbers[CLOSED], numbers[VALUE])
+    if counts[OPEN] > 0:
+        numbers[LEAST] = min(numbers[LEAST], tree.keys[0])
+    return status
+
+
+@compiled
+def number_leaves(tree):
+    """Number the leaves, and gather their points at the front; return how many there are."""
+    count = 0
+    for node in range(tree.counts[MADE]):
+        if tree.nodes[node, KIND] == LEAF and tree.nodes[node, ROW] >= 0:
+            tree.nodes[node, ROW] = count
+            copy_to(tree.point[count], tree.point[node])
+            count += 1
+    return count
