@@ -7,6 +7,12 @@ from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry
 
 
+def measured(time, motion, noise=0.0):
+    """Return odometry of a vehicle in motion, its position off by noise."""
+    velocity = motion.attitude.T @ motion.velocity
+    return Odometry(time, motion.position + noise, motion.attitude, velocity, motion.rate)
+
+
 class Motion:
     """A goal that is at ``place(times)``."""
 

@@ -8,10 +8,11 @@ import pytest
 from problems import ORDERS
 from stepping import Stepped
 
+from orbimpc_ros.loop.compensation import state_of
 from orbimpc_ros.loop.goal.forecast import Hold, forecast_named
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
 from orbimpc_ros.loop.planner import FALLBACK_TICKS
-from orbimpc_ros.loop.state import Odometry, state_of
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown, turned
+from stepping import measured
 
 from orbimpc_ros.loop.compensation import (
     GAP,
@@ -26,11 +27,6 @@ from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.scaling import weighed
 
 STEP = 0.1  # [s]
-
-
-def measured(time, motion, noise=0.0):
-    velocity = motion.attitude.T @ motion.velocity
-    return Odometry(time, motion.position + noise, motion.attitude, velocity, motion.rate)
 
 
 class Watched:

@@ -62,6 +62,12 @@ def measured(position, heading, speed, time=0.0):
     return Odometry(time, np.array(position), attitude, np.array([speed, 0.0]), np.zeros(1))
 
 
+def still(goal):
+    """What a tick is given of a goal that stays: its places, no deadline, and its motion."""
+    goal = np.array(goal)
+    return np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
+
+
 def turned_at_random(rng, problem, start):
     """Headings of a trajectory that keeps to floor and turn rate, as rotation coordinates."""
     angles = np.cumsum(
@@ -172,9 +178,7 @@ def test_who_means_to_catch_a_goal_does_not_put_it_off():
     position, heading, course, meant = np.zeros(2), 0.0, np.array([12.0, 0.0]), []
     for k in range(16):
         here = measured(position, heading, np.linalg.norm(course), 0.5 * k)
-        tick = controller.tick(
-            here, np.tile(goal, (8, 1)), ahead=lambda times: np.tile(goal, (len(times), 1))
-        )
+        tick = controller.tick(here, *still(goal))
         meant.append(0.5 * k + tick.catch.time)
         heading += 0.5 * tick.command.body_rate[0]
         turned = 15.0 * tick.command.speed_fraction * np.array([np.cos(heading), np.sin(heading)])
@@ -189,19 +193,17 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
     """A fifth of a step later, and again; a goal that has moved on too far is not flown at."""
     wing = replace(WING, discretisation='exact')
 
-    def known(goal, late=None):
-        return np.tile(goal, (8, 1)), late, lambda times: np.tile(goal, (len(times), 1))
-
     for moved, caught in (0.5, True), (20.0, False):
         controller = Stepped(wing, capture_radius=RADIUS)
         here = measured([0.0, 0.0], 0.0, 15.0)
-        tick = controller.tick(here, *known(place))
+        tick = controller.tick(here, *still(place))
         meant = tick.catch.time
         for k in (1, 2):
             turn, ahead = 0.1 * tick.command.body_rate[0], 1.5 * here.attitude[:, 0]
             heading = np.arctan2(*here.attitude[::-1, 0]) + turn
             here = measured(here.position + ahead, heading, 15.0, 0.1 * k)
-            tick = controller.tick(here, *known(np.array(place) - [moved, 0.0], lambda: True))
+            goals, _, ahead = still(np.array(place) - [moved, 0.0])
+            tick = controller.tick(here, goals, lambda: True, ahead)
             assert not violations(tick.problem, tick.state, tick.goals, tick.plan)
             if caught:
                 assert tick.catch.time == pytest.approx(meant - 0.1 * k)
@@ -277,9 +279,7 @@ def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps
     """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
     bird = replace(WING, floor=floor('circle', 1.0))
     goal, here = np.array([11.0, 0.0]), measured([0.0, 0.0], 0.0, 15.0)
-    tick = Stepped(bird, capture_radius=RADIUS).tick(
-        here, np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
-    )
+    tick = Stepped(bird, capture_radius=RADIUS).tick(here, *still(goal))
     assert 0.5 < tick.catch.time < 1.0
     assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
     blind = Stepped(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
@@ -293,9 +293,7 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     def ticked(goal, *before):
         controller = Stepped(WING, capture_radius=RADIUS)
         for odometry, place in (*before, (later, goal)):
-            place = np.array(place)
-            known = np.tile(place, (8, 1)), None, lambda t, at=place: np.tile(at, (len(t), 1))
-            tick = controller.tick(odometry, *known)
+            tick = controller.tick(odometry, *still(place))
         miss = np.linalg.norm(tick.plan.positions[-1] - place)
         return tick, miss
 
@@ -315,12 +313,11 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
 def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
     """The earliest one turns as fast as it may: that gains centimetres. Turns are 11 deg a step."""
     wing, goal = replace(WING, discretisation='exact'), np.array([40.0, 12.0])
-    known = np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
     approach = Approach(cone, (1.0, 0.0)) if cone else Approach()
 
     def caught(centred):
         options = {'capture_radius': RADIUS, 'approach': approach, 'centred': centred}
-        tick = Stepped(wing, **options).tick(measured([0.0, 0.0], 0.0, 15.0), *known)
+        tick = Stepped(wing, **options).tick(measured([0.0, 0.0], 0.0, 15.0), *still(goal))
         attitudes = tick.plan.projected
         turns = np.abs([log(a.T @ b) for a, b in pairwise(attitudes)])
         gap, way = goal - tick.plan.positions[-1], np.diff(tick.plan.positions[-2:], axis=0)[0]

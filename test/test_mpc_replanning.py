@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
 from problems import floor
-from stepping import Stepped
+from stepping import Stepped, measured
 
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -17,11 +16,6 @@ from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
-
-
-def measured(time, motion):
-    velocity = motion.attitude.T @ motion.velocity
-    return Odometry(time, motion.position, motion.attitude, velocity, motion.rate)
 
 
 def test_a_plan_shifted_by_a_share_of_a_step_keeps_the_floor_and_where_it_leads():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from continuous import Craft, Motion, at_rest, flown, turned
 from scenarios import dubins_problem, spacecraft_problem
-from stepping import Stepped
+from stepping import Stepped, measured
 
 from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
 from orbimpc_ros.loop.state import Odometry
@@ -17,11 +17,6 @@ from orbimpc_ros.mpc.problem import Floor, Problem
 
 LONG = 6.0  # [s] twenty time constants: by then lags are over
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]
-
-
-def measured(time, motion):
-    velocity = motion.attitude.T @ motion.velocity
-    return Odometry(time, motion.position, motion.attitude, velocity, motion.rate)
 
 
 @pytest.mark.parametrize('dimension', [2, 3])

@@ -10,10 +10,10 @@ from flying import fly
 from scenarios import model_of
 from stepping import Stepped
 
-from orbimpc_ros.loop.compensation import Interval, advanced
+from orbimpc_ros.loop.compensation import Interval, advanced, odd_speed, state_of
 from orbimpc_ros.loop.fallback import decided, safe_command
 from orbimpc_ros.loop.goal.forecast import Hold
-from orbimpc_ros.loop.state import Odometry, odd_speed, state_of
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp

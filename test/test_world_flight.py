@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flying import fly
-from scenarios import retrieval, retrieval_problem
+from scenarios import dubins, retrieval, retrieval_problem
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.goal.forecast import forecast_named
@@ -177,3 +177,37 @@ def test_headings_at_the_closest_approach_are_those_between_the_ends():
     cone = Approach(0.1, (3.0, 3.0))
     assert [is_headed(cone, ends, share) for share in (0.0, 0.5, 1.0)] == [False, True, False]
     assert is_headed(Approach(), ends, 0.0)
+
+
+# --- arrivals
+
+AHEAD = replace(dubins(), rope=fixed(np.array([3.0, 0.0])), max_ticks=3, arrival_radius=0.1)
+
+
+def flown(scenario, fractions):
+    flight = departure(scenario)
+    for fraction in fractions:
+        flight = flight.after(fraction, np.zeros(1))
+    return flight
+
+
+def test_an_arrival_is_judged_at_the_end_alone():
+    passing = flown(replace(AHEAD, rope=fixed(np.array([1.0, 0.0]))), [1.0])
+    assert passing.miss == pytest.approx(0.0)
+    assert not passing.over
+    assert not passing.captured
+    assert flown(AHEAD, [1.0, 1.0, 1.0]).captured
+    assert flown(AHEAD, [1.0, 1.0, 1.0]).over
+
+
+def test_a_vehicle_that_is_too_far_or_too_fast_has_not_arrived():
+    near = flown(AHEAD, [1.0, 0.95, 0.5])
+    assert near.captured
+    assert near.distance == pytest.approx(0.05)
+    far = flown(AHEAD, [1.0, 0.5, 0.0])
+    assert far.over
+    assert not far.captured
+    slow = replace(AHEAD, arrival_speed=0.4)
+    assert not flown(slow, [1.0, 1.0, 0.5]).captured
+    assert flown(slow, [1.0, 1.0, 0.3]).captured
+    assert flown(slow, [1.0, 1.0, 0.3]).speed == pytest.approx(0.3)

@@ -22,7 +22,7 @@ with v or a what was commanded, along the measured attitude. Measured is the pos
 2 the velocity; one covariance serves all axes. At order 1 the airspeed before the first command is
 a state, too, which fades with the lag of the speed.
 
-Mathematics: docs/mathematics.md, 7.3, 7.8, 7.9 and 7.10.
+Mathematics: docs/mathematics.md, 7.1, 7.3, 7.8, 7.9 and 7.10.
 """
 
 from __future__ import annotations
@@ -35,23 +35,107 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.state import (
-    Odometry,
-    WindReport,
-    airspeed,
-    along_the_air,
-    odd_speed,
-    state_of,
-)
+from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import MovingObstacle, Problem, State
 
 MEMORY = 32  # commands; whatever was sent before them is taken as measured
+NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
 SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
+
+
+def along_the_air(odometry: Odometry) -> Odometry:
+    """Return the measurement of a wing with its axis along its velocity through the air.
+
+    A gust from the side turns the nose of a wing into it, and leaves its way over ground nearly as
+    it is: what goes on is the velocity, and the nose is turned back to it.
+    """
+    ahead, aside = odometry.body_velocity.tolist()
+    slip = np.array([math.atan2(aside, ahead)])
+    velocity = np.array([math.hypot(ahead, aside), 0.0])
+    return replace(odometry, attitude=odometry.attitude @ exp(slip), body_velocity=velocity)
+
+
+def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:
+    """Return the speed through the air along the thrust axis [m/s]; across it only wind moves."""
+    speed = float(odometry.body_velocity[0])
+    if wind is None or velocity_source == 'air':
+        return speed
+    return speed - float(wind @ odometry.attitude[:, 0])
+
+
+def state_of(
+    problem: Problem,
+    odometry: Odometry,
+    applied: float | None,
+    disturbance: Array | None = None,
+    velocity_source: str = 'ground',
+    reached: float | None = None,
+    wanted: Array | None = None,
+    hazards: tuple[MovingObstacle, ...] = (),
+) -> State:
+    """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
+
+    At translation order 1 sigma_0 is the measured share of full speed, but for one case: where
+    ``max_rate`` limits changes of speed, from what was commanded. A vehicle in a dead band, in a
+    drift or uphill would never be told more than a step from the speed that it has.
+
+    Args:
+        problem: gives the orders, the step and the full speed.
+        odometry: the measurement.
+        applied: the share of thrust or speed that is commanded now, in [0, 1]; None before the
+            first command.
+        disturbance: a wind or an acceleration, shape (n,); None for none.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        reached: the share of full speed that changes of speed count from, where they are limited;
+            None before the first command: from the measured one.
+        wanted: the rotation wanted at the end, shape (n, n); None for any.
+        hazards: what moves.
+    """
+    if problem.inertial:
+        fraction = applied or 0.0
+        velocity = odometry.attitude @ odometry.body_velocity
+    else:
+        speed = airspeed(odometry, disturbance, velocity_source)
+        fraction = min(1.0, max(0.0, speed / problem.forward))
+        velocity = None
+        if applied is not None and problem.max_rate and not problem.turns_are_angles:
+            fraction = applied
+    coasted = None
+    if problem.rotation_order == 2:
+        coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
+    return State.at(
+        position=odometry.position,
+        rotation=fraction * odometry.attitude,
+        velocity=velocity,
+        attitude=odometry.attitude,
+        coasted=coasted,
+        disturbance=disturbance,
+        commanded=reached,
+        wanted=wanted,
+        hazards=hazards,
+    )
+
+
+def odd_speed(
+    problem: Problem,
+    odometry: Odometry,
+    disturbance: Array | None = None,
+    velocity_source: str = 'ground',
+) -> str:
+    """Return that the measured speed is not one that the model knows, in words; else empty.
+
+    Such a speed counts as the nearest that it does: none, or full speed.
+    """
+    speed, full = airspeed(odometry, disturbance, velocity_source), problem.forward
+    if problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
+        return ''
+    taken = full if speed > 0.0 else 0.0
+    return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'
 
 
 class Interval(NamedTuple):
@@ -284,25 +368,6 @@ class Response:
         return Odometry(odometry.time + time, position, attitude, body, odometry.body_rate)
 
 
-def held_back(problem: Problem, plan: Plan, before: Command | None, command: Command) -> Command:
-    """Return what to send a vehicle that obeys at once, for the step that begins.
-
-    At second order the model takes a command over at the end of a step: what is due in this one is
-    what was commanded ``before``. With ``exact`` steps thrust changes evenly from one to the other.
-    """
-    fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
-    if problem.inertial:
-        due = (
-            problem.floor.clearance(problem.dimension) if before is None else before.speed_fraction
-        )
-        late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
-        fraction = (1.0 - late) * due + late * fraction
-    if problem.rotation_order == 2:
-        rate = np.zeros(len(rate)) if before is None else before.body_rate
-        rotation = np.array(plan.projected[1])
-    return Command(fraction, np.array(rate), np.array(rotation))
-
-
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
 
@@ -479,7 +544,7 @@ class Estimator:
 
         Over ground it is known as well as the wind is, or as what the vehicle can fly.
         """
-        least = self._problem.floor.clearance(self._problem.dimension)
+        least = self._problem.least_speed
         source, noise = self._velocity_source, self._noise.velocity
         speed = airspeed(odometry, given + self._estimate[-1], source)
         self._begun = min(1.0, max(least, speed / self._problem.forward))
@@ -697,18 +762,35 @@ class Compensator:
         return replace(settled, body_rate=coming.body_rate)
 
     def state(
-        self, odometry: Odometry, reached: float | None = None, wanted: Array | None = None
+        self,
+        odometry: Odometry,
+        reached: float | None = None,
+        wanted: Array | None = None,
+        hazards: tuple[MovingObstacle, ...] = (),
     ) -> State:
         """Return the state of a plan that starts there: see :func:`state_of`."""
         applied = None if self.coming is None else self.coming.speed_fraction
         known = applied, self.disturbance, self._velocity_source
-        return state_of(self._problem, odometry, *known, reached, wanted)
+        return state_of(self._problem, odometry, *known, reached, wanted, hazards)
 
     def odd_speed(self, odometry: Odometry) -> str:
         """Return that the measured speed is not one that the model knows, in words."""
         return odd_speed(self._problem, odometry, self.disturbance, self._velocity_source)
 
     def held_back(self, problem: Problem, plan: Plan, command: Command) -> Command:
-        """Return what to send now of a plan's first command, which becomes due."""
+        """Return what to send now of a plan's first command, which becomes due.
+
+        At second order the model takes a command over at the end of a step: a vehicle that obeys
+        at once is sent in this one what was commanded before. With ``exact`` steps thrust changes
+        evenly from one to the other.
+        """
         before, self.due = self.coming, command
-        return held_back(problem, plan, before, command)
+        fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
+        if problem.inertial:
+            due = problem.least_speed if before is None else before.speed_fraction
+            late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
+            fraction = (1.0 - late) * due + late * fraction
+        if problem.rotation_order == 2:
+            rate = np.zeros(len(rate)) if before is None else before.body_rate
+            rotation = np.array(plan.projected[1])
+        return Command(fraction, np.array(rate), np.array(rotation))

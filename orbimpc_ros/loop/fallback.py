@@ -215,7 +215,7 @@ def safe_command(
     if kind == 'stop':  # at once: what brakes does so as fast as it can
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
-    least = problem.floor.clearance(problem.dimension)
+    least = problem.least_speed
     if kind == 'hover':
         carried = 0.0 if disturbance is None else carrying(problem, attitude, disturbance)
         return Command(max(carried, least), rate, np.array(attitude))

@@ -129,7 +129,7 @@ class Target(NamedTuple):
     narrow: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass
 class InterceptQuery:
     """What an intercept is looked for with."""
 
@@ -140,54 +140,36 @@ class InterceptQuery:
     pause: float = math.inf  # between ticks, in steps
     expected: float = 0.0  # the end at which the goal was to be caught, in steps; 0 or less if none
     most: float = math.inf  # plans that are tried
-
-
-class _Search:
-    """One search for an intercept: the plans tried so far, each with its task."""
-
-    def __init__(self, query: InterceptQuery, intercepts: Interception) -> None:
-        self._query, self._intercepts = query, intercepts
-        self._tried: list[tuple[Task, Answer]] = []
-        self.state, self.pause, self.expected = query.task.state, query.pause, query.expected
-        self.between = query.motion is not None
-        self.farthest = intercepts.farthest if self.between else len(query.task.goals)
-
-    def goals(self, end: float) -> Array:
-        """Return where the goal is at the ends of the steps up to an end, shape (N or less, n)."""
-        known, motion = self._query.task.goals, self._query.motion
-        if motion is None or (end <= len(known) and end == int(end)):
-            return known[: int(end)]
-        problem = self._intercepts.problem(Target(end))
-        ends = np.arange(1.0, problem.horizon + 1.0)
-        return motion.at(self._query.now + problem.step * ends)
+    tried: int = 0
 
     def late(self) -> bool:
         """Return whether time is up, or enough was tried."""
-        late = self._query.task.late
-        return len(self._tried) >= self._query.most or (late is not None and late())
+        late = self.task.late
+        return self.tried >= self.most or (late is not None and late())
 
-    def solved(self, target: Target, goals: Array) -> Plan | bool:
-        """Return a checked plan for a target and its goals, or whether there is provably none."""
-        task = self._query.task.within(self._intercepts.problem(target), goals)
-        task = self._intercepts.posed(target, task, self._query.previous)
-        answer = task.solved()
-        self._tried.append((task, answer))
-        return answer[0] or answer[1] is Status.INFEASIBLE
 
-    def flown_on(self, target: Target, goals: Array) -> Plan | None:
-        """Return the rest of the previous plan for a target and its goals, if it still holds."""
-        task = self._query.task.within(self._intercepts.problem(target), goals)
-        plan = task.shifted(self._query.previous, self._intercepts.projection)
-        if plan is None or not holds(*task.known, plan):
-            return None
-        answer = plan, plan.status, 'the catch planned before is flown on'
-        self._tried.append((task, answer))
-        return plan
+class _Attempt(NamedTuple):
+    """A plan that comes as close to the goal at an end as was found, and whether none catches it.
 
-    def behind(self, plan: Plan | None) -> tuple[Task | None, Answer | None]:
-        """Return the task that a plan was made for, and its answer."""
-        found = (each for each in self._tried if plan is not None and each[1][0] is plan)
-        return next(found, (None, None))
+    That none does is ``checked`` where it was verified.
+    """
+
+    task: Task | None = None
+    answer: Answer | None = None
+    end: float = 0
+    miss: float = math.inf
+    never: bool = False
+    checked: bool = False
+
+    @property
+    def plan(self) -> Plan | None:
+        """Return the plan, if there is one."""
+        return None if self.answer is None else self.answer[0]
+
+
+MISSED = _Attempt()
+NEVER = _Attempt(never=True)  # too far away, or nothing leads into the cone of approach
+_miss = attrgetter('miss')
 
 
 class Interception:
@@ -210,7 +192,7 @@ class Interception:
         *,
         centred: bool = False,
     ) -> None:
-        self._solvers, self.projection = solvers, solvers.projection
+        self._solvers = solvers
         self._tracked, self._radius, self._lag = problem, radius, lag
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
@@ -258,174 +240,183 @@ class Interception:
     def earliest(self, query: InterceptQuery) -> tuple[Task | None, Answer | None, Intercept]:
         """Return the task of the earliest catch with its answer, and how early one can be.
 
-        Without a catch, None and None.
+        Without a catch, None and None. Where the catch that was flown towards has just been lost by
+        little, it is the task of the nearest miss, without a time.
         """
-        search = _Search(query, self)
-        plan, catch = self._earliest(search)
-        return (*search.behind(plan), catch)
-
-    def _earliest(self, search: _Search) -> tuple[Plan | None, Intercept]:
-        """Return the plan of the earliest catch, if one is found, and how early one can be.
-
-        Where the catch that was flown towards has just been lost, it is the plan of the nearest
-        miss, without a time, if that is by little.
-        """
-        rest = self._flown_on(search)  # takes no search, whatever time is left
-        kept = rest if rest.miss <= self._radius else self._kept(search, rest)
-        best, bound, counted = self._in_view(search)
+        rest = self._flown_on(query)  # takes no search, whatever time is left
+        kept = rest if rest.miss <= self._radius else self._kept(query, rest)
+        best, bound, counted = self._in_view(query)
         near = self._radius < best.miss <= GRAZE * self._radius
-        sought = Sought(self._tracked, search.state, search.goals(self._horizon), self._radius)
+        goals = self._goals(query, self._horizon)
+        sought = Sought(self._tracked, query.task.state, goals, self._radius)
         never = Intercept(math.nan, self._step * bound, sought, self._step * counted)
-        if near and 0 < search.expected <= self._horizon:
-            return best.plan, never
+        if near and 0 < query.expected <= self._horizon:
+            return best.task, best.answer, never
         if best.miss > self._radius:  # not even nearly
-            best = self._sooner(search, kept) if kept.plan else self._beyond(search)
+            best = self._sooner(query, kept) if kept.plan else self._beyond(query)
         if best.plan is None:
-            return (rest.plan if rest.miss <= GRAZE * self._radius else None), never
+            lost = rest if rest.miss <= GRAZE * self._radius else MISSED
+            return lost.task, lost.answer, never
         if best.end == int(best.end) and self._is_well(best):
-            best = self._within(search, best)
+            best = self._within(query, best)
         if self._centred and self._is_well(best):
-            best = self._through_the_middle(search, best)
+            best = self._through_the_middle(query, best)
         first = min(bound, best.end)
         known = self._step * min(counted, first)
         when = best.end if best.miss <= self._radius else math.nan
         catch = Intercept(self._step * when, self._step * first, sought, known)
-        return best.plan, catch
+        return best.task, best.answer, catch
 
-    def _in_view(self, search: _Search) -> tuple[_Attempt, int, int]:
+    def _goals(self, query: InterceptQuery, end: float) -> Array:
+        """Return where the goal is at the ends of the steps up to an end, shape (N or less, n)."""
+        known, motion = query.task.goals, query.motion
+        if motion is None or (end <= len(known) and end == int(end)):
+            return known[: int(end)]
+        problem = self.problem(Target(end))
+        return motion.at(query.now + problem.step * np.arange(1.0, problem.horizon + 1.0))
+
+    def _last(self, query: InterceptQuery) -> int:
+        """Return the last end at which a catch is looked for."""
+        return len(query.task.goals) if query.motion is None else self.farthest
+
+    def _in_view(self, query: InterceptQuery) -> tuple[_Attempt, int, int]:
         """Return the first catch in the horizon, or the nearest miss, and the bound in steps.
 
         Then up to where that was verified. Each end before the bound is proved to have no catch.
         """
         bound, counted, best = 1, 1, MISSED
-        goals = search.goals(self._horizon)
-        too_far = self._too_far(search.state, goals, self._tracked)
-        surely = self._reach.misses(search.state, goals, self._radius)
+        goals = self._goals(query, self._horizon)
+        too_far = self._too_far(query.task.state, goals, self._tracked)
+        surely = self._reach.misses(query.task.state, goals, self._radius)
         travel = self._travel(goals)
         for end in range(1, self._horizon + 1):
-            attempt = NEVER if too_far[end - 1] else self._tried(search, end, goals[:end])
+            attempt = NEVER if too_far[end - 1] else self._tried(query, end, goals[:end])
             if self._is_well(attempt):
                 return attempt, bound, counted
             bound += bound == end and attempt.never
             known = attempt.checked or bool(surely[end - 1])
             counted += counted == end and attempt.never and known
             if attempt.miss <= self._radius + travel:
-                attempt = min(attempt, self._passing(search, end), key=_miss)
+                attempt = min(attempt, self._passing(query, end), key=_miss)
             best = min(best, attempt, key=_miss)
             if self._is_well(best):
                 break
         return best, bound, counted
 
-    def _flown_on(self, search: _Search) -> _Attempt:
+    def _flown_on(self, query: InterceptQuery) -> _Attempt:
         """Return what becomes of the goal when the plan before is flown to its end."""
-        end = search.expected
+        end = query.expected
         whole = end.is_integer()
-        if not (0.0 < end <= search.farthest and (whole or self._may(search, end))):
+        if not (0.0 < end <= self._last(query) and (whole or self._may(query, end))):
             return MISSED
-        target, goals = Target(end), search.goals(end)
-        plan = search.flown_on(target, goals)
-        if plan is None or _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
+        goals = self._goals(query, end)
+        task = query.task.within(self.problem(Target(end)), goals)
+        plan = task.shifted(query.previous, self._solvers.projection)
+        if plan is None or not holds(*task.known, plan):
             return MISSED
-        return _Attempt(plan, end, float(np.linalg.norm(self._off(search, target, plan, goals))))
+        if _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
+            return MISSED
+        answer = plan, plan.status, 'the catch planned before is flown on'
+        miss = float(np.linalg.norm(self._off(query, Target(end), plan, goals)))
+        return _Attempt(task, answer, end, miss)
 
-    def _kept(self, search: _Search, rest: _Attempt) -> _Attempt:
+    def _kept(self, query: InterceptQuery, rest: _Attempt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far, or nearly so."""
-        end = COARSEST * math.ceil(search.expected / COARSEST)
-        anew = self._surely(search, end) if end <= search.farthest else MISSED
+        end = COARSEST * math.ceil(query.expected / COARSEST)
+        anew = self._surely(query, end) if end <= self._last(query) else MISSED
         return anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
 
-    def _beyond(self, search: _Search) -> _Attempt:
+    def _beyond(self, query: InterceptQuery) -> _Attempt:
         """Try to catch the goal past the horizon.
 
         How much later than so far is doubled until a catch is found, and then halved.
         """
-        missed = max(self._horizon, min(math.ceil(search.expected), search.farthest))
-        for end in _doubling(missed, search.farthest):
-            found = self._surely(search, end)
+        missed = max(self._horizon, min(math.ceil(query.expected), self._last(query)))
+        for end in _doubling(missed, self._last(query)):
+            found = self._surely(query, end)
             if found.plan is not None:
-                return self._between(search, missed, found)
+                return self._between(query, missed, found)
             missed = end
         return MISSED
 
-    def _sooner(self, search: _Search, found: _Attempt) -> _Attempt:
+    def _sooner(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
         """Return a sooner catch than the one found, by twice as much each time, if there is one."""
         for away in (1, 2, 4, 8):
-            sooner = self._surely(search, max(self._horizon, math.ceil(found.end) - away))
+            sooner = self._surely(query, max(self._horizon, math.ceil(found.end) - away))
             if sooner.plan is None:
                 break
             found = sooner
         return found
 
-    def _between(self, search: _Search, missed: float, found: _Attempt) -> _Attempt:
+    def _between(self, query: InterceptQuery, missed: float, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds between a miss and a catch."""
         while found.end - missed > 1:
             middle = (missed + found.end) // 2
-            sooner = self._surely(search, middle)
+            sooner = self._surely(query, middle)
             if sooner.plan is None:
                 missed = middle
             else:
                 found = sooner
         return found
 
-    def _within(self, search: _Search, found: _Attempt) -> _Attempt:
+    def _within(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds within the step at whose end one is found."""
         away = 0.5
         while away >= self._finest:
-            sooner = self._at(search, found.end - away, self._radius)
+            sooner = self._at(query, found.end - away, self._radius)
             if self._is_well(sooner):
                 found = sooner
             away *= 0.5
         return found
 
-    def _through_the_middle(self, search: _Search, found: _Attempt) -> _Attempt:
+    def _through_the_middle(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
         """Return the catch that leads through the middle of the goal, if there is one.
 
         It ends at the same time, before the goal by what that is short of it, and a little more.
         """
-        target, goals = Target(found.end, narrow=self._coned), search.goals(found.end)
+        target, goals = Target(found.end, narrow=self._coned), self._goals(query, found.end)
         if found.plan is None or len(goals) < 2:  # too late to change much
             return found
         passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
         ahead = passed / max(float(np.linalg.norm(passed)), TINY)
-        off = self._off(search, target, found.plan, goals)
+        off = self._off(query, target, found.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        through = self._attempted(search, target, before, GRAZE * self._radius)
+        through = self._attempted(query, target, before, GRAZE * self._radius)
         if through.plan is None or not self._is_well(through):
             return found
-        miss = float(np.linalg.norm(self._off(search, target, through.plan, goals)))
-        return found._replace(plan=through.plan, miss=miss) if miss <= self._radius else found
+        miss = float(np.linalg.norm(self._off(query, target, through.plan, goals)))
+        if miss > self._radius:
+            return found
+        return found._replace(task=through.task, answer=through.answer, miss=miss)
 
-    def _off(self, search: _Search, target: Target, plan: Plan, goals: Array) -> Array:
+    def _off(self, query: InterceptQuery, target: Target, plan: Plan, goals: Array) -> Array:
         """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
-        astray = defect(self.problem(target), search.state, plan, self._lag)
+        astray = defect(self.problem(target), query.task.state, plan, self._lag)
         return np.asarray(plan.positions[-1] + astray - goals[-1])
 
-    def _passing(self, search: _Search, end: int) -> _Attempt:
+    def _passing(self, query: InterceptQuery, end: int) -> _Attempt:
         """Return the first catch in the step before an end that has none, or the nearest miss."""
         best = MISSED
         for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
-            best = min(best, self._at(search, float(end - away), GRAZE * self._radius), key=_miss)
+            best = min(best, self._at(query, float(end - away), GRAZE * self._radius), key=_miss)
             if self._is_well(best):
                 break
         return best
 
-    def _at(self, search: _Search, end: float, near: float) -> _Attempt:
+    def _at(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
         """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
-        if not self._may(search, end):
+        if not self._may(query, end):
             return MISSED
-        target, goals = Target(end, narrow=self._coned), search.goals(end)
-        if self._too_far(search.state, goals, self.problem(target))[-1]:
-            return NEVER
-        found = self._attempted(search, target, goals, near)
+        found = self._at_end(query, end, near)
         if found.plan is not None and _first_turn(found.plan) > end / math.ceil(end) * math.pi:
             return MISSED
         return found
 
-    def _may(self, search: _Search, end: float) -> bool:
+    def _may(self, query: InterceptQuery, end: float) -> bool:
         """Return whether a catch may be looked for between the ends of steps."""
-        allowed = self._turns_within or end / math.ceil(end) >= search.pause
-        return search.between and self._divides and allowed
+        allowed = self._turns_within or end / math.ceil(end) >= query.pause
+        return query.motion is not None and self._divides and allowed
 
     def _is_well(self, attempt: _Attempt) -> bool:
         return attempt.miss <= self._well(attempt.end)
@@ -439,33 +430,39 @@ class Interception:
         moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
         return self._step * self._tracked.forward + float(moved.max(initial=0.0))
 
-    def _surely(self, search: _Search, end: float) -> _Attempt:
+    def _surely(self, query: InterceptQuery, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""
         if end <= self._horizon:
             return MISSED
-        target, goals = Target(end, narrow=self._coned), search.goals(end)
-        if self._too_far(search.state, goals, self.problem(target))[-1]:
-            return MISSED
-        attempt = self._attempted(search, target, goals, self._radius)
+        attempt = self._at_end(query, end, self._radius)
         return attempt if self._is_well(attempt) else MISSED
 
-    def _tried(self, search: _Search, end: int, goals: Array) -> _Attempt:
+    def _at_end(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
+        """Try to catch the goal at any end, as in :meth:`_attempted`."""
+        target, goals = Target(end, narrow=self._coned), self._goals(query, end)
+        if self._too_far(query.task.state, goals, self.problem(target))[-1]:
+            return NEVER
+        return self._attempted(query, target, goals, near)
+
+    def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
         """Try to catch the goal at an end, given where it is at the steps that lead there.
 
         What only the wider cone allows is not well within, however close it comes.
         """
         near = GRAZE * self._radius
         if not self._coned:
-            return self._attempted(search, Target(end), goals, near)
-        within = self._attempted(search, Target(end, narrow=True), goals, near)
+            return self._attempted(query, Target(end), goals, near)
+        within = self._attempted(query, Target(end, narrow=True), goals, near)
         if self._is_well(within):
             return within
-        wider = self._attempted(search, Target(end), goals, near)
+        wider = self._attempted(query, Target(end), goals, near)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         found = min(within, wider, key=_miss)
         return found._replace(never=wider.never, checked=wider.checked)
 
-    def _attempted(self, search: _Search, target: Target, goals: Array, near: float) -> _Attempt:
+    def _attempted(
+        self, query: InterceptQuery, target: Target, goals: Array, near: float
+    ) -> _Attempt:
         """Try to catch the goal at an end, less the defect of the plans towards it.
 
         Plans are made again where they are expected to miss by less than the one before, and by no
@@ -473,17 +470,23 @@ class Interception:
         """
         found, aims = MISSED, goals
         for _ in range(TRIES):
-            plan = not search.late() and search.solved(target, aims)
-            if isinstance(plan, bool):
-                return NEVER if plan and aims is goals else found
+            if query.late():
+                return found
+            task = query.task.within(self.problem(target), aims)
+            task = self.posed(target, task, query.previous)
+            answer = task.solved()
+            query.tried += 1
+            plan, status, _ = answer
+            if plan is None:
+                return NEVER if status is Status.INFEASIBLE and aims is goals else found
             end = plan.positions[-1]
-            astray = defect(self.problem(target), search.state, plan, self._lag)
+            astray = defect(self.problem(target), query.task.state, plan, self._lag)
             miss = float(np.linalg.norm(end + astray - goals[-1]))
             if aims is goals:  # what is proved is about the goal itself
                 never = plan.proof.lower_bound > self.enough(target.end).bound
-                found = _Attempt(plan, target.end, miss, never, plan.proof.checked)
+                found = _Attempt(task, answer, target.end, miss, never, plan.proof.checked)
             elif miss < found.miss:
-                found = found._replace(plan=plan, miss=miss)
+                found = found._replace(task=task, answer=answer, miss=miss)
             left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
             worth = min(near, miss - WORTH * self._radius)
             if self._is_well(found) or self._expected(target, left, change, miss) > worth:
@@ -516,24 +519,6 @@ class Interception:
 def _first_turn(plan: Plan) -> float:
     """Return the angle that a plan turns by in its first step [rad]."""
     return float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
-
-
-class _Attempt(NamedTuple):
-    """A plan that comes as close to the goal at an end as was found, and whether none catches it.
-
-    That none does is ``checked`` where it was verified.
-    """
-
-    plan: Plan | None = None
-    end: float = 0
-    miss: float = math.inf
-    never: bool = False
-    checked: bool = False
-
-
-MISSED = _Attempt()
-NEVER = _Attempt(never=True)  # too far away, or nothing leads into the cone of approach
-_miss = attrgetter('miss')
 
 
 def _farthest(problem: Problem) -> int:

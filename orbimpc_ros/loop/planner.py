@@ -33,7 +33,7 @@ from orbimpc_ros.loop.intercept import (
     InterceptQuery,
 )
 from orbimpc_ros.loop.state import Odometry, WindReport
-from orbimpc_ros.loop.task import Answer, Late, Solvers, Task, joined
+from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, holds
@@ -62,78 +62,48 @@ WAITING = Reason(Cause.WAITING, 'waits for odometry')
 class Snapshot:
     """All that one decision is made of.
 
-    Attributes:
-        odometry: the latest measurement; None before the first.
-        goal: g_1..g_N at the planner's :meth:`Planner.ends`, shape (N, n) [m], or a motion of the
-            goal, which can be met beyond the horizon too; None before the first.
-        wanted: attitude of the goal, shape (n, n); None for any.
-        hazards: what moves, its time beginning with the plan.
-        traffic: what was seen and heard of what moves.
-        wind: the last one that was reported; None without one.
-        odometry_age: [s].
-        goal_age: [s].
-        latency: from the measurement to when the answer is in force; 0 where unknown [s].
-        stop: why no plan may be followed, whatever the inputs; None if one may.
+    A goal is g_1..g_N at the planner's :meth:`Planner.ends`, shape (N, n) [m], or a motion, which
+    can be met beyond the horizon, too.
     """
 
-    odometry: Odometry | None = None
-    goal: Array | GoalMotion | None = None
-    wanted: Array | None = None
-    hazards: tuple[MovingObstacle, ...] = ()
-    traffic: Traffic | None = None
-    wind: WindReport | None = None
-    odometry_age: float = 0.0
-    goal_age: float = 0.0
-    latency: float = 0.0
-    stop: Reason | None = None
+    odometry: Odometry | None = None  # the latest measurement; None before the first
+    goal: Array | GoalMotion | None = None  # None before the first
+    wanted: Array | None = None  # attitude of the goal, shape (n, n); None for any
+    hazards: tuple[MovingObstacle, ...] = ()  # what moves, its time beginning with the plan
+    traffic: Traffic | None = None  # what was seen and heard of what moves
+    wind: WindReport | None = None  # the last one that was reported
+    odometry_age: float = 0.0  # [s]
+    goal_age: float = 0.0  # [s]
+    latency: float = 0.0  # from the measurement to when the answer is in force [s]
+    stop: Reason | None = None  # why no plan may be followed, whatever the inputs
 
 
 @dataclass(frozen=True, eq=False)
 class Decision(ByContent):
     """What to do next, and why.
 
-    Attributes:
-        status: of the solve.
-        reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
-            plan outside of the cones of a descent, a measured speed that the model does not know,
-            or a goal inside of an obstacle; else empty.
-        state: the state that the plan starts from; None if nothing was to be planned.
-        plan: the checked plan behind the command, but for hazards where that follows the clearest
-            way; None if the command is the safe one.
-        command: what to do next.
-        fallback: what the command follows, if not a new plan.
-        problem: what the plan solves; None without a plan, as is the next.
-        goals: g_1..g_N that it was made for, shape (N, n) [m].
-        cause: what kept the decision from being planned on fresh inputs, if anything did.
-        catch: how soon the goal can be caught; None where none is looked for.
-        infeasible: in what no trajectory is feasible, where that is the status.
-        refutation: proves that nothing is feasible, or is caught before a time, where the decision
-            states that; None where it is not proved.
-        advanced: from the measurement to the state that was planned from, but for ``led`` [s].
-        led: how far the vehicle's lag moved the state on [s].
-        disturbance: that was planned with, shape (n,) [m/s] or [m/s^2]; None for none.
-        innovation: how far odometry was from what was expected, in standard deviations; None
-            where no disturbance is estimated.
-        left_out: moving obstacles within reach that were too many to plan with.
+    The ``reason`` is given where the status is not ``optimal``, and for a goal that is too far away
+    or inside of an obstacle, a plan outside of the cones of a descent, and an odd speed. The plan
+    is checked, but for hazards where the command follows the clearest way.
     """
 
-    status: Status
+    status: Status  # of the solve
     reason: str
-    state: State | None
-    plan: Plan | None
-    command: Command
-    fallback: Fallback = Fallback.NONE
-    problem: Problem | None = None
-    goals: Array | None = None
-    cause: Cause = Cause.NONE
-    catch: Intercept | None = None
-    infeasible: Sought | None = None
-    refutation: Refutation | None = None
-    advanced: float = 0.0
-    led: float = 0.0
-    disturbance: Array | None = None
-    innovation: float | None = None
-    left_out: int = 0
+    state: State | None  # that the plan starts from; None if nothing was to be planned
+    plan: Plan | None  # behind the command; None if the command is the safe one
+    command: Command  # what to do next
+    fallback: Fallback = Fallback.NONE  # what the command follows, if not a new plan
+    problem: Problem | None = None  # what the plan solves; None without a plan, as is the next
+    goals: Array | None = None  # g_1..g_N that it was made for, shape (N, n) [m]
+    cause: Cause = Cause.NONE  # what kept it from being planned on fresh inputs
+    catch: Intercept | None = None  # how soon the goal can be caught, where that is looked for
+    infeasible: Sought | None = None  # in what no trajectory is feasible, where that is the status
+    refutation: Refutation | None = None  # proves that nothing is feasible, or caught in time
+    advanced: float = 0.0  # from the measurement to the state planned from, but for ``led`` [s]
+    led: float = 0.0  # how far the vehicle's lag moved the state on [s]
+    disturbance: Array | None = None  # planned with, shape (n,) [m/s] or [m/s^2]; None for none
+    innovation: float | None = None  # of odometry, in deviations, where w is estimated
+    left_out: int = 0  # moving obstacles within reach that were too many to plan with
 
     @property
     def planned(self) -> bool:
@@ -244,7 +214,7 @@ class Planner:
             velocity_source=velocity_source,
             sideslip=sideslip,
         )
-        self._shrinking = shrinking
+        self._lags, self._shrinking = self._compensator.response.lags, shrinking
         self._timeouts = odom_timeout, goal_timeout
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solvers = Solvers(problem, projection, gap_tolerance)
@@ -414,8 +384,7 @@ class Planner:
 
     def _state(self, odometry: Odometry, hazards: tuple[MovingObstacle, ...]) -> State:
         wanted = self._memory.wanted if self._wants_attitude else None  # or it is not looked at
-        state = self._compensator.state(odometry, self._memory.reached, wanted)
-        return replace(state, hazards=hazards)
+        return self._compensator.state(odometry, self._memory.reached, wanted, hazards)
 
     def _change_speed(self, steps: float) -> None:
         """Note how far towards the last command the speed has come, a number of steps later."""
@@ -424,7 +393,7 @@ class Planner:
             return
         asked = last.speed_fraction
         before = asked if memory.reached is None else memory.reached
-        before = max(before, min(asked, self.problem.floor.clearance(self.problem.dimension)))
+        before = max(before, min(asked, self.problem.least_speed))
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
     def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
@@ -453,11 +422,14 @@ class Planner:
         if not len(knots):
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._safe(state, Status.FEASIBLE, reason)
-        copied = sealed(np.array(goals, dtype=float))
+        copied = np.array(goals, dtype=float)
+        copied.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, copied)
         task = self._task(state, goals, knots, late)
         memory.goals = goals
-        held, catch = held_goal(task.problem, state, goals), None
+        held, catch = '', None
+        if hazards or self.problem.obstacles:
+            held = held_goal(task.problem, state, goals)
         if isinstance(motion, Paced):
             held = motion.trouble(self.ends(odometry.time), self._max_rate)
         if self._interception is None or shortened or isinstance(motion, Paced):
@@ -561,7 +533,9 @@ class Planner:
         expected = (memory.catch - now) / task.problem.step
         if abs(expected - round(expected)) <= SNAP:
             expected = float(round(expected))
-        alone = replace(task, state=replace(task.state, hazards=()))
+        alone = task
+        if task.state.hazards:
+            alone = replace(task, state=replace(task.state, hazards=()))
         most = CATCHES_AMONG if task.state.hazards else math.inf
         query = InterceptQuery(alone, motion, now, memory.previous, pause, expected, most)
         chosen, answer, catch = interception.earliest(query)
@@ -659,10 +633,9 @@ class Planner:
         command = command_of(problem, task.state, plan)
         entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
         wrong = joined(*command_violations(problem, plan, command, entry))
-        if not wrong and (last_look := flaw(problem, command, entry=entry)):
-            wrong = f'not sent: {last_look}'
-        if not wrong and self._compensator.response.lags:
-            command = self._compensator.held_back(problem, plan, command)
+        if not wrong:
+            if self._lags:
+                command = self._compensator.held_back(problem, plan, command)
             if last_look := flaw(problem, command, entry=entry):
                 wrong = f'not sent: {last_look}'
         if wrong:
@@ -710,3 +683,8 @@ def _planned(problem: Problem) -> Problem:
     if orders != (3, 1, True) or limited:
         return problem
     return replace(problem, max_rate=0.0)
+
+
+def joined(*reasons: str) -> str:
+    """Return reasons in one line; empty ones do not count."""
+    return '; '.join(filter(None, reasons))

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from orbimpc_ros.loop.intercept import steps_before
-from orbimpc_ros.loop.planner import Decision
-from orbimpc_ros.loop.task import joined
+from orbimpc_ros.loop.planner import Decision, joined
 
 
 def proved(

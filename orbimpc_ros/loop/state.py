@@ -1,23 +1,17 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Measurements of the vehicle, and the states of the planning problem that they mean.
-
-Mathematics: docs/mathematics.md, 7.1.
-"""
+"""Measurements of the vehicle and its wind."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
-from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Problem, State
 
 SOURCES = ('ground', 'air')  # of a measured velocity
-NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,94 +34,7 @@ class Odometry(ByContent):
 
     def __post_init__(self) -> None:
         for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
-            sealed(array)
-
-
-def along_the_air(odometry: Odometry) -> Odometry:
-    """Return the measurement of a wing with its axis along its velocity through the air.
-
-    A gust from the side turns the nose of a wing into it, and leaves its way over ground nearly as
-    it is: what goes on is the velocity, and the nose is turned back to it.
-    """
-    ahead, aside = odometry.body_velocity.tolist()
-    slip = np.array([math.atan2(aside, ahead)])
-    velocity = np.array([math.hypot(ahead, aside), 0.0])
-    return replace(odometry, attitude=odometry.attitude @ exp(slip), body_velocity=velocity)
-
-
-def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:
-    """Return the speed through the air along the thrust axis [m/s]; across it only wind moves."""
-    speed = float(odometry.body_velocity[0])
-    if wind is None or velocity_source == 'air':
-        return speed
-    return speed - float(wind @ odometry.attitude[:, 0])
-
-
-def state_of(
-    problem: Problem,
-    odometry: Odometry,
-    applied: float | None,
-    disturbance: Array | None = None,
-    velocity_source: str = 'ground',
-    reached: float | None = None,
-    wanted: Array | None = None,
-) -> State:
-    """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
-
-    At translation order 1 sigma_0 is the measured share of full speed, but for one case: where
-    ``max_rate`` limits changes of speed, from what was commanded. A vehicle in a dead band, in a
-    drift or uphill would never be told more than a step from the speed that it has.
-
-    Args:
-        problem: gives the orders, the step and the full speed.
-        odometry: the measurement.
-        applied: the share of thrust or speed that is commanded now, in [0, 1]; None before the
-            first command.
-        disturbance: a wind or an acceleration, shape (n,); None for none.
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        reached: the share of full speed that changes of speed count from, where they are limited;
-            None before the first command: from the measured one.
-        wanted: the rotation wanted at the end, shape (n, n); None for any.
-    """
-    if problem.inertial:
-        fraction = applied or 0.0
-        velocity = odometry.attitude @ odometry.body_velocity
-    else:
-        speed = airspeed(odometry, disturbance, velocity_source)
-        fraction = min(1.0, max(0.0, speed / problem.forward))
-        velocity = None
-        if applied is not None and problem.max_rate and not problem.turns_are_angles:
-            fraction = applied
-    coasted = None
-    if problem.rotation_order == 2:
-        coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
-    return State.at(
-        position=odometry.position,
-        rotation=fraction * odometry.attitude,
-        velocity=velocity,
-        attitude=odometry.attitude,
-        coasted=coasted,
-        disturbance=disturbance,
-        commanded=reached,
-        wanted=wanted,
-    )
-
-
-def odd_speed(
-    problem: Problem,
-    odometry: Odometry,
-    disturbance: Array | None = None,
-    velocity_source: str = 'ground',
-) -> str:
-    """Return that the measured speed is not one that the model knows, in words; else empty.
-
-    Such a speed counts as the nearest that it does: none, or full speed.
-    """
-    speed, full = airspeed(odometry, disturbance, velocity_source), problem.forward
-    if problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
-        return ''
-    taken = full if speed > 0.0 else 0.0
-    return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'
+            array.setflags(write=False)
 
 
 WINDOW = 20  # measurements

@@ -68,7 +68,8 @@ class Task:
         if plan.status == Status.OPTIMAL:
             return plan, Status.OPTIMAL, outside
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
-        return plan, plan.status, joined(unproved, plan.proof.reason, outside)
+        reasons = unproved, plan.proof.reason, outside
+        return plan, plan.status, '; '.join(filter(None, reasons))
 
 
 class Solvers:
@@ -116,8 +117,3 @@ class Solvers:
         """Compile what the first plan among moving obstacles would have to wait for."""
         for solver in self._made.values():
             solver.expect_hazards()
-
-
-def joined(*reasons: str) -> str:
-    """Return reasons in one line; empty ones do not count."""
-    return '; '.join(filter(None, reasons))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
@@ -38,8 +38,8 @@ class Command(ByContent):
     rotation: Array
 
     def __post_init__(self) -> None:
-        sealed(self.body_rate)
-        sealed(self.rotation)
+        self.body_rate.setflags(write=False)
+        self.rotation.setflags(write=False)
 
 
 def stop(rotation: Array) -> Command:
@@ -56,12 +56,8 @@ def flaw(
     a rate below the limit (without one, below half a turn in a step), a speed that is not changed
     faster than it may be, and a rotation. In plain floats, for speed.
 
-    Args:
-        problem: gives the floor, the step and the limit.
-        command: to be sent.
-        stopping: whether it is a stop that was asked for, which no floor forbids, nor any limit of
-            the change of speed.
-        entry: share of full speed that the change counts from; None if it is not known.
+    A stop that was asked for (``stopping``) is forbidden by no floor and no limit of the change of
+    speed, which counts from the ``entry`` share of full speed; None if that is not known.
     """
     fraction = command.speed_fraction
     rate, rotation = command.body_rate.tolist(), command.rotation.tolist()
@@ -69,7 +65,7 @@ def flaw(
         return 'the command is not finite'
     if not 0.0 <= fraction <= 1.0:
         return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
-    floor = problem.floor.clearance(problem.dimension)
+    floor = problem.least_speed
     if not stopping and fraction < floor:
         return f'a speed fraction of {fraction:.6g} is below the floor of {floor:.6g}'
     changed = abs(fraction - entry) if entry is not None and not stopping else 0.0
@@ -113,7 +109,7 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         plan: a checked plan.
         step: k, in 0..N-1.
     """
-    floor = problem.floor.clearance(problem.dimension)
+    floor = problem.least_speed
     # What rounding leaves a plan short of its floor, no vehicle is told.
     fraction = min(1.0, max(floor, float(plan.speed_fraction[step + 1])))
     first = step + problem.rotation_order - 1

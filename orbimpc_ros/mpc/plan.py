@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -79,17 +80,16 @@ class Plan(ByContent):
     held: np.ndarray
 
     def __post_init__(self) -> None:
-        for array in (self.positions, self.velocities, self.rotations, self.inputs):
-            sealed(array)
-        sealed(self.projected)
-        sealed(self.held)
+        moved = self.positions, self.velocities, self.rotations, self.inputs
+        for array in (*moved, self.projected, self.held):
+            array.setflags(write=False)
 
-    @property
+    @cached_property
     def horizon(self) -> int:
         """Return N."""
         return len(self.inputs)
 
-    @property
+    @cached_property
     def lower_bound(self) -> float:
         """Return a cost that no trajectory of the problem undercuts; -inf if none was looked for.
 
@@ -108,7 +108,7 @@ class Plan(ByContent):
         """Return (objective - lower bound) / max(|objective|, 1e-5 cost units)."""
         return self._gap_to(self.lower_bound)
 
-    @property
+    @cached_property
     def status(self) -> Status:
         """Return whether it is proved optimal, within the gap tolerance, or merely feasible.
 
@@ -117,7 +117,7 @@ class Plan(ByContent):
         proved = self.is_closed and self.proof.checked
         return Status.OPTIMAL if proved else Status.FEASIBLE
 
-    @property
+    @cached_property
     def is_closed(self) -> bool:
         """Return whether the bound is within the gap tolerance, verified or not."""
         return bool(self._gap_to(self.proof.lower_bound) <= self.proof.gap_tolerance)
@@ -126,10 +126,10 @@ class Plan(ByContent):
         least = max(NEGLIGIBLE * self.proof.cost_unit, abs(self.objective), np.finfo(float).tiny)
         return (self.objective - bound) / least
 
-    @property
+    @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        return np.linalg.norm(self.rotations[:, :, 0], axis=1)
+        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
 
     @property
     def projection_distance(self) -> Array:

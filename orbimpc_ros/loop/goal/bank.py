@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orbimpc_ros.loop.goal.fits import (
     ACCELERATION,
@@ -178,20 +177,17 @@ class Bank:
         shares = self._shares[used] / self._shares[used].sum()
         rates, dampings = self._fits.rates[used, None], self._fits.dampings[used, None]
         x = columns((times - self._epoch)[None], rates, dampings)
-        places = self._within_speeds(x @ self._fitted[used], used, times)
-        mean = (shares @ places.reshape(len(used), -1)).reshape(len(times), -1)
-        return np.asarray(mean + self._origin)
-
-    def _within_speeds(self, places: Array, used: NDArray[np.intp], times: Array) -> Array:
-        """Return places of families, (K, N, n) [m], within what the fastest speed seen leads to."""
         assert self._last is not None
         rows = self._fits.rows(self._last - self._epoch)[used, None]
-        now = rows @ self._fitted[used]
+        now, places = rows @ self._fitted[used], x @ self._fitted[used]
+        # No farther from the present places than the fastest speed seen leads.
         moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
         size = np.linalg.norm(moved, axis=2)
         share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
         share[:, times <= self._last] = 1.0
-        return np.asarray(now + share[..., None] * moved)
+        places = now + share[..., None] * moved
+        mean = (shares @ places.reshape(len(used), -1)).reshape(len(times), -1)
+        return np.asarray(mean + self._origin)
 
     def _note_speed(self, time: float, position: Array) -> None:
         """Note how fast the goal has moved lately, over half a second or the last two sightings."""

@@ -16,7 +16,6 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,40 +47,25 @@ class Harmonic:
         self._seen.append(sighting.position)
 
     def at(self, times: Array) -> Array:
-        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m]."""
+        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m].
+
+        Predictions are averaged by evidence over log(frequency).
+        """
         now, last = self._times[-1], self._seen[-1]
         past, seen = np.array(self._times) - now, np.array(self._seen) - last
-        fit = _fit(_first_grid(past), past, seen, times - now)
+        grid = _first_grid(past)
+        evidence, predicted = _fit(grid, past, seen, times - now)
         for _ in range(ZOOMS):
-            fit = fit.joined(_fit(fit.between_best(), past, seen, times - now))
-        return last + fit.mean()
-
-
-class _Fit(NamedTuple):
-    """The model at frequencies in increasing order, averaged over noises and sizes of swing."""
-
-    frequencies: Array  # shape (F,) [Hz]
-    evidence: Array  # logarithms, shape (F,)
-    predicted: Array  # positions, shape (F, N, n) [m]
-
-    def joined(self, other: _Fit) -> _Fit:
-        frequencies = np.concatenate([self.frequencies, other.frequencies])
-        order = np.argsort(frequencies)
-        evidence = np.concatenate([self.evidence, other.evidence])
-        predicted = np.concatenate([self.predicted, other.predicted])
-        return _Fit(frequencies[order], evidence[order], predicted[order])
-
-    def between_best(self) -> Array:
-        """Return new frequencies between the neighbours of the best one, shape (F,) [Hz]."""
-        best, last = int(np.argmax(self.evidence)), len(self.frequencies) - 1
-        low, high = self.frequencies[max(best - 1, 0)], self.frequencies[min(best + 1, last)]
-        return np.geomspace(low, high, FINE + 2)[1:-1]
-
-    def mean(self) -> Array:
-        """Return the prediction, shape (N, n) [m], averaged by evidence over log(frequency)."""
-        width = np.gradient(np.log(self.frequencies)) if len(self.frequencies) > 1 else 1.0
-        weights = np.exp(self.evidence - self.evidence.max()) * width
-        return np.tensordot(weights / weights.sum(), self.predicted, axes=1)
+            best = int(np.argmax(evidence))
+            low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+            finer = np.geomspace(low, high, FINE + 2)[1:-1]
+            more = _fit(finer, past, seen, times - now)
+            order = np.argsort(np.concatenate([grid, finer]))
+            grid = np.concatenate([grid, finer])[order]
+            evidence = np.concatenate([evidence, more[0]])[order]
+            predicted = np.concatenate([predicted, more[1]])[order]
+        weights = np.exp(evidence - evidence.max()) * np.gradient(np.log(grid))
+        return np.asarray(last + np.tensordot(weights / weights.sum(), predicted, axes=1))
 
 
 def _first_grid(past: Array) -> Array:
@@ -91,8 +75,11 @@ def _first_grid(past: Array) -> Array:
     return np.geomspace(LOWEST, min(HIGHEST, max(0.45 / spacing, 2 * LOWEST)), COARSE)
 
 
-def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> _Fit:
+def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> tuple[Array, Array]:
     """Fit the model at each frequency to positions ``seen``, shape (M, n), at times ``past``.
+
+    Returns logarithms of the evidence, shape (F,), and positions ``ahead``, shape (F, N, n) [m],
+    averaged over noises and sizes of swing.
 
     Bayesian linear regression with known noise: with the Gram matrix G, the prior precisions
     relative to the noise L and S = G + L, the coefficients are S^-1 X'y and, up to a constant,
@@ -112,7 +99,7 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> _Fit:
     share = np.exp(evidence - evidence.max(axis=1, keepdims=True))
     total = share.sum(axis=1)
     average = np.einsum('fk,fkcn->fcn', share / total[:, None], coefficients)
-    return _Fit(frequencies, evidence.max(axis=1) + np.log(total), x_ahead @ average)
+    return evidence.max(axis=1) + np.log(total), x_ahead @ average
 
 
 def _design(frequencies: Array, times: Array) -> Array:

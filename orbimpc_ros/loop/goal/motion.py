@@ -14,17 +14,11 @@ from orbimpc_ros.mpc.errors import BadInput
 
 @dataclass(frozen=True)
 class GoalObservation:
-    """Where the goal was seen.
+    """Where the goal was seen."""
 
-    Attributes:
-        time: stamp [s].
-        position: in the world frame, shape (n,) [m].
-        attitude: of the goal, shape (n, n); None where it has none in the plane.
-    """
-
-    time: float
-    position: Array
-    attitude: Array | None = None
+    time: float  # stamp [s]
+    position: Array  # in the world frame, shape (n,) [m]
+    attitude: Array | None = None  # shape (n, n); None where it has none in the plane
 
     def __post_init__(self) -> None:
         sealed(self.position)
@@ -49,17 +43,11 @@ class Forecast(GoalMotion, Protocol):
 
 @dataclass(frozen=True)
 class GoalTrajectory:
-    """A forecast that somebody else made: stamped future positions, interpolated in between.
+    """A forecast that somebody else made: stamped future positions, interpolated in between."""
 
-    Attributes:
-        times: increasing stamps, shape (M,) [s].
-        positions: shape (M, n) [m].
-        attitude: of the goal at the last of them, shape (n, n); None where it has none.
-    """
-
-    times: Array
-    positions: Array
-    attitude: Array | None = None
+    times: Array  # increasing stamps, shape (M,) [s]
+    positions: Array  # shape (M, n) [m]
+    attitude: Array | None = None  # at the last of them, shape (n, n); None where it has none
 
     def __post_init__(self) -> None:
         if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,12 +44,12 @@ class Approach:
     cone: float = 0.0
     direction: tuple[float, ...] = ()
 
-    @property
+    @cached_property
     def exists(self) -> bool:
         """Return whether there is a cone at all."""
         return self.cone > 0.0
 
-    @property
+    @cached_property
     def is_the_goals(self) -> bool:
         """Return whether the goal's own attitude says the direction."""
         return self.exists and not self.direction

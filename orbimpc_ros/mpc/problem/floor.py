@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Floor:
         """Return what every allowed |v| is at least, in [0, 1]; 0 without a floor."""
         return SHAPES[self.shape].clearance(self, dimension)
 
-    @property
+    @cached_property
     def exists(self) -> bool:
         """Return whether any speed is forbidden."""
         return self.shape != 'none'

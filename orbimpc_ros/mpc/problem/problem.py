@@ -165,27 +165,32 @@ class Problem:
         if self.tilt and not self.inertial:  # which then is where it flies to, not what it leans by
             raise BadInput('tilt', self.tilt, f'0 at translation_order {self.translation_order}')
 
-    @property
+    @cached_property
     def boxes(self) -> tuple[Box, ...]:
         """Return the obstacles that are boxes."""
         return tuple(each for each in self.obstacles if isinstance(each, Box))
 
-    @property
+    @cached_property
     def wants_attitude(self) -> bool:
         """Return whether a state has to tell which rotation is wanted at the end."""
         return self.weights.attitude > 0.0 or self.approach.is_the_goals
 
+    @cached_property
+    def least_speed(self) -> float:
+        """Return the least share of full speed in any allowed direction; 0 without a floor."""
+        return self.floor.clearance(self.dimension)
+
     @property
     def least_heading(self) -> float:
         """Return the least |R_N e1| that has a direction, where it matters."""
-        return max(SLOWEST, self.floor.clearance(self.dimension))
+        return max(SLOWEST, self.least_speed)
 
-    @property
+    @cached_property
     def has_cones(self) -> bool:
         """Return whether the tilt is limited, or a glide slope set."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
 
-    @property
+    @cached_property
     def turns_are_angles(self) -> bool:
         """Return whether ``max_rate`` bounds the angle of each turn, at any speeds.
 
@@ -194,12 +199,12 @@ class Problem:
         """
         return self.floor.exists and self.max_rate > 0.0
 
-    @property
+    @cached_property
     def widest_turn(self) -> float:
         """Return the largest angle of a turn, h max_rate <= pi [rad]; pi without a limit."""
         return min(math.pi, self.step * self.max_rate) if self.max_rate else math.pi
 
-    @property
+    @cached_property
     def chord(self) -> float:
         """Return how far R e1 moves at most in a step from k >= 1 on; infinity without a limit.
 
@@ -208,19 +213,19 @@ class Problem:
         """
         if not self.max_rate:
             return math.inf
-        turned, least = self.widest_turn, self.floor.clearance(self.dimension)
+        turned, least = self.widest_turn, self.least_speed
         uneven = 1.0 + least * least - 2.0 * least * math.cos(turned)
         at_speed = 2.0 * math.sin(0.5 * turned)
         return max(at_speed, math.sqrt(uneven)) if self.floor.exists else at_speed
 
-    @property
+    @cached_property
     def speed_change(self) -> float:
         """Return by how much |R e1| changes at most in a step; infinity without a limit."""
         if not self.max_acceleration:
             return math.inf
         return self.step * self.max_acceleration / self.forward
 
-    @property
+    @cached_property
     def first_turn_is_decided(self) -> bool:
         """Return whether ``max_rate`` has no say in the first step.
 
@@ -229,7 +234,7 @@ class Problem:
         """
         return self.rotation_order == 2 and self.floor.exists
 
-    @property
+    @cached_property
     def first_turn_is_a_cone(self) -> bool:
         """Return whether the headings R_1 e1 that ``max_rate`` allows with a floor are convex.
 
@@ -237,7 +242,7 @@ class Problem:
         """
         return self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
 
-    @property
+    @cached_property
     def length_unit(self) -> float:
         """Return what a step moves a vehicle at most, from rest: h z, or with inertia h^2 z [m]."""
         return self.maps.unit
@@ -252,7 +257,7 @@ class Problem:
         """Return how many of s_1..s_N the state alone decides."""
         return int((self.maps.reach[:, 1:] == 0.0).all(axis=1).sum())
 
-    @property
+    @cached_property
     def translation(self) -> Translation:
         """Return the model that says how R e1 moves the vehicle."""
         return self._models[self.translation_order]

@@ -20,7 +20,7 @@ BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
 
 def reach(problem: Problem, state: State) -> float:
     """Return a distance that no point within the horizon exceeds [m]."""
-    blown = math.sqrt(state.disturbance @ state.disturbance) if state.disturbed else 0.0
+    blown = math.sqrt(state.disturbance @ state.disturbance)
     speed = math.sqrt(state.velocity @ state.velocity)
     return farthest(problem, speed, blown, problem.horizon * problem.step)
 

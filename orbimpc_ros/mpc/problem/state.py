@@ -31,13 +31,12 @@ class State(ByContent):
         rotation_rate: W_0, shape (n, n) [1/s]; zero unless rotation is of order 2.
         attitude: Q_0, shape (n, n), the rotation R_0 was scaled from; by default the nearest one.
         coasted: the rotation, shape (n, n), that the present body rate turns the attitude into
-            during the first step. With it (rotation order 2), R_1 = rho * coasted with the
-            thrust fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which would
-            leave the manifold.
+            during the first step (rotation order 2). With it R_1 = rho * coasted, the thrust
+            fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, off the manifold.
         disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
             world frame [m/s], at order 2 an acceleration, gravity's included [m/s^2].
-        commanded: the share of full speed, in [0, 1], that changes of speed count from where they
-            are limited; by default |R_0 e1|. It is what a vehicle was told, not what is measured.
+        commanded: the share of full speed last commanded, in [0, 1], that limited changes of speed
+            count from; by default |R_0 e1|.
         hazards: what moves and is to be stayed clear of, from the start of the plan on.
         wanted: R_g, the rotation wanted at the end, shape (n, n): the goal's; None for any.
     """
@@ -77,19 +76,27 @@ class State(ByContent):
         n = np.size(position)
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
-        placed = frozen(rotation, (n, n), 'state.rotation')
-        return cls(
-            frozen(position, (n,), 'state.position'),
+        line, square, still = (n,), (n, n), _zeros((n,))
+        placed = frozen(rotation, square, 'state.rotation')
+        turned = nearest(placed) if attitude is None else attitude
+        turned = frozen(turned, square, 'state.attitude')
+        carried = None if coasted is None else frozen(coasted, square, 'state.coasted')
+        asked = None if wanted is None else frozen(wanted, square, 'state.wanted')
+        numbers = (
+            frozen(position, line, 'state.position'),
             placed,
-            _given(velocity, (n,), 'state.velocity'),
-            _given(rotation_rate, (n, n), 'state.rotation_rate'),
-            _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
-            None if coasted is None else _rotation(coasted, n, 'state.coasted'),
-            _given(disturbance, (n,), 'state.disturbance'),
-            commanded,
-            tracked(hazards, n) if hazards else (),
-            None if wanted is None else _rotation(wanted, n, 'state.wanted'),
+            still if velocity is None else frozen(velocity, line, 'state.velocity'),
+            _zeros(square)
+            if rotation_rate is None
+            else frozen(rotation_rate, square, 'state.rotation_rate'),
+            turned,
+            carried,
+            still if disturbance is None else frozen(disturbance, line, 'state.disturbance'),
         )
+        for matrix, name in ((turned, 'attitude'), (carried, 'coasted'), (asked, 'wanted')):
+            if matrix is not None:
+                _require_rotation(matrix, f'state.{name}')
+        return cls(*numbers, commanded, tracked(hazards, n) if hazards else (), asked)
 
     def __post_init__(self) -> None:
         _require_structure(self.rotation, 'state.rotation')
@@ -116,21 +123,16 @@ class State(ByContent):
         return []
 
 
-def _given(value: ArrayLike | None, shape: tuple[int, ...], culprit: str) -> Array:
-    return _zeros(shape) if value is None else frozen(value, shape, culprit)
-
-
 @lru_cache(maxsize=8)
 def _zeros(shape: tuple[int, ...]) -> Array:
     """Return zeros that all states share: to make and check them anew costs microseconds."""
     return sealed(np.zeros(shape))
 
 
-def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:
-    matrix = frozen(value, (n, n), culprit)
+def _require_rotation(matrix: Array, culprit: str) -> None:
+    n = len(matrix)
     if np.abs(matrix.T @ matrix - np.eye(n)).max() > 1e-9 or np.linalg.det(matrix) < 0.0:
         raise BadInput(culprit, matrix.tolist(), f'a rotation in SO({n})')
-    return matrix
 
 
 def _require_structure(matrix: Array, culprit: str) -> None:

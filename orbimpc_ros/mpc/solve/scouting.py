@@ -109,7 +109,7 @@ class Scout:
         transition, push, follow = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
         transition[:m, :m], push[:m], follow[:m] = once.transition, once.push, once.follow
         blown[:m] = np.outer(once.blow, state.disturbance)
-        least = problem.floor.clearance(problem.dimension)
+        least = problem.least_speed
         known = transition, push, follow, blown
         return Craft(*known, self._kind, self._moves, least, self._widest, problem.inertial)
 

@@ -228,21 +228,13 @@ class Hummingbird:
 
 
 class _Setpoint(NamedTuple):
-    """What the controller tracks: of the vehicle's middle, in the plane of flight.
+    """What the controller tracks: of the vehicle's middle, in the plane of flight."""
 
-    Attributes:
-        position: shape (3,) [m].
-        yaw: [rad].
-        speed: along it [m/s].
-        gain: how fast the speed changes [m/s^2].
-        turn: how fast the yaw does [rad/s].
-    """
-
-    position: Array
-    yaw: float
-    speed: float
-    gain: float
-    turn: float
+    position: Array  # shape (3,) [m]
+    yaw: float  # [rad]
+    speed: float  # along it [m/s]
+    gain: float  # how fast the speed changes [m/s^2]
+    turn: float  # how fast the yaw changes [rad/s]
 
     def after(self, span: float, speed: float, turn: float) -> _Setpoint:
         """Return it after a short time [s], as near to a speed and a turn as it can get."""

@@ -151,17 +151,11 @@ class Servicer:
 
 
 class _Setpoint(NamedTuple):
-    """What the software tracks; rates are in the body frame.
+    """What the software tracks; rates are in the body frame."""
 
-    Attributes:
-        attitude: body to world, shape (3, 3).
-        rate: shape (3,) [rad/s].
-        gain: how fast the rate changes, shape (3,) [rad/s^2].
-    """
-
-    attitude: Array
-    rate: Array
-    gain: Array
+    attitude: Array  # body to world, shape (3, 3)
+    rate: Array  # shape (3,) [rad/s]
+    gain: Array  # how fast the rate changes, shape (3,) [rad/s^2]
 
     def after(self, span: float, rate: Array) -> _Setpoint:
         """Return it after a short time [s], as near to a rate as it can get."""
@@ -177,14 +171,9 @@ def _angle(rotation: Array) -> float:
 def _orbiting(
     away: Array, velocity: Array, attitude: Array, body_rate: Array, off_center: Array
 ) -> Any:
-    """Return a spacecraft around the Earth.
+    """Return a spacecraft around the Earth, its place and velocity relative to the client's.
 
-    Args:
-        away: from where the client begins, shape (3,) [m].
-        velocity: relative to the client's, shape (3,) [m/s].
-        attitude: body to world, shape (3, 3).
-        body_rate: shape (3,) [rad/s].
-        off_center: the center of mass, from the middle of the hull, shape (3,) [m].
+    The center of mass is ``off_center`` from the middle of the hull, shape (3,) [m].
     """
     made, earth = spacecraft.Spacecraft(), gravityEffector.GravBodyData()
     hub, past = made.hub, attitude @ np.cross(body_rate, off_center)
@@ -200,13 +189,7 @@ def _orbiting(
 
 
 def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]:
-    """Return a vehicle's thrusters, what fires them, and what these point to.
-
-    Args:
-        vehicle: that gets them.
-        force: tells their forces.
-        draw: how strong each is, and where it points.
-    """
+    """Return a vehicle's thrusters, drawn at random, what fires them, and what these point to."""
     factory = simIncludeThruster.thrusterFactory()
     for place in AFT:
         axis = [1.0, *(OFF_AXIS * draw.normal(size=2))]
@@ -223,12 +206,7 @@ def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]
 
 
 def _steered(vehicle: Any, attitude: Any) -> list[Any]:
-    """Return a vehicle's wheels, the software that turns them, and what these point to.
-
-    Args:
-        vehicle: that gets three of them, one along each axis.
-        attitude: tells what attitude to track.
-    """
+    """Return a vehicle's wheels, the software that turns them, and what these point to."""
     factory = simIncludeRW.rwFactory()
     for axis in np.eye(3):
         factory.create('Honeywell_HR12', axis.tolist(), maxMomentum=MOMENTUM)
@@ -257,8 +235,7 @@ def _steered(vehicle: Any, attitude: Any) -> list[Any]:
 def _simulated(*tasks: tuple[float, float, list[Any]]) -> list[Any]:
     """Return a simulation of tasks, ready to begin, and what it points to.
 
-    Args:
-        tasks: how often each runs, from when on [s], and what it does; at one time in this order.
+    A task is how often it runs, from when on [s], and what it does; at one time in this order.
     """
     simulation, process = sim_model.SimModel(), sim_model.SysProcess('flight')
     simulation.addNewProcess(process)
