@@ -1,7 +1,7 @@
 # make demo   sets up .venv and catches the swinging rope over ROS 2
 # make test   sets up .venv and runs lint, types and tests
 # make quick  sets up .venv and runs the pure tests of the nodes and the package: a minute
-# make long   judges random problems, flights and mutants of the check: hours (CONTRIBUTING.md)
+# make long   draws other problems and flights, and mutants of the check: hours (CONTRIBUTING.md)
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
 # PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to,
@@ -12,7 +12,7 @@ PYTHON ?= python3
 VENV ?= .venv
 # More than two cores: for half of their time the tests over DDS wait for processes.
 JOBS ?= 3
-QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_rotations mpc_delay
+QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_geometry mpc_delay
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
@@ -57,8 +57,8 @@ quick: $(VENV)/.installed-test
 long: proofs flights mutants
 
 proofs: $(VENV)/.installed-test
-	$(BIN)/python test/long/proofs.py --count 3000
-	$(BIN)/python test/long/proofs.py --count 300 --through file
+	ORBIMPC_SEEDS=1000:1020 $(BIN)/python -m pytest -n $(JOBS) \
+		$(patsubst %,test/test_mpc_%.py,laws proof refute)
 
 flights: $(VENV)/.installed-test
 	$(BIN)/python test/long/flights.py --count 200

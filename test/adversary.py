@@ -60,11 +60,16 @@ class Flight(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What a part proves that a flight is in, what the flight costs there, and the certificate."""
+    """What a part proves that a flight is in, what the flight costs there, and the certificate.
+
+    The tree of that is of the problem as the verifier reads it.
+    """
 
     proved: float
     cost: float
     document: dict[str, Any]
+    tree: ProofTree
+    posed: Posed
 
     @property
     def is_false(self) -> bool:
@@ -293,7 +298,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     tree = part.tree(leaf, refutes)
     made = Refutation(sought, (tree,) * (count if drawn.radius else 1))
     known = made.document() if refutes else Certificate(*case, 1.0, tree).document()
-    return Judged(proved, 0.0 if refutes else drawn.plan.objective, known)
+    return Judged(proved, 0.0 if refutes else drawn.plan.objective, known, tree, posed)
 
 
 class Part:

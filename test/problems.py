@@ -1,18 +1,35 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Seeded random problems, and the reference cases with their optimal values."""
+"""Families of random problems, seeded draws of their parts, and the reference cases."""
 
 from __future__ import annotations
 
 import itertools
 import json
+import os
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.problem.case import Case, case_of
+from orbimpc_ros.mpc.problem.feasibility import beyond_reach
 
+HELD_OUT = os.environ.get('ORBIMPC_SEEDS', '')  # first:end of other seeds than the usual
 REFERENCE = Path(__file__).parent / 'reference'
 CASES = json.loads((REFERENCE / 'cases.json').read_text())
 ANSWERS = json.loads((REFERENCE / 'answers.json').read_text())
@@ -20,10 +37,181 @@ ORDERS = [
     {'dimension': n, 'rotation_order': r, 'translation_order': t}
     for n, r, t in itertools.product((2, 3), (1, 2), (1, 2))
 ]
+needs_machine_code = pytest.mark.skipif(not COMPILED, reason='too slow without numba')
+
+# Arguments of Problem; weights by their names; max_rate and max_acceleration in units of a step;
+# and how many boxes, balls and hazards there are on the way.
+ARRIVES = {'terminal': 'constraint'}
+SPACE = {'dimension': 3}
+COASTS = {'rotation_order': 2, 'translation_order': 2}
+ROUND = {'floor': Floor('circle', fraction=0.6)}
+TOWARDS = Approach(0.4, (1.0, 0.5))
+FAMILIES: dict[str, dict[str, Any]] = {
+    'hull': {},
+    'hull, exact': {'discretisation': 'exact'},
+    'hull, inertia': {'translation_order': 2},
+    'hull, held': {'translation_order': 2, 'discretisation': 'held'},
+    'hull, coasting': COASTS,
+    'hull, decided': {'rotation_order': 2, 'decided': True},
+    'hull, length': {'length': 0.3},
+    'hull, attitude': {'attitude': 0.5},
+    'hull, arrival': ARRIVES,
+    'hull, inertia, arrival': {'translation_order': 2, **ARRIVES},
+    'hull, inertia, soft arrival': {'translation_order': 2, 'arrival_weight': 5.0},
+    'polygon': {'floor': Floor('polygon', 4, 0.5)},
+    'polygon, coasting': {'floor': Floor('polygon', 4, 0.5), **COASTS},
+    'circle': ROUND,
+    'circle, constant speed': {'floor': Floor('circle', fraction=1.0)},
+    'circle, length': {**ROUND, 'length': 0.3},
+    'circle, turn rate': {**ROUND, 'max_rate': 0.7},
+    'shell': {**SPACE, **ROUND, 'input': 0.0},
+    'solid': {**SPACE, 'floor': Floor('polygon', 6, 0.5), 'horizon': 3},
+    'space': SPACE,
+    'space, coasting': {**SPACE, **COASTS},
+    'space, arrival': {**SPACE, **ARRIVES},
+    'space, attitude': {**SPACE, 'attitude': 0.5},
+    'boxes': {'boxes': 3},
+    'boxes, shared faces': {'boxes': 3, 'no_corner_cutting': True},
+    'boxes, inertia': {'boxes': 2, 'translation_order': 2},
+    'boxes that move': {'hazards': 2},
+    'discs': {'balls': 2},
+    'discs that move': {'balls': 2, 'hazards': 1},
+    'space, boxes': {**SPACE, 'boxes': 2},
+    'axes, boxes': {**SPACE, 'boxes': 2, 'input': 0.0},
+    'approach': {'approach': Approach(0.3, (1.0, 0.5))},
+    'space, approach': {**SPACE, 'approach': Approach(0.2, (1.0, 0.5, 0.1))},
+    'cones': {
+        **SPACE,
+        'translation_order': 2,
+        'tilt': 0.3,
+        'glide_slope': 0.4,
+        'length': 0.05,
+        'floor': Floor('circle', fraction=0.1),
+    },
+    'turn rate': {'max_rate': 0.5},
+    'turn rate, inertia': {'translation_order': 2, 'max_rate': 0.5},
+    'turn rate, exact': {'discretisation': 'exact', 'max_rate': 0.3},
+    'turn rate, length': {'max_rate': 0.5, 'length': 0.3},
+    'turn rate, arrival': {'max_rate': 1.2, **ARRIVES},
+    'turn rate, boxes': {'max_rate': 1.0, 'boxes': 2},
+    'space, turn rate': {**SPACE, 'max_rate': 0.5},
+    'axes, turn rate': {**SPACE, 'max_rate': 0.5, 'input': 0.0},
+    'space, turn rate, inertia': {**SPACE, 'translation_order': 2, 'max_rate': 0.5},
+    'acceleration': {'max_acceleration': 0.2},
+    'space, acceleration': {**SPACE, 'max_acceleration': 0.2},
+}
+# Not all of these are closed; where they are, certificates take what a search leaves of its proof.
+OPEN: dict[str, dict[str, Any]] = {
+    'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
+    'circle, arrival': {**ROUND, **ARRIVES},
+    'circle, length, arrival': {**ROUND, 'length': 0.3, **ARRIVES},
+    'circle, arrival, acceleration': {**ROUND, 'max_acceleration': 0.2, **ARRIVES},
+    'circle, hazards': {**ROUND, 'max_rate': 0.9, 'hazards': 1},
+    'shell, arrival': {**SPACE, **ROUND, 'input': 0.0, **ARRIVES},
+    'space, coasting, length': {**SPACE, **COASTS, 'length': 0.3},
+    'circle, acceleration': {
+        'floor': Floor('circle', fraction=0.8),
+        'max_acceleration': 0.05,
+        'horizon': 4,
+    },
+    'circle, turn rate, acceleration': {
+        'floor': Floor('circle', fraction=0.7),
+        'max_rate': 0.4,
+        'max_acceleration': 0.03,
+    },
+    'circle, turn rate, approach': {**ROUND, 'max_rate': 0.9, 'approach': TOWARDS},
+    'polygon, turn rate, approach': {
+        'floor': Floor('polygon', 6, 0.6),
+        'max_rate': 0.9,
+        'approach': TOWARDS,
+    },
+    'wing': {
+        'floor': Floor('circle', fraction=0.7),
+        'max_rate': 0.5,
+        'max_acceleration': 0.03,
+        'approach': Approach(0.5, (1.0, 0.5)),
+    },
+}
+
+
+def seeds(*usual: int) -> list[int]:
+    """Return the seeds of a law: the usual ones, or those that are held out."""
+    return [*range(*map(int, HELD_OUT.split(':')))] if HELD_OUT else [*usual]
+
+
+def case(family: str, seed: int = 0, longest: int = 7) -> Case:
+    """Return a problem of a family with a state, and with goals within its reach."""
+    rng = np.random.default_rng([seed, *family.encode()])
+    while True:
+        found = _drawn(family, rng, longest)
+        ahead = np.tile(found.state.rotation[:, 0], (found.problem.horizon + 1, 1))
+        first = translation_rollout(found.problem, found.state, ahead)[0][:2]
+        clear = all(body.depth(first).max() < 0.0 for body in found.problem.obstacles)
+        if clear and beyond_reach(*found) <= 0.0:
+            return found
+
+
+def _drawn(family: str, rng: np.random.Generator, longest: int) -> Case:
+    given = dict((FAMILIES | OPEN)[family])
+    boxes, balls, hazards = (given.pop(name, 0) for name in ('boxes', 'balls', 'hazards'))
+    wanting, decided = given.pop('attitude', 0.0), given.pop('decided', False)
+    weights = Weights(1.0, given.pop('input', 0.05), given.pop('length', 0.0), 10.0, wanting)
+    horizon = int(rng.integers(4, longest + 1))
+    horizon = given.pop('horizon', horizon)
+    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
+    if 'max_rate' in given:
+        given['max_rate'] = given['max_rate'] / step
+    if 'max_acceleration' in given:
+        given['max_acceleration'] = given['max_acceleration'] * forward / step
+    problem = Problem(horizon=horizon, step=step, forward=forward, weights=weights, **given)
+    n, unit = problem.dimension, problem.length_unit
+    attitude = rotation(rng, n)
+    extra: dict[str, Any] = {'velocity': 0.1 * rng.normal(size=n) * unit / step}
+    coasts = problem.rotation_order == 2 and not decided
+    coasted = attitude @ rotation(rng, n, 0.2) if coasts else None
+    # Of these, plans know that speeds change slowly: others start at full speed.
+    paced = family in OPEN and problem.max_acceleration and problem.terminal != 'constraint'
+    speed = rng.uniform(problem.floor.fraction, 1.0) if paced else 1.0
+    state = State.at(
+        rng.normal(size=n) * unit,
+        speed * attitude,
+        coasted=coasted,
+        disturbance=0.05 * rng.normal(size=n) * unit / step ** (2 if problem.inertial else 1),
+        wanted=rotation(np.random.default_rng(horizon), n),
+        **(extra if problem.inertial else {}),
+    )
+    way = rng.normal(size=n)
+    reach = horizon * unit * (0.25 * horizon if problem.inertial else 1.0)
+    near = 0.2 if problem.inertial else 0.5
+    target = state.position + rng.uniform(0.1, near) * reach * way / np.linalg.norm(way)
+    bodies = [_on_the_way(rng, state.position, target) for _ in range(boxes + balls + hazards)]
+    every = [*map(_within, bodies[:balls]), *bodies[balls:]]
+    problem = replace(problem, obstacles=tuple(every[hazards:]))
+    drift = 0.1 * unit / step * rng.normal(size=(hazards, n))
+    moving = itertools.starmap(MovingObstacle.drifting, zip(every, drift, strict=False))
+    return Case(problem, replace(state, hazards=tuple(moving)), np.tile(target, (horizon, 1)))
+
+
+def _on_the_way(rng: np.random.Generator, begin: np.ndarray, end: np.ndarray) -> Box:
+    """Return a box that neither end is in."""
+    apart = np.linalg.norm(end - begin)
+    middle = begin + rng.uniform(0.4, 0.7) * (end - begin)
+    size = rng.uniform(0.15, 0.25, len(begin)) * apart
+    middle = middle + 0.05 * apart * rng.normal(size=len(begin)) / np.sqrt(len(begin))
+    return Box(middle - size, middle + size)
+
+
+def _within(box: Box) -> Ball:
+    """Return the largest ball in the middle of a box."""
+    size = box.maximum - box.minimum
+    return Ball(box.minimum + 0.5 * size, 0.5 * float(size.min()))
 
 
 def reference(name: str) -> Case:
     return case_of(CASES[name])
+
+
+# --- parts
 
 
 def rotation(rng: np.random.Generator, n: int, largest: float = np.pi) -> np.ndarray:
@@ -48,6 +236,14 @@ def state(rng: np.random.Generator, problem: Problem, *, full_speed: bool = True
         attitude=attitude,
         coasted=attitude @ exp(problem.step * turning) if problem.rotation_order == 2 else None,
     )
+
+
+def disturbed(rng: np.random.Generator, problem: Problem, *, full_speed: bool = False) -> State:
+    """A random state in a disturbance of up to 0.6 of full speed or thrust, that wants a turn."""
+    start = state(rng, problem, full_speed=full_speed)
+    w = rng.normal(size=problem.dimension)
+    w *= 0.6 * problem.forward * rng.random() / np.linalg.norm(w)
+    return replace(start, disturbance=w, wanted=rotation(rng, problem.dimension))
 
 
 def goals(rng: np.random.Generator, problem: Problem, distance: float = 4.0) -> np.ndarray:

@@ -10,9 +10,8 @@ from problems import ORDERS, rotation
 from problems import state as state_of
 from stepping import Stepped
 
-from orbimpc_ros.loop.intercept import EFFORT, Interception, steps_before
+from orbimpc_ros.loop.intercept import EFFORT, steps_before
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -55,7 +54,7 @@ def excluded(catch):
 # --- each step by itself
 
 
-@pytest.mark.parametrize('seed', range(60))
+@pytest.mark.parametrize('seed', range(15))
 def test_without_limits_what_is_excluded_is_what_is_out_of_reach(seed):
     """R_0 decides the first step, and each heading after it moves a vehicle by a step."""
     goals = jumping(np.random.default_rng([seed, 77]))
@@ -82,7 +81,7 @@ def flights():
 
 
 @needs_counts
-@pytest.mark.parametrize('seed', range(40))
+@pytest.mark.parametrize('seed', range(12))
 def test_no_flight_of_a_wing_catches_at_a_step_that_is_excluded(seed, flights):
     goals = jumping(np.random.default_rng([seed, 78]))
     catch, _ = hunted(WING, goals)
@@ -94,7 +93,7 @@ def test_no_flight_of_a_wing_catches_at_a_step_that_is_excluded(seed, flights):
 @pytest.mark.parametrize(
     'problem', [FREE, WING, replace(WING, floor=Floor('circle', fraction=0.5))]
 )
-@pytest.mark.parametrize('seed', range(8))
+@pytest.mark.parametrize('seed', range(3))
 def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
     catch, _ = hunted(problem, jumping(np.random.default_rng([seed, 79])))
     count = excluded(catch)
@@ -139,28 +138,12 @@ def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monke
     assert not word.checked
 
 
-def test_a_distance_that_is_wrong_is_not_counted(monkeypatch):
-    goals = np.tile([3.0, 0.0], (6, 1))
-    assert excluded(hunted(FREE, goals)[0]) == 2
-    everything = lambda *_: np.ones(6, bool)  # noqa: E731
-    monkeypatch.setattr(Interception, '_too_far', everything)
-    catch, _ = hunted(FREE, goals)
-    assert excluded(catch) == 6
-    assert not catch.checked
-
-
 @needs_counts
 def test_what_no_turn_leads_to_is_the_methods_word():
     coned = Approach(0.2, (-1.0, 0.0))
     catch, _ = hunted(WING, np.tile([1.0, 0.0], (6, 1)), approach=coned)
     assert excluded(catch) > 1
     assert not catch.checked
-
-
-def test_a_bound_that_excludes_no_step_needs_no_count():
-    catch, _ = hunted(FREE, np.tile([1.0, 0.0], (6, 1)))
-    assert excluded(catch) == 0
-    assert catch.checked
 
 
 # --- what headings do not lead to
@@ -185,17 +168,3 @@ def test_straight_flights_end_at_the_rim_of_what_headings_lead_to(given):
     for beyond, missed in ((-1e-9, False), (1e-9, True)):
         goals = middle + (away + radius + beyond) * outward
         assert reach.misses(start, goals, radius).tolist() == 5 * [missed]
-
-
-@pytest.mark.parametrize('given', MOTIONS)
-def test_what_the_maps_have_out_of_reach_is_so_when_it_is_rolled_out(given):
-    rng = np.random.default_rng([1, *map(ord, str(given))])
-    problem = Problem(horizon=5, step=0.6, forward=1.7, **given)
-    far = 0
-    for _ in range(20):
-        start = state_of(rng, problem)
-        goals = start.position + rng.uniform(0.0, 8.0) * rng.normal(size=(5, problem.dimension))
-        told = Interception(problem, RADIUS, Solvers(problem))._too_far(start, goals, problem)
-        far += told.sum()
-        assert np.all(Reach(problem).misses(start, goals, RADIUS)[told])
-    assert far > 10

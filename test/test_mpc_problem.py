@@ -1,22 +1,33 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Refusals and their words: the value, what is allowed, who is to blame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from problems import floor, reference
 
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
     Box,
     Floor,
+    MovingObstacle,
     Problem,
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.floor import largest_fraction
+from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.feasibility import constraints_in_force
+from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
+
+STILL = State.at([0.0, 0.0], np.eye(2))
+DISC = Ball([3.0, 1.0], 0.5)
+DRIFTING = MovingObstacle.drifting(DISC, [0.0, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -68,6 +79,35 @@ from orbimpc_ros.mpc.solve.solver import Solver
         (lambda: forecast_named('guess'), 'goal_prediction'),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         (lambda: Solver(Problem()).solve(STILL, np.zeros((4, 2))), 'goals'),
+        (lambda: Problem(tilt=0.2), 'tilt'),
+        (lambda: Problem(3, 1, 1, tilt=0.2), 'tilt'),
+        (lambda: Problem(3, 1, 2, tilt=1.6), 'tilt'),
+        (lambda: Problem(3, 1, 2, tilt=-0.1), 'tilt'),
+        (lambda: Problem(glide_slope=0.6), 'glide_slope'),
+        (lambda: Problem(3, glide_slope=1.6), 'glide_slope'),
+        (lambda: Problem(max_acceleration=-1.0), 'max_acceleration'),
+        (lambda: Problem(translation_order=2, max_acceleration=1.0), 'max_acceleration'),
+        (lambda: Problem(approach=Approach(1.6)), 'approach.cone'),
+        (lambda: Problem(approach=Approach(-0.1)), 'approach.cone'),
+        (lambda: Problem(approach=Approach(np.inf)), 'approach.cone'),
+        (lambda: Problem(approach=Approach(0.3, (1.0, 0.0, 0.0))), 'approach.direction'),
+        (lambda: Problem(approach=Approach(0.3, (0.0, 0.0))), 'approach.direction'),
+        (lambda: Problem(approach=Approach(0.3, (np.nan, 1.0))), 'approach.direction'),
+        (lambda: weighed(Problem(), 'space'), 'weights.scaling'),
+        (lambda: Problem(discretisation='eular'), 'discretisation'),
+        (lambda: Problem(discretisation='held'), 'discretisation'),
+        (lambda: State.at([0.0, 0.0], np.eye(2), disturbance=[1.0]), 'state.disturbance'),
+        (lambda: State.at([0.0, 0.0], np.eye(2), hazards=[DRIFTING]), 'state.hazards'),
+        (lambda: State.at([0.0, 0.0], np.eye(2), hazards=(DISC,)), 'state.hazards'),
+        (lambda: State.at([0.0] * 3, np.eye(3), hazards=(DRIFTING,)), 'state.hazards'),
+        (lambda: State.at([0.0] * 2, np.eye(2), hazards=65 * (DRIFTING,)), 'state.hazards'),
+        (lambda: Problem(obstacles=(Ball([1.0, 2.0, 3.0], 1.0),)), 'obstacles.centre'),
+        (lambda: replace(DRIFTING, unsure=-1.0), 'obstacles.unsure'),
+        (lambda: replace(DRIFTING, reserve=-0.1), 'obstacles.reserve'),
+        *(
+            (lambda radius=radius: Ball(np.zeros(2), radius), 'obstacles.radius')
+            for radius in (0.0, -1.0, np.nan, np.inf)
+        ),
     ],
 )
 def test_refused_with_the_culprit_named_in_one_line(make, culprit):
@@ -78,28 +118,10 @@ def test_refused_with_the_culprit_named_in_one_line(make, culprit):
     assert '\n' not in str(caught.value)
 
 
-STILL = State.at([0.0, 0.0], np.eye(2))
-
-
 def test_a_huge_value_is_cut_short_in_the_message():
     with pytest.raises(BadInput) as caught:
         forecast_named('x' * 10_000)
     assert len(str(caught.value)) < 200
-
-
-@pytest.mark.parametrize(('n', 'faces'), [(2, 3), (2, 4), (2, 7), (3, 6), (3, 12), (3, 20)])
-def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, faces):
-    directions = normals(n, faces)
-    assert directions.shape == (faces, n)
-    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
-    assert len({tuple(np.round(d, 9)) for d in directions}) == faces
-    rng = np.random.default_rng(0)
-    v = rng.normal(size=(20_000, n))
-    v /= np.linalg.norm(v, axis=1, keepdims=True)
-    covered = (v @ directions.T).max(axis=1)
-    limit = largest_fraction(n, faces)
-    assert covered.min() >= limit - 1e-9
-    assert covered.min() <= limit + 0.02
 
 
 def test_states_start_at_rest_and_know_their_attitude():
@@ -132,3 +154,171 @@ def test_values_are_equal_by_content_and_serve_as_keys():
         assert value != 'value'
         assert {value: 1}[twin] == 1
     assert State.at([0.0, 1.0], np.eye(2)) != same()[0]  # without what it coasts to
+
+
+# --- files
+
+CASE = {
+    'dimension': 2, 'rotation_order': 1, 'translation_order': 1, 'horizon': 3, 'step': 0.5,
+    'forward': 4.0, 'weights': {'position': 1.0, 'attitude': 2.0}, 'goal': [4, 0],
+    'state': {'position': [0, 0], 'rotation': [[1, 0], [0, 1]]},
+    'goal_attitude': [[0.0, -1.0], [1.0, 0.0]],
+}  # fmt: skip
+BALL = {'centre': [2.0, 0.0], 'radius': 0.5}
+BOX = {'min': [0, 3], 'max': [1, 4]}
+
+
+def test_files_state_limits_obstacles_and_what_is_wanted():
+    named = [{**BALL, 'velocity': [0.0, -0.2]},
+             {**BOX, 'times': [0, 1, 3], 'shifts': [[0, 0], [0, 1], [2, 1]]}]  # fmt: skip
+    limits = {'max_acceleration': 2.0, 'approach': {'cone': 0.3, 'direction': [0.0, 1.0]}}
+    problem, state, _ = case_of({**CASE, **limits, 'obstacles': [BALL, BOX], 'hazards': named})
+    ball, box = Ball([2.0, 0.0], 0.5), Box([0.0, 3.0], [1.0, 4.0])
+    assert problem.obstacles == (ball, box)
+    track = MovingObstacle(box, [0.0, 1.0, 3.0], [[0.0, 0.0], [0.0, 1.0], [2.0, 1.0]])
+    assert state.hazards == (MovingObstacle.drifting(ball, [0.0, -0.2]), track)
+    assert problem.speed_change == 0.25
+    assert problem.approach == Approach(0.3, (0.0, 1.0))
+    assert 'approach.cone 0.3' in constraints_in_force(problem, state)
+    assert problem.weights.attitude == 2.0
+    np.testing.assert_array_equal(state.wanted, CASE['goal_attitude'])
+    assert case_of(CASE).state.hazards == ()
+
+
+def test_files_state_the_cones_of_a_descent():
+    flat = {name: value for name, value in CASE.items() if name != 'goal_attitude'}
+    lander = {
+        **flat, 'dimension': 3, 'translation_order': 2, 'tilt': 0.2, 'glide_slope': 0.6,
+        'weights': {'terminal': 1.0}, 'goal': [0, 0, 0],
+        'state': {'position': [0, 0, 9], 'rotation': np.eye(3).tolist()},
+    }  # fmt: skip
+    problem, state, _ = case_of(lander)
+    assert constraints_in_force(problem, state) == ['tilt 0.2', 'glide_slope 0.6']
+
+
+@pytest.mark.parametrize(
+    ('field', 'value', 'named'),
+    [
+        ('obstacles', [{'centre': [2.0, 0.0]}], 'obstacles'),
+        ('hazards', {}, 'hazards is {}'),
+        ('hazards', [BALL], r'hazards\[0\] field velocity'),
+        ('hazards', [{**BALL, 'velocity': [1.0]}], r'hazards\[0\]\.velocity'),
+        ('hazards', [{**BOX, 'times': [0, 1]}], r'hazards\[0\] field shifts'),
+        ('hazards', [{'centre': [2, 0, 0], 'radius': 1, 'velocity': [1, 0, 0]}], 'hazards is 3'),
+        ('hazards', [5], r'hazards\[0\] is 5'),
+        ('approach', {'direction': [0.0, 1.0]}, 'approach'),
+        ('approach', {'cone': 'x'}, 'approach'),
+        ('approach', {'cone': 0.3, 'direction': 'north'}, 'approach'),
+        ('goal_attitude', [[1.0, 0.0]], 'goal_attitude'),
+        ('goal_attitude', [[2.0, 0.0], [0.0, 2.0]], r'state\.wanted'),
+        ('goal_attitude', 'north', 'goal_attitude'),
+    ],
+)
+def test_files_with_others_are_refused(field, value, named):
+    with pytest.raises(BadInput, match=named):
+        case_of({**CASE, field: value})
+
+
+# --- obstacles
+
+
+def test_a_point_is_as_deep_in_a_ball_as_it_is_from_its_surface():
+    ball = Ball(np.array([1.0, 2.0]), 0.5)
+    points = np.array([[1.0, 2.0], [1.5, 2.0], [1.0, 4.0]])
+    np.testing.assert_allclose(ball.depth(points), [0.5, 0.0, -1.5], atol=1e-15)
+    np.testing.assert_allclose(ball.scaled(2.0).depth(2.0 * points), [1.0, 0.0, -3.0], atol=1e-15)
+
+
+def test_a_drifting_body_keeps_its_velocity_for_ever():
+    hazard = MovingObstacle.drifting(Ball(np.zeros(3), 1.0), np.array([1.0, -2.0, 0.5]))
+    times = np.array([0.0, 0.3, 1.0, 7.0])
+    np.testing.assert_allclose(hazard.moved(times), times[:, None] * [1.0, -2.0, 0.5], atol=1e-12)
+
+
+def test_a_body_moves_evenly_between_the_times_it_is_known_at_and_then_goes_on():
+    box = Box(np.zeros(2), np.ones(2))
+    hazard = MovingObstacle(
+        box, np.array([0.0, 1.0, 3.0]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 4.0]])
+    )
+    expected = [[0.5, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, 8.0]]
+    np.testing.assert_allclose(hazard.moved(np.array([0.5, 1.0, 2.0, 5.0])), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('times', 'shifts', 'culprit'),
+    [
+        ([0.0], [[0.0, 0.0]], 'times'),
+        ([0.0, 0.0], [[0.0, 0.0], [1.0, 0.0]], 'times'),
+        ([0.5, 1.0], [[0.0, 0.0], [1.0, 0.0]], 'times'),
+        ([0.0, np.nan], [[0.0, 0.0], [1.0, 0.0]], 'times'),
+        ([0.0, 1.0], [[1.0, 0.0], [1.0, 0.0]], 'shifts'),
+        ([0.0, 1.0], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 'shifts'),
+    ],
+)
+def test_a_track_that_makes_no_sense_is_refused(times, shifts, culprit):
+    with pytest.raises(BadInput, match=culprit):
+        MovingObstacle(Ball(np.zeros(2), 1.0), np.array(times), np.array(shifts))
+
+
+# --- what makes a problem infeasible
+
+START = State.at([0.0, 0.0], np.eye(2))
+
+
+def blamed(problem, start, goals):
+    with pytest.raises(Infeasible) as caught:
+        Solver(problem).solve(start, goals)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize('name', ['dubins_hull', 'dubins_circle', 'spacecraft_fuel0.0'])
+def test_a_goal_beyond_reach(name):
+    problem, start, goals = reference(name)
+    assert 'beyond what 20 steps can reach' in blamed(problem, start, 20.0 * goals)
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_a_box_that_the_state_already_leads_into(order):
+    ahead = Box([0.5, -1.0], [4.0, 1.0])
+    problem = Problem(translation_order=order, obstacles=(Box([9.0, 9.0], [10.0, 10.0]), ahead))
+    start = State.at([0.0, 0.0], np.eye(2), velocity=[1.0, 0.0])
+    message = blamed(problem, start, np.zeros((5, 2)))
+    assert 'obstacle 1 holds s_1' in message
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
+    around = Box([-0.7, -9.0], [9.0, 9.0])
+    free = Problem(translation_order=order, horizon=8)
+    walled = replace(free, obstacles=(around,))
+    start, goals = State.at([0.9, 0.0], np.eye(2)), np.zeros((8, 2))
+    message = blamed(walled, start, goals)
+    assert message.startswith('obstacle 0 holds s_1, ')
+    assert message.endswith('; a box has no way out for who begins inside, unless it is a hazard')
+    hazard = MovingObstacle.drifting(around, np.zeros(2))
+    plan = Solver(free).solve(replace(start, hazards=(hazard,)), goals)
+    assert plan.positions[-1, 0] <= -0.7 + 1e-6
+
+
+def test_constraints_that_only_together_leave_no_way():
+    """Constant speed for five steps cannot end where it starts when it may hardly turn."""
+    problem = Problem(terminal='constraint', floor=floor('circle', 0.95), max_rate=0.1, horizon=5)
+    message = blamed(problem, START, np.tile([2.0, 0.0], (5, 1)))
+    assert 'terminal: constraint' in message
+    assert 'circle floor of 0.95' in message
+    assert 'max_rate 0.1' in message
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_wind_decides_what_is_out_of_reach_and_what_it_drives_into(order):
+    problem = Problem(2, 1, order, horizon=4, terminal='constraint')
+    start = State.at([0.0, 0.0], np.eye(2), velocity=[0.0, 0.0], disturbance=[0.0, -0.5])
+    assert 'beyond what 4 steps can reach' in blamed(problem, start, np.tile([0.0, 9.0], (4, 1)))
+    windy, box = (
+        State.at([0.0, 0.0], np.eye(2), disturbance=[0.0, 1.0]),
+        Box([0.5, 0.5], [1.5, 1.5]),
+    )
+    ahead = Problem(obstacles=(box,))
+    assert 'obstacle 0 holds s_1' in blamed(ahead, windy, np.zeros((5, 2)))
+    still = replace(windy, disturbance=np.zeros(2))
+    assert Solver(ahead).solve(still, np.zeros((5, 2))).status == 'optimal'

@@ -1,84 +1,160 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Certificates of every kind of problem: what is published holds in exact arithmetic."""
+"""Whatever a certificate has for multipliers, points and splits, it proves nothing false."""
 
+import contextlib
+import copy
+import itertools
 import json
+import math
 from dataclasses import replace
 from functools import cache
 
-import certified
+import adversary
 import numpy as np
 import pytest
+from problems import case, floor, seeds
 from toy_floor import Eastward
 
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
+from orbimpc_ros.mpc.geometry.cells import cap, icosahedron
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.floor import SHAPES
-from orbimpc_ros.mpc.proof.document import verified
+from orbimpc_ros.mpc.proof import reading, sets
+from orbimpc_ros.mpc.proof.document import Certificate, verified
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
-from orbimpc_ros.mpc.proof.reading import Refused, parsed
+from orbimpc_ros.mpc.proof.reading import Refused
+from orbimpc_ros.mpc.proof.stated import Sets
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
+from orbimpc_ros.mpc.proof.verify import Verifier, exact_bound
 from orbimpc_ros.mpc.solve.solver import Solver
 
-SEEDS = (0, 1)
-KINDS = [
-    *((kind, seed) for kind in certified.KINDS for seed in SEEDS),
-    *((kind, 1) for kind in certified.LIMITED),
-    *((kind, 0) for kind in certified.TIED),
-]
+DRAWS = 60  # of each seed
+OF_A_COST = 1e-9
 
 
-def certificate(kind, seed):
-    case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]))
-    coasting = case.state.coasted is not None
-    plan = Solver(case.problem, coasting=coasting, patient=True).solve(case.state, case.goals)
-    return plan, certificate_of(*case, plan.proof)
-
-
-@pytest.mark.parametrize(('kind', 'seed'), KINDS)
-def test_what_is_published_holds(kind, seed):
-    plan, made = certificate(kind, seed)
-    verdict = verified(parsed(made.text().encode()))
-    assert verdict.holds
-    assert verdict.claimed == max(0.0, plan.lower_bound)
-    # What is proved is no more than what was found, but for what plans may miss constraints by.
-    assert verdict.proved <= plan.objective * (1.0 + 1e-7)
-
-
-def judged(text):
-    try:
-        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
-    except Refused as error:
-        return str(error)
+def flights(seed, count=DRAWS):
+    """Yield flights with their random states, with what draws certificates of them."""
+    for index in range(count):
+        rng = np.random.default_rng([seed, index])
+        drawn = adversary.flight(rng)
+        if drawn is not None:
+            yield drawn, rng
 
 
 @cache
-def in_the_way(body):
-    """Return a certificate that takes all sides of a body, which the straight way goes through."""
-    problem = Problem(horizon=4, obstacles=(body,))
-    case = problem, State.at(np.zeros(2), np.eye(2)), np.tile([3.5, 0.0], (4, 1))
-    plan = Solver(problem).solve(*case[1:])
-    return plan, certificate_of(*case, plan.proof)
+def certificates(seed, count):
+    """Return so many certificates of bounds that a part proves, each of another flight."""
+    found = (adversary.judged(*each) for each in flights(seed, 10**6))
+    bounds = (each for each in found if each and 'tree' in each.document)
+    return list(itertools.islice(bounds, count))
 
 
-BOX, DISC = Box(np.array([1.2, -0.3]), np.array([2.4, 0.4])), Ball(np.array([1.6, 0.1]), 0.5)
+@pytest.mark.parametrize('seed', seeds(*range(6)))
+def test_no_part_proves_more_than_a_flight_in_it_costs(seed):
+    for drawn, rng in flights(seed):
+        for _ in range(4):
+            found = adversary.judged(drawn, rng)
+            assert found is None or not found.is_false, f'{seed}: {found}'
 
 
-@pytest.mark.parametrize('body', [BOX, DISC], ids=['box', 'disc'])
-def test_a_proof_beside_a_body_takes_the_body(body):
-    plan, made = in_the_way(body)
-    free = Solver(replace(made.problem, obstacles=())).solve(made.state, made.goals)
-    assert plan.lower_bound > 1.001 * free.objective
-    known = made.document()
-    for body in known['limits']['bodies']:
-        body.update({'radius': 0.1} if 'radius' in body else {'max': [1.3, -0.2]})
-    assert judged(json.dumps(known)) == 'does not hold'
-    known['limits']['bodies'] = []
-    assert judged(json.dumps(known)) != 'holds'
+@pytest.mark.parametrize('seed', seeds(20))
+def test_fractions_prove_what_floats_do(seed):
+    proved = 0
+    for each in certificates(seed, 40):
+        problem, state, goals, limits, _ = each.posed
+        floats = Verifier(problem).bound(state, goals, each.tree)
+        exact = exact_bound(problem, state, goals, each.tree, limits)
+        assert floats <= exact <= each.cost * (1.0 + OF_A_COST)
+        assert exact == floats or exact - floats < 1e-9 * (abs(exact) + 1.0)
+        proved += floats > -math.inf
+    assert proved > 20
+
+
+@pytest.mark.parametrize('seed', seeds(20))
+def test_trees_of_wrong_shape_prove_nothing(seed):
+    rng = np.random.default_rng(seed)
+    for each in certificates(seed, 40):
+        problem, state, goals, *_ = each.posed
+        verifier = Verifier(problem)
+        for _ in range(40):
+            bound = verifier.bound(state, goals, _tampered(each.tree, rng))
+            assert bound <= each.cost * (1.0 + OF_A_COST)
+
+
+def _tampered(tree, rng):
+    """Return a tree with a number that is another, an array that is shorter, or both."""
+    name = str(
+        rng.choice(['nodes', 'nodes', 'at', 'point', 'shor', 'press_end', 'press_row', 'press'])
+    )
+    value = getattr(tree, name).copy()
+    if value.size and rng.integers(4):
+        at = tuple(rng.integers(size) for size in value.shape)
+        if value.dtype == float:
+            value[at] = rng.choice([np.nan, np.inf, -np.inf, 1e300, -1e-300, rng.normal()])
+        else:
+            value[at] = rng.choice([value[at] + rng.integers(-3, 4), -1, 2**62, -(2**62)])
+    else:
+        value = value[:-1].copy() if rng.integers(2) else np.concatenate([value, value])
+    return tree._replace(**{name: value})
+
+
+def test_a_split_into_no_parts_proves_nothing():
+    problem, rng = Problem(horizon=3, floor=Floor('circle', fraction=0.6)), np.random.default_rng(1)
+    state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
+    tree = one(rng.normal(size=(3, 2)), np.zeros(3))
+    for count in (0, -1, 1):
+        nodes = np.array([[ARCS, 0, 1, count, -1], [LEAF, 0, 0, 0, 0]])
+        forged = tree._replace(nodes=nodes, at=np.zeros(2))
+        assert Verifier(problem).bound(state, goals, forged) == -math.inf
+
+
+def test_two_parents_of_one_child_prove_nothing():
+    problem, rng = Problem(horizon=3, floor=Floor('circle', fraction=0.6)), np.random.default_rng(1)
+    state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
+    tree = one(rng.normal(size=(3, 2)), np.zeros(3))
+    nodes = [[ARCS, 0, 1, 2, -1], [CUT, 0, 3, 2, -1], [CUT, 0, 3, 2, -1]] + [[LEAF, 0, 0, 0, 0]] * 2
+    forged = tree._replace(nodes=np.array(nodes), at=np.array([0.0, 1.0, 4.0, 0.0, 0.0]))
+    assert Verifier(problem).bound(state, goals, forged) == -math.inf
+
+
+def forged(nodes, at):
+    """Return what a tree of splits proves of headings above a round floor."""
+    problem, rng = Problem(horizon=3, floor=floor('circle', 0.6)), np.random.default_rng(1)
+    state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
+    tree = one(rng.normal(size=(3, 2)), np.zeros(3))
+    tree = tree._replace(nodes=np.array(nodes), at=np.array(at))
+    return Verifier(problem).bound(state, goals, tree)
+
+
+def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
+    leaf = [LEAF, 0, 0, 0, 0]
+    assert forged([[ARCS, 0, 1, 2, -1], leaf, leaf], [0.0] * 3) > -math.inf
+    for count in (0, -1, 1):
+        assert forged([[ARCS, 0, 1, count, -1], leaf], [0.0] * 2) == -math.inf
+    shared = [[ARCS, 0, 1, 2, -1], [CUT, 0, 3, 2, -1], [CUT, 0, 3, 2, -1], leaf, leaf]
+    assert forged(shared, [0.0, 1.0, 4.0, 0.0, 0.0]) == -math.inf
 
 
 def test_a_bound_that_is_too_high_has_no_certificate():
-    case = certified.case('hull', np.random.default_rng(3))
-    plan = Solver(case.problem).solve(case.state, case.goals)
-    made = certificate_of(*case, replace(plan.proof, lower_bound=1.00001 * plan.objective))
-    assert not verified(made.document()).holds
+    known = case('hull', 3)
+    plan = Solver(known.problem).solve(known.state, known.goals)
+    higher = replace(plan.proof, lower_bound=1.00001 * plan.objective)
+    assert not verified(certificate_of(*known, higher).document()).holds
+
+
+# --- documents
+
+
+def test_numbers_are_written_as_they_are():
+    known = case('circle', 1)
+    plan = Solver(known.problem).solve(known.state, known.goals)
+    made = certificate_of(*known, plan.proof)
+    read = json.loads(made.text())
+    assert np.array_equal(read['goals'], made.goals)
+    assert np.array_equal(read['tree']['point'], made.tree.point)
+    assert read['lower_bound'] == made.lower_bound
 
 
 def test_floors_that_the_format_cannot_state_have_no_certificates(monkeypatch):
@@ -89,9 +165,230 @@ def test_floors_that_the_format_cannot_state_have_no_certificates(monkeypatch):
         certificate_of(problem, state, np.ones((5, 2)), plan.proof)
 
 
-def test_numbers_are_written_as_they_are():
-    _, made = certificate('circle', 1)
-    known = json.loads(made.text())
-    assert np.array_equal(known['goals'], made.goals)
-    assert np.array_equal(known['tree']['point'], made.tree.point)
-    assert known['lower_bound'] == made.lower_bound
+EXTREMES = [0, -0.0, 1e-320, 1e-300, 1e300, -1e300, float('inf'), float('nan'), 10**400, 'x', None,
+            [], {}, [[[0.0]]], -1, 500]  # fmt: skip
+
+
+def _places(known, way=()):
+    """Yield the ways to all that a document holds."""
+    if isinstance(known, (dict, list)):
+        for key, each in known.items() if isinstance(known, dict) else enumerate(known):
+            yield (*way, key)
+            yield from _places(each, (*way, key))
+
+
+def test_whatever_a_document_holds_it_is_judged_or_refused():
+    rng = np.random.default_rng(7)
+    judged = filter(None, (adversary.judged(*each) for each in flights(7)))
+    for found in itertools.islice(judged, 12):
+        ways = list(_places(found.document))
+        for _ in range(60):
+            made = copy.deepcopy(found.document)
+            *way, last = ways[int(rng.integers(len(ways)))]
+            inner = made
+            for key in way:
+                inner = inner[key]
+            inner[last] = EXTREMES[int(rng.integers(len(EXTREMES)))]
+            with contextlib.suppress(Refused):
+                verified(made)
+
+
+def document_of(horizon, point=0.1, shor=-1.0, leaves=1):
+    """Return a certificate without much of a bound, whose leaves are the same."""
+    case = Problem(horizon=horizon), State.at(np.zeros(2), np.eye(2)), np.ones((horizon, 2))
+    leaf = one(np.full((horizon, 2), point), np.full(horizon, shor))
+    nodes = [[ARCS, 1, 1, leaves, -1], *[[LEAF, 0, 0, 0, 0]] * leaves][leaves == 1 :]
+    tree = leaf._replace(nodes=np.array(nodes), at=np.zeros(len(nodes)))
+    return json.loads(Certificate(*case, 1.0, tree).text())
+
+
+def test_what_takes_more_work_than_its_length_may_is_refused():
+    assert verified(document_of(200)).leaves == 1
+    with pytest.raises(Refused, match='work'):
+        verified(document_of(200, shor=1.0))
+    assert verified(document_of(50, leaves=40)).leaves == 40
+    with pytest.raises(Refused, match='work'):  # a leaf that many nodes share is as much work
+        verified(document_of(50, leaves=4000))
+
+
+CONE = {'axis': [1.0, 0.0], 'angle': 1.0, 'least': 0.0, 'steps': []}
+SPEEDS = {'entry': 0.1, 'change': 0.1}
+BALL = {'centre': [1.0, 0.0], 'radius': 1.0, 'of': 'end'}
+
+
+@pytest.mark.parametrize(
+    ('path', 'value', 'word'),
+    [
+        (('format',), 'another', 'format'),
+        (('format',), 'orbimpc certificate 1', 'read no more'),
+        (('goals',), ..., 'lacks goals'),
+        (('lower_bound',), True, 'finite'),
+        (('lower_bound',), 10**400, 'finite'),
+        (('lower_bound',), '1', 'finite'),
+        (('more',), 1, 'unknown'),
+        (('goals', 0), [1.0], 'list of 2'),
+        (('problem', 'horizon'), 2.5, 'horizon'),
+        (('problem', 'step'), 0.0, 'step'),
+        (('problem', 'weights', 'position'), -1.0, 'position'),
+        (('problem', 'floor', 'shape'), ['circle'], 'floor'),
+        (('state', 'attitude'), None, 'attitude'),
+        (('state', 'rotation'), [[1.0, 0.0], [0.0, -1.0]], 'allowed'),
+        (('state', 'attitude'), [[1.0, 0.5], [0.5, 1.0]], 'allowed'),
+        (('limits',), {'cones': [{**CONE, 'least': 2.0}]}, 'cone'),
+        (('limits',), {'speeds': [0.1, 0.2]}, 'speeds'),
+        (('limits',), {'speeds': {'entry': 0.1}}, 'change'),
+        (('limits',), {'speeds': {**SPEEDS, 'entry': -0.1}}, 'speeds'),
+        (('limits',), {'speeds': {**SPEEDS, 'change': -0.1}}, 'speeds'),
+        (('limits',), {'speeds': {**SPEEDS, 'most': 1.0}}, 'speeds'),
+        (('limits',), {'bodies': [{**BALL, 'radius': 0.0}]}, 'radius'),
+        (('limits',), {'bodies': [{**BALL, 'of': 'all'}]}, 'of'),
+        (('tree',), 7, 'tree'),
+        (('tree', 'nodes'), [[0, 0, 0, 0]], 'nodes'),
+        (('tree', 'points'), [], "unknown 'points'"),
+    ],
+)
+def test_states_and_limits_that_are_none_are_refused(path, value, word):
+    known = document_of(2)
+    inner = known
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    if value is ...:
+        del inner[path[-1]]
+    with pytest.raises(Refused, match=word) as caught:
+        verified(known)
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    'text', [b'', b'{', b'{"a":NaN}', b'{"a":-Infinity}', b'{"a":1,"a":1}', b'\xff', b'[' * 10**5]
+)
+def test_what_is_no_json_is_refused(text):
+    with pytest.raises(Refused):
+        reading.parsed(text)
+
+
+def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
+    file = tmp_path / 'huge.json'
+    with file.open('wb') as made:
+        made.truncate(1 << 30)  # sparse
+    monkeypatch.setattr(reading, 'parsed', lambda text: pytest.fail('it was'))
+    with pytest.raises(Refused, match='larger than'):
+        reading.read(file)
+
+
+# --- support functions, by brute force
+
+
+def stated_sets(**changes):
+    known = {'least': 0.5, 'polygon': 0, 'faces': np.zeros((0, 2)), 'full': 2.0 * math.pi}
+    nothing = {'cone_step': np.zeros(0, np.int64), 'cones': np.zeros((0, 6)), 'narrow': 1e-9}
+    return Sets(**{**known, **nothing, **changes})
+
+
+def held_against(least, points, g, length, curve):
+    """Assert that a least value is one, and that it is next to what points come to."""
+    sizes = np.linalg.norm(points, axis=1)
+    found = (points @ g + length * sizes + 0.5 * curve * sizes**2).min()
+    assert least <= found + 1e-12
+    return found - least
+
+
+@pytest.mark.parametrize('seed', range(25))
+def test_the_least_over_a_sector(seed):
+    rng = np.random.default_rng([7, seed])
+    low = rng.uniform(-7.0, 7.0)
+    high, slow = low + rng.choice([rng.uniform(0.0, 6.5), 0.01, math.pi]), rng.uniform(0.0, 1.0)
+    fast = rng.uniform(slow, 1.0)
+    span = np.array([[low, high], [slow, fast]])
+    known = np.array([0, -1]), span, 1
+    angles, speeds = np.meshgrid(np.linspace(low, high, 801), np.linspace(slow, fast, 101))
+    points = (speeds * [np.cos(angles), np.sin(angles)]).reshape(2, -1).T
+    g, length, curve = rng.normal(size=2), rng.choice([0.0, rng.uniform()]), rng.normal()
+    least = sets.over_stage(stated_sets(least=slow), known, None, 0, g, length, curve, 2)
+    assert held_against(least, points, g, length, curve) < 1e-3
+
+
+@pytest.mark.parametrize('seed', range(25))
+def test_the_least_beyond_a_polygon(seed):
+    rng = np.random.default_rng([8, seed])
+    faces = int(rng.integers(3, 9))
+    floor = rng.uniform(0.1, 1.0) * math.cos(math.pi / faces)
+    low = rng.uniform(-7.0, 7.0)
+    high = low + rng.uniform(0.0, 3.0)
+    known = np.array([0, -1]), np.array([[low, high], [floor, 1.0]]), 1
+    angles = np.linspace(low, high, 2001)
+    units = np.array([np.cos(angles), np.sin(angles)]).T
+    reach = floor / (units @ normals(2, faces).T).max(axis=1)
+    shares = np.linspace(0.0, 1.0, 21)[:, None]
+    speeds = (1.0 - shares) * reach + shares
+    points = (speeds[..., None] * units).reshape(-1, 2)
+    for length, tight in ((0.0, True), (0.4, False)):
+        g = rng.normal(size=2)
+        made = stated_sets(least=floor, polygon=faces)
+        least = sets.over_stage(made, known, None, 0, g, length, 0.0, 2)
+        assert held_against(least, points, g, length, 0.0) < (1e-3 if tight else 10.0)
+
+
+@pytest.mark.parametrize('seed', range(25))
+def test_the_least_over_a_patch_of_a_shell(seed):
+    rng = np.random.default_rng([9, seed])
+    corners = icosahedron()[rng.integers(20)] * rng.uniform(0.5, 2.0, size=(3, 1))
+    for _ in range(rng.integers(4)):
+        a, b, c = corners
+        corners = np.array([[a, a + b, c + a], [a + b, b + c, c + a]][rng.integers(2)])
+    shares = rng.dirichlet(np.full(3, 0.5), size=4000)
+    units = shares @ corners
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    slow, g, curve = rng.uniform(), rng.normal(size=3), rng.normal()
+    points = np.concatenate([speed * units for speed in np.linspace(slow, 1.0, 21)])
+    known = np.array([0, -1]), np.array([[0.0, 0.0], [slow, 1.0]]), 1
+    made = stated_sets(faces=np.zeros((0, 3)), cones=np.zeros((0, 7)), least=slow)
+    least = sets.over_stage(made, known, corners, 0, g, 0.2, curve, 3)
+    assert held_against(least, points, g, 0.2, curve) < 0.05
+
+
+@pytest.mark.parametrize('seed', range(15))
+def test_the_least_beyond_a_face_and_within_a_cone(seed):
+    rng = np.random.default_rng([10, seed])
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    g, floor = rng.normal(size=3), rng.uniform(0.1, 0.9)
+    units = rng.normal(size=(20000, 3))
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    points = units * rng.uniform(size=(20000, 1)) ** 0.2
+    beyond = np.concatenate([points, units])
+    beyond = beyond[beyond @ axis >= floor]
+    least = sets.beyond_face(g, axis, floor, 1.0)
+    assert 0.0 <= held_against(least, beyond, g, 0.0, 0.0) + 1e-12 < 0.2
+    angle = rng.uniform(0.1, 3.0)
+    within = units[units @ axis >= math.cos(angle)]
+    least = sets.in_cone(g, np.array([*axis, math.cos(angle), math.sin(angle)]), 3)
+    assert held_against(least, within, g, 0.0, 0.0) < 0.2
+
+
+@pytest.mark.parametrize('seed', range(15))
+def test_the_least_over_the_orbitope(seed):
+    rng = np.random.default_rng([11, seed])
+    g = rng.normal(size=(3, 3))
+    rotations = [exp(rng.normal(size=3) * 2.0) for _ in range(3000)]
+    u, _, v = np.linalg.svd(-g)
+    rotations.append(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
+    points = coordinates(np.array(rotations))
+    least = sets.over_orbitope(g.T.ravel(), np.zeros((4, 4)))
+    assert abs(held_against(least, points, g.T.ravel(), 0.0, 0.0)) < 1e-9
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_the_least_over_a_patch_within_a_cone(seed):
+    rng = np.random.default_rng([12, seed])
+    angle, corners = rng.uniform(0.2, 1.0), rng.normal(size=(3, 3))
+    if seed % 2:
+        corners = cap(angle)[rng.integers(4)]
+    cone, g = np.array([0.0, 0.0, 1.0, np.cos(angle), np.sin(angle)]), rng.normal(size=3)
+    units = rng.dirichlet([0.5] * 3, size=100_000) @ corners
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    inside = units[units[:, 2] >= np.cos(angle)]
+    least = sets.in_both(g, cone, corners)
+    assert not len(inside) or least <= (inside @ g).min() + 1e-12
+    assert len(inside) < 5000 or least >= (inside @ g).min() - 0.02

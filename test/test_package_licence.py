@@ -10,5 +10,5 @@ FOLDERS = ('docs', 'launch', 'orbimpc_ros', 'test')
 
 def test_each_source_file_begins_with_its_copyright_statement():
     files = [ROOT / 'setup.py', *(f for name in FOLDERS for f in (ROOT / name).rglob('*.py'))]
-    assert len(files) > 400
+    assert len(files) > 200
     assert [file for file in files if not file.read_text().startswith(STATEMENT)] == []

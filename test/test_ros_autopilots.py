@@ -51,7 +51,7 @@ class Autopilot:
         self.position, self.heading, self.speed = np.zeros(2), 2.0, 0.5
         self.at = time.time()
 
-    def fly_until(self, happened, what, *, engaged=lambda now: True, lying=False):
+    def fly_until(self, happened, what, *, engaged=lambda now: True):
         """Fly until something has happened; ``engaged`` says when it takes commands."""
 
         def step():
@@ -59,7 +59,7 @@ class Autopilot:
             if now - self.at >= 1.0 / RATE:
                 self._move(now - self.at)
                 self.at = now
-                self._tell(now, lying)
+                self._tell(now)
                 self.switch.publish(Bool(data=engaged(now)))
             return happened()
 
@@ -76,7 +76,7 @@ class Autopilot:
     def velocity(self):
         return self.speed * np.array([math.cos(self.heading), math.sin(self.heading)])
 
-    def _tell(self, now, lying):
+    def _tell(self, now):
         stamp, turned = round(now * 1e9), exp(np.array([0.0, 0.0, self.heading]))
         place = messages.pose(np.append(self.position, 10.0), turned)
         head = header(stamp, self.frame)
@@ -84,13 +84,13 @@ class Autopilot:
         in_body = messages.vector(np.array([self.speed, 0.0, 0.0]))
         if self.halves:  # ArduPilot: one frame for both, a velocity of the world
             twist = TwistStamped(header=head)
-            twist.twist.linear = in_body if lying else in_world
+            twist.twist.linear = in_world
             self.said['twist'].publish(twist)
             self.said['pose'].publish(PoseStamped(header=head, pose=place))
         else:
             odometry = Odometry(header=head, child_frame_id='base_link')
             odometry.pose.pose = place
-            odometry.twist.twist.linear = in_world if lying else in_body
+            odometry.twist.twist.linear = in_body
             self.said['odom'].publish(odometry)
         goal = messages.pose(np.append(GOAL, 0.0), np.eye(3))
         self.goal.publish(PoseStamped(header=head, pose=goal))
@@ -128,12 +128,6 @@ def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):
     assert len(autopilot.commands) == before  # nor at the end
     for words in ('engaged: commands', 'not engaged: silent'):
         assert words in autopilot.planner.output
-
-
-def test_a_twist_in_the_body_frame_is_doubted(launch, observer):
-    autopilot = Autopilot('ardupilot', launch, observer)
-    words = 'velocities fit the way flown as those of the body frame'
-    autopilot.fly_until(lambda: words in autopilot.planner.output, words, lying=True)
 
 
 @pytest.mark.parametrize('name', TOPICS)

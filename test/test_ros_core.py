@@ -14,21 +14,23 @@ from planners import FRAMES, settings
 
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
-from orbimpc_ros.mpc.command import flaw
+from orbimpc_ros.loop.planner import Decision
+from orbimpc_ros.mpc.command import flaw, stop
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.clock import Drift, RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.planner.core import Core, planner_of
+from orbimpc_ros.ros.planner.core import Core, Timing, planner_of
 from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, condition
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 START = 1_700_000_000 * SECOND  # [ns]
@@ -119,23 +121,6 @@ def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
     np.testing.assert_allclose(answer.decision.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
 
-def test_without_delay_compensation_changes_no_bit():
-    driven, blind = Driven(simulated=True), Driven(simulated=True, delay_compensation=False)
-    for k in range(5):
-        answers = []
-        for each in (driven, blind):
-            each.odometry(0.1 * k, 0.1 * k, position=(0.07 * k, 0.01 * k))
-            each.goal(0.1 * k, 0.1 * k)
-            answers.append(each.tick(0.1 * k))
-        one, other = answers
-        assert one.decision.advanced == 0.0
-        assert one.decision.command.speed_fraction == other.decision.command.speed_fraction
-        np.testing.assert_array_equal(
-            one.decision.command.body_rate, other.decision.command.body_rate
-        )
-        np.testing.assert_array_equal(one.decision.plan.positions, other.decision.plan.positions)
-
-
 def test_stamps_of_another_clock_say_nothing_of_the_delay():
     driven = Driven()
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
@@ -180,21 +165,14 @@ def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
 ATTITUDE = exp(np.array([0.4]))
 
 
-def test_stop_neither_moves_nor_turns():
-    command = safe_command('stop', Problem(), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (0.0, [0.0])
+@pytest.mark.parametrize(
+    ('kind', 'order', 'speed'),
+    [('stop', 1, 0.0), ('hold_rate_zero', 1, 0.7), ('hold_rate_zero', 2, 0.0)],  # 2: it coasts
+)
+def test_what_stops_or_goes_straight_on_does_not_turn(kind, order, speed):
+    command = safe_command(kind, Problem(translation_order=order), ATTITUDE, 0.7)
+    assert (command.speed_fraction, command.body_rate.tolist()) == (speed, [0.0])
     np.testing.assert_array_equal(command.rotation, ATTITUDE)
-
-
-def test_hold_rate_zero_goes_straight_on():
-    command = safe_command('hold_rate_zero', Problem(), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (0.7, [0.0])
-    np.testing.assert_array_equal(command.rotation, ATTITUDE)
-
-
-def test_to_hold_the_speed_without_drag_is_to_coast():
-    command = safe_command('hold_rate_zero', Problem(translation_order=2), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (0.0, [0.0])
 
 
 def floored(dimension, shape, draw):
@@ -260,11 +238,6 @@ def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     for answer in answers:
         below = answer.decision.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
         assert below == (kind == 'stop' and answer.decision.fallback == 'safe command')
-
-
-def test_what_is_safe_at_translation_order_2_is_no_thrust_whatever_the_floor():
-    driven = Driven(**{'floor.shape': 'circle', 'translation_order': 2})
-    assert driven.safe().decision.command.speed_fraction == 0.0
 
 
 def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
@@ -514,3 +487,68 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     assert late.values['catch_checked'] is False
     assert late.decision.reason == answered.decision.reason
     assert Driven().tick_again(1.0).values['catch_checked'] is False
+
+
+# --- clocks, and what is made of ticks that take too long
+
+
+@pytest.mark.parametrize('by', [5.0, -5.0])
+def test_a_clock_that_is_set_is_told(by):
+    drift, offset = Drift(), 1e6
+    for k in range(10):
+        offset += by if k == 5 else 1e-6  # and slewed meanwhile
+        jump = drift.jump(k, k + offset, k + 1e-4)
+        assert jump == pytest.approx(by if k == 5 else 0.0, abs=1e-3)
+
+
+def test_a_pause_between_two_looks_at_clocks_is_no_jump():
+    drift = Drift()
+    assert drift.jump(0.0, 100.0, 0.0) == 0.0
+    assert drift.jump(1.0, 101.8, 2.0) == 0.0  # read somewhere in between
+    assert drift.jump(3.0, 103.0, 3.0) == 0.0
+
+
+def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected():
+    timing = Timing()
+    assert timing.expected == 0.0
+    for duration in (0.01, 0.01, 0.3, 0.06, 0.01):
+        timing.took(duration, deadline=0.05, period=0.1)
+    assert (timing.misses, timing.overruns) == (2, 1)
+    assert timing.expected == 0.01
+
+
+def test_ticks_that_come_late_are_counted():
+    timing = Timing()
+    for clock in (1.0, 1.1, 1.2, 1.45, 1.55):
+        timing.began(clock, period=0.1)
+    assert timing.late == 1
+
+
+def reported(status, reason='', fallback=Fallback.NONE):
+    return Report(Decision(status, reason, None, None, stop(np.eye(2)), fallback))
+
+
+def safe(reason):
+    return reported(Status.FAILED, reason, Fallback.SAFE_COMMAND)
+
+
+PLANNING = reported(Status.OPTIMAL)
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'waiting', 'report', 'notices', 'expected'),
+    [
+        (('', ''), '', None, ('',), (OK, 'ready')),
+        (('', ''), '', PLANNING, ('',), (OK, 'planning')),
+        (('', ''), '', PLANNING, ('', 'odom refused'), (WARN, 'planning; odom refused')),
+        (('', ''), '', reported(Status.OPTIMAL, 'far away'), (), (WARN, 'far away')),
+        (('', ''), '', reported(Status.FEASIBLE, 'gap'), (), (WARN, 'gap')),
+        (('', ''), '', safe('old'), ('odom refused',), (ERROR, 'old; odom refused')),
+        (('', ''), 'disabled', safe('disabled'), (), (WARN, 'disabled')),
+        (('two sources', ''), 'disabled', PLANNING, (), (ERROR, 'two sources')),
+        (('two sources', 'mismatch'), '', None, (), (ERROR, 'two sources; mismatch')),
+    ],
+)
+def test_the_worst_is_told(wrong, waiting, report, notices, expected):
+    level, parts = condition(wrong, waiting, report, notices)
+    assert (level, '; '.join(parts)) == expected

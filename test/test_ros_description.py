@@ -51,6 +51,7 @@ AIR = {'velocity_source': 'air'}
         (HOVERING, 'safe command hover', ''),
         (FLOORED, 'cannot hover, for its least thrust is 12', ''),
         ({**HOVERING, 'safe_command': 'stop'}, 'stop although that is to fall', ''),
+        ({**WING, 'safe_command': 'stop'}, 'stop although that is below the floor', ''),
         ({**HOVERING, 'thrust_axis': 'z', 'hover_thrust': 0.4}, 'told as 0.4 on thrust', ''),
         (LANDER, 'tilted by at most 15 deg', 'to hold a goal takes'),
         (LANDER, 'above a glide slope of 50 deg', ''),
@@ -66,11 +67,6 @@ def test_the_start_up_line_says_what_moves_the_vehicle(changes, words, others):
     line = summary(settings(**changes), simulated=False)
     assert words in line
     assert not others or others not in line
-
-
-def test_a_stop_below_the_floor_is_told():
-    told = summary(settings(**WING, safe_command='stop'), simulated=False)
-    assert told.endswith('safe command stop although that is below the floor')
 
 
 def test_what_is_hardly_meant_is_doubted():

@@ -92,18 +92,6 @@ def test_a_bearing_is_that_of_a_compass(angle, compass):
     assert math.remainder(found - compass, 360.0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_left_turn_accelerates_to_the_left_and_leads_to_the_left():
-    wanted = Setpoint(20.0, 0.0, 0.2)
-    assert firmware.lateral(wanted)['lateral_acceleration'] == pytest.approx(-4.0)
-    assert 0.0 < firmware.guided(wanted, 1.0)[0]['param2'] < 90.0  # from east towards north
-
-
-def test_a_wing_that_flies_north_and_level():
-    level = firmware.attitude(np.array([1.0, 0.0, 0.0, 0.0]))
-    same(level @ np.array([1.0, 0.0, 0.0]), NORTH)
-    same(level[:, 2], UP)
-
-
 @pytest.mark.parametrize('bank', [-0.5, 0.3])
 def test_a_bank_to_the_right_turns_to_the_right(bank):
     half = 0.5 * bank  # FRD: to the right about x

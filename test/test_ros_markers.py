@@ -10,6 +10,7 @@ from orbimpc_ros.mpc.solve.solver import Solver
 pytest.importorskip('visualization_msgs')
 from visualization_msgs.msg import Marker
 
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.sim.markers import world_markers
@@ -52,26 +53,15 @@ def drawn(request):
     return problem, plan, plan_markers(STAMP, problem, plan)
 
 
-def test_what_was_shown_before_goes_first(drawn):
-    _, _, array = drawn
-    assert [m.action for m in array.markers].index(Marker.DELETEALL) == 0
-    assert sum(m.action == Marker.DELETEALL for m in array.markers) == 1
-
-
-def test_all_is_stamped_in_the_frame_of_the_odometry(drawn):
-    for marker in drawn[2].markers:
-        stamp = marker.header.stamp
-        assert stamp.sec * 10**9 + stamp.nanosec == STAMP.nanoseconds
-        assert marker.header.frame_id == 'odom'
-
-
-def test_every_marker_has_a_name_of_its_own(drawn):
-    names = [(m.ns, m.id) for markers in shown(drawn[2]).values() for m in markers]
-    assert len(names) == len(set(names))
-
-
-def test_the_line_is_the_plan(drawn):
+def test_the_line_is_the_plan_and_nothing_is_left_of_before(drawn):
     _, plan, array = drawn
+    first, *others = array.markers
+    assert first.action == Marker.DELETEALL
+    assert {marker.action for marker in others} == {Marker.ADD}
+    assert len({(marker.ns, marker.id) for marker in others}) == len(others)
+    for marker in array.markers:
+        assert messages.nanoseconds(marker.header.stamp, '') == STAMP.nanoseconds
+        assert marker.header.frame_id == 'odom'
     (line,) = shown(array)['plan']
     assert np.allclose([place(p) for p in line.points], padded(plan.positions))
 
@@ -100,13 +90,11 @@ def test_the_floor_is_what_a_slower_step_would_reach(drawn):
     assert np.allclose(np.abs(corners).max(axis=1), reach)
 
 
-def test_without_a_floor_there_is_none():
-    assert 'floor' not in shown(plan_markers(STAMP, *solved(2)))
-
-
-def test_obstacles_fill_their_boxes():
+def test_obstacles_fill_their_boxes_and_without_a_floor_there_is_none():
     box = Box([1.0, -2.0], [2.0, -1.0])
-    (cube,) = shown(plan_markers(STAMP, *solved(2, obstacles=(box,))))['obstacles']
+    found = shown(plan_markers(STAMP, *solved(2, obstacles=(box,))))
+    assert 'floor' not in found
+    (cube,) = found['obstacles']
     half = 0.5 * place(cube.scale)
     assert np.allclose((place(cube.pose.position) - half)[:2], box.minimum)
     assert np.allclose((place(cube.pose.position) + half)[:2], box.maximum)

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import Frames, Stamp, header
-from orbimpc_ros.ros.obstacles import read_obstacle, shown, stamp_of
+from orbimpc_ros.ros.obstacles import read_obstacle, shown
 from orbimpc_ros.ros.planner.inputs import Inputs, others
 
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
@@ -85,15 +85,12 @@ def test_a_body_covers_its_marker_however_that_is_turned(kind, dimension):
         assert (body.depth(points[:, :dimension]) >= -1e-9).all()
 
 
-def test_what_lies_straight_is_covered_tightly():
+def test_bodies_are_tight_and_a_cylinder_in_space_is_the_smaller_of_sphere_and_box():
     box = body_of(marker(place=(1.0, 2.0, 3.0), kind=CUBE, size=(2.0, 4.0, 6.0)), 3)
     np.testing.assert_allclose([box.minimum, box.maximum], [[0.0, 0.0, 0.0], [2.0, 4.0, 6.0]])
     disc = body_of(marker(kind=CYLINDER, size=(2.0, 3.0, 9.0)), 2)
     assert (type(disc), disc.radius) == (Ball, 1.5)  # the longer axis; seen from above
     assert body_of(marker(size=(1.0, 2.0, 3.0)), 3).radius == 1.5
-
-
-def test_a_cylinder_in_space_is_the_smaller_of_sphere_and_box():
     assert isinstance(body_of(marker(kind=CYLINDER, size=(1.0, 1.0, 9.0)), 3), Box)
     assert isinstance(body_of(marker(kind=CYLINDER, size=(1.0, 1.0, 0.01)), 3), Box)
     slanted = exp(np.array([0.6, 0.6, 0.0]))
@@ -197,16 +194,14 @@ def test_a_lifetime_ends_by_the_stamps(inputs):
 
 
 def test_a_reset_forgets_what_moved(inputs):
-    inputs.update('obstacles', array(marker()), 0.0)
+    inputs.update('obstacles', array(marker(3.5), marker(1.0, number=1)), 0.0)
+    assert inputs.traffic_stamps == {'obstacles': 3_500_000_000}  # that of the first
+    assert inputs.update('obstacles', array(), 0.0) == ''
+    assert inputs.traffic_stamps == {'obstacles': 0}
     inputs.update(OTHER, plan(1.0), 0.0)
     inputs.forget()
     assert inputs.traffic(1.0) is None
     assert inputs.traffic_stamps == {}
-
-
-def test_the_stamp_of_an_array_is_that_of_its_first_marker():
-    assert stamp_of(array(marker(3.5), marker(1.0))) == 3_500_000_000
-    assert stamp_of(array()) == 0
 
 
 # --- plans of others
@@ -266,6 +261,8 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
         inputs.update('/c/plan', plan(second), second)
         assert inputs.complete == (second == 1.0)
         inputs.update('/a/plan', plan(second), second)
+        assert inputs.complete == (second == 1.0)  # until the obstacles of that stamp are there
+        inputs.update('obstacles', array(marker(second)), second)
         assert inputs.complete
 
 
@@ -304,12 +301,3 @@ def test_who_measures_later_or_is_silent_is_not_waited_for(step, heard):
         inputs.update(OTHER, plan(second), second)
     inputs.update('odom', odometry(3.0), 3.0)
     assert inputs.complete
-
-
-def test_obstacles_of_the_odometrys_stamp_are_waited_for(inputs):
-    inputs.update('goal', goal(0.5), 0.0)
-    for second in (1.0, 2.0, 3.0):
-        inputs.update('odom', odometry(second), second)
-        assert inputs.complete == (second == 1.0)
-        inputs.update('obstacles', array(marker(second)), second)
-        assert inputs.complete

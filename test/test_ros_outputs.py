@@ -1,16 +1,29 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What a planner publishes for whom: topics by its settings, and thrust as autopilots count it."""
+"""What a planner publishes for whom: topics by its settings, thrust, reports with their prices."""
+
+import json
 
 import numpy as np
 import pytest
+import yaml
+from conftest import ROOT
 
 pytest.importorskip('rclpy')
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from planners import settings
+from planners import told as values_of
+from scenarios import retrieval
+from stepping import Stepped
 
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.ros.messages import Frames, Stamp, header
 from orbimpc_ros.ros.planner.outputs import command_messages, outputs
+from orbimpc_ros.ros.reports import Report, health_message, prices, tick_message
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import departure
 
 CRAFT = {
     'dimension': 3,
@@ -47,3 +60,77 @@ def test_thrust_is_the_share_at_hover_when_it_carries_the_weight_and_in_proporti
     assert told(0.3, hover_thrust=hover)['thrust'].vector.z == pytest.approx(0.5 * hover)
     assert told(1.0, hover_thrust=hover)['thrust'].vector.z <= 1.0
     assert 'thrust' not in told(0.6)
+
+
+# --- reports
+
+FLOORED = Problem(floor=Floor('circle', fraction=0.5))
+
+
+def tick(planner, goal, horizon=5):
+    """Return the decision of a planner at the start of a retrieval, for a goal at rest."""
+    odometry = measured(departure(retrieval()).vehicle)
+    return planner.tick(odometry, np.tile(goal, (horizon, 1)))
+
+
+@pytest.mark.parametrize(
+    ('node', 'name', 'vehicle'),
+    [('/planner', 'planner', 'none'), ('/uav1/planner', 'uav1/planner', 'uav1')],
+)
+def test_a_status_is_named_as_diagnostic_updater_names_it(node, name, vehicle):
+    (told,) = health_message(0, node, 'condition', DiagnosticStatus.OK, 'ready', {}).status
+    assert (told.name, told.hardware_id) == (f'{name}: condition', vehicle)
+
+
+def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():
+    report = Report(tick(Stepped(FLOORED), [4.0, 1.0]))
+    told = values_of(tick_message(0, '/planner', report))
+    margins = json.loads(told['margins'])
+    fractions = report.decision.plan.speed_fraction[1:]
+    assert margins['floor'] == pytest.approx(fractions.min() - 0.5)
+    assert margins['hull'] == pytest.approx(1.0 - fractions.max(), abs=1e-6)
+    safe = Stepped(FLOORED).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
+    assert Report(safe).values['margins'] == {}
+
+
+def test_the_aggregators_configuration_finds_every_status():
+    text = (ROOT / 'config' / 'diagnostics' / 'aggregator.yaml').read_text()
+    analyzers = yaml.safe_load(text)['analyzers']['ros__parameters']['orbimpc']['analyzers']
+    starts = [start for each in analyzers.values() for start in each['contains']]
+    for task in ('condition', 'flight'):
+        name = f'uav1/{"sim" if task == "flight" else "planner"}: {task}'
+        assert any(start in name for start in starts), name
+    assert {each['type'] for each in analyzers.values()} == {
+        'diagnostic_aggregator/GenericAnalyzer'
+    }
+
+
+# --- prices
+
+FAR = [99.0, 0.0]
+
+
+def test_full_speed_binds_on_the_way_to_a_far_goal_and_is_on_tick_as_json():
+    decision = tick(Stepped(Problem()), FAR)
+    assert list(prices(decision)) == ['hull@1', 'hull@2', 'hull@3', 'hull@4']
+    report = Report(decision, binding=prices(decision))
+    told = values_of(tick_message(0, 'planner', report))
+    assert json.loads(told['binding']) == pytest.approx(prices(decision))
+
+
+def test_longer_plans_than_can_be_priced_in_time_have_none():
+    assert prices(tick(Stepped(Problem(horizon=61)), FAR, 61)) == {}
+
+
+def test_a_plan_that_only_stands_in_has_no_prices():
+    planner = Stepped(Problem(horizon=5, terminal='constraint'))
+    assert tick(planner, [4.0, 0.0]).fallback == ''
+    decision = tick(planner, [50.0, 0.0])
+    assert decision.fallback
+    assert prices(decision) == {}
+
+
+def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
+    planner = Stepped(Problem(), shrinking=True)
+    for left in (5, 4, 3):
+        assert list(prices(tick(planner, FAR, left))) == [f'hull@{k}' for k in range(1, left)]

@@ -132,6 +132,7 @@ REFUSED = [
     (SIM, {'capture_radius': 0.0}, 'capture_radius'),
     (SIM, {'clock': 'lamport'}, 'clock'),
     (SIM, {'failsafe.rate': 3.2}, 'failsafe.rate'),
+    *((table, {'thrust_axis': 'z'}, 'thrust_axis') for table in (PLANNER, SIM)),
     (PLANNER, {**LANDER, 'tilt': 15.0}, 'tilt'),
     (PLANNER, {'glide_slope': 0.8}, 'glide_slope'),
     (PLANNER, {'dimension': 3, 'tilt': 0.2}, 'tilt'),
@@ -167,19 +168,7 @@ REFUSED = [
     ),
     *(
         (SIM, {'wait_for': text}, 'wait_for')
-        for text in (
-            'tick 0',
-            'tick two',
-            'tick 1 2',
-            'tick, tick',
-            'tick tock',
-            '/a//b',
-            'tick 101',
-            'no-dash',
-            'tick -1',
-            'tick 1.5',
-            '2 tick',
-        )
+        for text in ('tick 0', 'tick two', 'tick, tick', '/a//b', 'tick 101', 'no-dash', '2 tick')
     ),
 ]
 
@@ -429,14 +418,6 @@ def test_descriptors_are_there_for_all_to_see(running):
     assert [each.read_only for each in described] == [not row.live for row in PLANNER]
 
 
-@pytest.mark.parametrize('settings', [planner_settings, sim_settings])
-def test_a_vehicle_in_the_plane_has_no_axis_to_push_along_but_x(settings):
-    values = settings_of_defaults(settings) | {'thrust_axis': 'z'}
-    with pytest.raises(BadInput, match='thrust_axis is z; allowed: x when dimension is 2'):
-        settings(values)
-    assert settings(values | {'dimension': 3}).frames.thrust_axis == 'z'
-
-
 def settings_of(table, **changes):
     made = planner_settings if table is PLANNER else sim_settings
     return made({**defaults(table), **changes})
@@ -462,7 +443,3 @@ def test_both_cones_come_into_the_problem_and_may_change_in_flight():
     for name in ('tilt', 'glide_slope'):
         assert rows[name].live
         assert rows[name].descriptor.floating_point_range[0].to_value < 1.6
-
-
-def settings_of_defaults(settings):
-    return defaults(PLANNER if settings is planner_settings else SIM)

@@ -97,7 +97,7 @@ def test_a_command_passes_few_files(planner):
     calls_on_the_way(*planner)  # the first settles what is worked out once
     calls = calls_on_the_way(*planner)
     files = list(dict.fromkeys(calls))
-    assert files[0] == 'ros/process.py'  # the guard of every callback
+    assert files[0] == 'ros/lifecycle.py'  # the guard of every callback
     mathematics = [f for f in files if f.startswith('mpc/')]
     way = [f for f in files if f not in mathematics]
     assert len(way) + 1 <= FILES, '\n'.join(way)

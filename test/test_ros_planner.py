@@ -12,11 +12,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry, Path
 from planners import QUICK, Bench, goal, moving, odometry, told
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.reading import parsed
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 
 
@@ -171,3 +173,25 @@ def test_the_simulator_flies_again_after_a_reset(launch, observer):
     assert list(places) == list(range(8))  # time goes on
     flown = list(places.values())
     assert flown[4:] == pytest.approx(flown[:4], abs=1e-9)
+
+
+def test_a_timer_whose_clock_stands_still_is_noticed(launch, observer):
+    clock = observer.node.create_publisher(Clock, '/clock', qos())
+    patient = {'trigger': 'timer', 'step': 0.1, 'odom_timeout': 0.5, 'goal_timeout': 60.0}
+    bench = Bench(launch, observer, patient | {'use_sim_time': True})
+    observer.until(clock.get_subscription_count, 'the planner listening to time')
+    at = 0.0
+
+    def told_of_later(by, time_moves):
+        nonlocal at
+        at += by
+        if time_moves:
+            clock.publish(Clock(clock=messages.time_message(round(at * 1e9))))
+        bench.odometry.publish(odometry(at))
+        bench.goal.publish(goal(at))
+        return [told(m)['reason'] for m in bench.ticks]
+
+    bench.until(lambda: told_of_later(0.01, True) and moving(bench.commands[-1]), 'a plan')
+    words = 'the clock has stood still for'  # while odometry, not much ahead of it, stays fresh
+    bench.until(lambda: any(words in reason for reason in told_of_later(1e-4, False)), words)
+    assert not moving(bench.commands[-1])

@@ -22,9 +22,10 @@ def pose(milliseconds, attitude=None):
     return PoseStamped(header=head, pose=messages.pose(np.zeros(3), attitude or np.eye(3)))
 
 
-def twist(milliseconds, speed=1.0):
+def twist(milliseconds):
+    """A twist whose speed is its time, by which it is known again."""
     message = TwistStamped(header=header(milliseconds * SECOND // 1000, 'base_link'))
-    message.twist.linear.x = speed
+    message.twist.linear.x = float(milliseconds)
     return message
 
 
@@ -34,10 +35,9 @@ def joined(*halves):
     for each in halves:
         took = made.pose(each) if isinstance(each, PoseStamped) else made.twist(each)
         if took is not None:
-            stamps = [took.pose.header.stamp, took.twist.header.stamp]
-            found.append(tuple(s.sec * 1000 + s.nanosec // 1_000_000 for s in stamps))
-            assert took.header is took.pose.header
-            assert took.child_frame_id == 'base_link'
+            at = messages.nanoseconds(took.header.stamp, '') // 1_000_000
+            found.append((at, round(took.twist.twist.linear.x)))
+            assert (took.header.frame_id, took.child_frame_id) == ('map', 'base_link')
     return found
 
 

@@ -61,12 +61,12 @@ SLOW = """
     class Slow(planner.PlannerNode):
         def configure(self):
             super().configure()
-            self.quick, self.ticks = self._core.decide, 0
-            self._core.decide = self.decide
+            self.quick, self.ticks = self._core.planner.step, 0
+            self._core.planner.step = self.step
 
-        def decide(self, *now):
+        def step(self, *snapshot):
             self.ticks += 1
-            answer = self.quick(*now)
+            answer = self.quick(*snapshot)
             time.sleep(1.0 if self.ticks == 2 else 0.0)
             return answer
 
@@ -132,6 +132,7 @@ def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path):
         ('planner', ['--params-file', 'x.yaml'], 'x.yaml is not behind --ros-args; allowed: --ros'),
         ('planner', ['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
         ('sim', ['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file'),
+        ('sim', ['--ros-args', '--params-file', 'x.yaml'], '^x.yaml: no such file; --params-file'),
     ],
 )
 def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):
@@ -139,7 +140,7 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.count('\n') == 1, done.stderr
-    assert re.search(f'command line: .*{said}', done.stderr), done.stderr
+    assert re.search(said, done.stderr), done.stderr
 
 
 @pytest.mark.parametrize(('node', 'rows'), [('planner', PLANNER), ('sim', SIM)])
@@ -152,13 +153,6 @@ def test_help_has_every_parameter_and_the_exit_codes_within_80_columns(node, row
     assert lines[-1].startswith('exit codes: 0 ')
 
 
-def test_a_parameter_file_that_is_not_there_is_refused_in_one_line():
-    words = [sys.executable, '-m', 'orbimpc_ros.sim', '--ros-args', '--params-file', 'x.yaml']
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert done.stderr == 'x.yaml: no such file; --params-file is to name one\n'
-
-
 # A shell's background jobs and all that these start have SIGINT ignored.
 BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
 
@@ -166,7 +160,7 @@ BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
 @pytest.mark.parametrize(
     ('node', 'imported'),
     [
-        *(('planner', each) for each in ('numpy', 'rclpy.node', 'orbimpc_ros.ros.parameters')),
+        *(('planner', each) for each in ('numpy', 'orbimpc_ros.ros.parameters')),
         ('sim', 'orbimpc_ros.ros.parameters'),
     ],
 )

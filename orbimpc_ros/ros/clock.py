@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from dataclasses import dataclass
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND
 
@@ -27,25 +25,6 @@ class RosTime:
 
     nanoseconds: int | None = None
     lag: float = 0.0
-
-    def since(self, stamp: int) -> float:
-        """Return the time since a stamp [ns], negative before it [s]; NaN if it is not known."""
-        if self.nanoseconds is None:
-            return math.nan
-        return (self.nanoseconds - stamp) / SECOND
-
-    def require_past(self, stamp: int, tolerance: float) -> float:
-        """Return the time since a stamp [ns], which is not ahead by more than a tolerance [s].
-
-        Raises:
-            BadInput: it is.
-        """
-        since = self.since(stamp)
-        ahead, allowed = -since, tolerance + self.lag
-        if ahead > allowed:
-            ahead_of = f"{allowed:g} s ahead of this node's clock"
-            raise BadInput('future stamp', f'{ahead:.3g} s ahead', f'at most {ahead_of}')
-        return since
 
 
 UNKNOWN = RosTime()

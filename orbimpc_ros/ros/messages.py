@@ -12,7 +12,6 @@ In the plane (n = 2) poses lie at z = 0 and turn about z.
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -29,13 +28,12 @@ from geometry_msgs.msg import (
     TwistStamped,
     TwistWithCovarianceStamped,
     Vector3,
-    Vector3Stamped,
     Wrench,
     WrenchStamped,
 )
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from std_msgs.msg import Header, UInt8MultiArray
+from std_msgs.msg import Header
 
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
 from orbimpc_ros.loop.goal.route import Route
@@ -130,18 +128,24 @@ def read_odometry(
     """
     at = _stamp(message.header, frames.world)
     in_body, child = frames.velocity == 'body', frames.body
-    if in_body:
-        child = _body_frame(message.child_frame_id, frames.body)
+    if in_body:  # which a vehicle of many has behind a prefix: uav1/base_link
+        found = message.child_frame_id
+        wanted = found if found.endswith(f'/{child}') else child
+        child = _frame(found, wanted, 'child_frame_id')
     pose, twist = message.pose.pose, message.twist.twist
     linear = _triple(twist.linear, 'twist.linear')
     angular = _triple(twist.angular, 'twist.angular')
-    attitude = frames.turned(_attitude(pose.orientation, dimension, 'pose.orientation'))
+    unit = _quaternion(pose.orientation, 'pose.orientation')
+    attitude = _attitude(unit, dimension, frames)
+    if attitude is None:
+        given = 'a body x axis with a yaw, not a vertical one'
+        raise BadInput('pose.orientation', unit.tolist(), given)
     odometry = Odometry(
         at.nanoseconds / SECOND,
         _triple(pose.position, 'pose.position')[:dimension],
         attitude,
         frames.turned(linear)[:dimension] if in_body else linear[:dimension] @ attitude,
-        _rates(frames.turned(angular), dimension),
+        frames.turned(angular)[2 if dimension == 2 else 0 :],
     )
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
 
@@ -154,23 +158,9 @@ def read_sighting(
     Raises:
         BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
     """
-    at, place, unit = _seen(message, dimension, frames)
-    attitude = _goal_attitude(unit, dimension, frames)
+    at, place, unit = _seen(message, dimension, frames.world)
+    attitude = _attitude(unit, dimension, frames)
     return at, GoalObservation(at.nanoseconds / SECOND, place, attitude)
-
-
-def _seen(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Array, Array]:
-    """Return the stamp, the place and the unit quaternion in a goal's PoseStamped."""
-    at = _stamp(message.header, frames.world)
-    unit = _quaternion(message.pose.orientation, 'pose.orientation')
-    return at, _triple(message.pose.position, 'pose.position')[:dimension], unit
-
-
-def _goal_attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
-    """Return which attitude a goal has; in the plane none where its x axis is vertical."""
-    if dimension == 2 and _steep(unit):
-        return None
-    return frames.turned(from_quaternion(unit, dimension))
 
 
 def read_itinerary(
@@ -186,12 +176,12 @@ def read_itinerary(
     at = _stamp(message.header, frames.world)
     if not 1 <= len(message.poses) <= LONGEST_PATH:
         raise BadInput('poses', f'{len(message.poses)} poses', f'1 to {LONGEST_PATH}')
-    seen = [_seen(pose, dimension, Frames()) for pose in message.poses]
+    seen = [_seen(pose, dimension, '') for pose in message.poses]
     times = np.array([stamp.nanoseconds / SECOND for stamp, _, _ in seen])
     places = np.array([place for _, place, _ in seen])
     if len(seen) > 1 and not times.any():
         return at, Route(places)
-    return at, GoalTrajectory(times, places, _goal_attitude(seen[-1][2], dimension, frames))
+    return at, GoalTrajectory(times, places, _attitude(seen[-1][2], dimension, frames))
 
 
 def read_wind(
@@ -234,7 +224,7 @@ def read_speed_and_rate(
     at = _stamp(message.header, '')
     linear = frames.turned(_triple(message.twist.linear, 'twist.linear'))
     angular = frames.turned(_triple(message.twist.angular, 'twist.angular'))
-    return at.nanoseconds, float(linear[0]), _rates(angular, dimension)
+    return at.nanoseconds, float(linear[0]), angular[2 if dimension == 2 else 0 :]
 
 
 def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
@@ -259,6 +249,13 @@ def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
     return from_quaternion(unit, 3), _triple(message.translation, f'translation of {name}')
 
 
+def _seen(message: PoseStamped, dimension: int, frame: str) -> tuple[Stamp, Array, Array]:
+    """Return the stamp, the place and the unit quaternion in a goal's PoseStamped."""
+    at = _stamp(message.header, frame)
+    unit = _quaternion(message.pose.orientation, 'pose.orientation')
+    return at, _triple(message.pose.position, 'pose.position')[:dimension], unit
+
+
 def _stamp(header: Header, frame: str) -> Stamp:
     world = _frame(header.frame_id, frame, 'header.frame_id')
     return Stamp(nanoseconds(header.stamp, 'header.stamp'), Frames(world))
@@ -272,21 +269,11 @@ def _frame(found: str, wanted: str, culprit: str) -> str:
     return found
 
 
-def _body_frame(found: str, wanted: str) -> str:
-    """Return a body's frame, which a vehicle of many has behind a prefix: ``uav1/base_link``."""
-    plain = found.endswith(f'/{wanted}')
-    return _frame(found, found if plain else wanted, 'child_frame_id')
-
-
 def _triple(vector: Vector3 | Point, culprit: str) -> Array:
     x, y, z = vector.x, vector.y, vector.z
     if not (abs(x) <= LARGEST and abs(y) <= LARGEST and abs(z) <= LARGEST):  # also refuses NaN
         raise BadInput(culprit, [x, y, z], f'finite numbers within +-{LARGEST:g}')
     return np.array([x, y, z])
-
-
-def _rates(angular: Array, dimension: int) -> Array:
-    return angular[2:] if dimension == 2 else angular
 
 
 def _quaternion(message: Quaternion, culprit: str) -> Array:
@@ -298,16 +285,11 @@ def _quaternion(message: Quaternion, culprit: str) -> Array:
     return np.array(numbers) / norm
 
 
-def _steep(unit: Array) -> bool:
-    """Return whether the body's x axis is too nearly vertical to have a yaw."""
-    return math.hypot(*heading(unit)) < STEEPEST
-
-
-def _attitude(message: Quaternion, dimension: int, culprit: str) -> Array:
-    unit = _quaternion(message, culprit)
-    if dimension == 2 and _steep(unit):
-        raise BadInput(culprit, unit.tolist(), 'a body x axis with a yaw, not a vertical one')
-    return from_quaternion(unit, dimension)
+def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
+    """Return the attitude of a quaternion; in the plane None where the x axis has no yaw."""
+    if dimension == 2 and math.hypot(*heading(unit)) < STEEPEST:
+        return None
+    return frames.turned(from_quaternion(unit, dimension))
 
 
 # --- writing
@@ -371,17 +353,6 @@ def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
     """Return a commanded force along the pushing axis [N], in the body frame."""
     wrench = Wrench(force=pushing(force, stamp.frames))
     return WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body), wrench=wrench)
-
-
-def share_message(stamp: Stamp, share: float) -> Vector3Stamped:
-    """Return a share of full thrust along the pushing axis, in the body frame."""
-    head = header(stamp.nanoseconds, stamp.frames.body)
-    return Vector3Stamped(header=head, vector=pushing(share, stamp.frames))
-
-
-def bytes_message(content: bytes) -> UInt8MultiArray:
-    """Return bytes, in one dimension."""
-    return UInt8MultiArray(data=array('B', content))
 
 
 def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:

@@ -7,25 +7,14 @@ measured at its own pace, and a pose goes with the last twist.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from std_msgs.msg import Header
+from nav_msgs.msg import Odometry
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import SECOND, nanoseconds
 
 POSE_TWIST = ('pose', 'twist')
 APART = SECOND // 10  # [ns] at most, from a pose to its twist
-
-
-class PoseTwist(NamedTuple):
-    """Odometry of a pose and a twist, with the fields of a nav_msgs/Odometry that are read."""
-
-    header: Header
-    child_frame_id: str
-    pose: PoseStamped
-    twist: TwistStamped
 
 
 class PoseTwistSynchronizer:
@@ -41,17 +30,17 @@ class PoseTwistSynchronizer:
         self._joined_at = -1  # stamp of the last pose that has become odometry [ns]
         self._twins = False  # whether stamps have been seen to be the same
 
-    def pose(self, message: PoseStamped) -> PoseTwist | None:
+    def pose(self, message: PoseStamped) -> Odometry | None:
         """Take in a pose; return odometry if it has its twist."""
         self._pose = nanoseconds(message.header.stamp, 'pose.header.stamp'), message
         return self._join(alone=not self._twins)
 
-    def twist(self, message: TwistStamped) -> PoseTwist | None:
+    def twist(self, message: TwistStamped) -> Odometry | None:
         """Take in a twist; return odometry if a pose has waited for it."""
         self._twist = nanoseconds(message.header.stamp, 'twist.header.stamp'), message
         return self._join(alone=self._joined_at < 0)
 
-    def _join(self, *, alone: bool) -> PoseTwist | None:
+    def _join(self, *, alone: bool) -> Odometry | None:
         """Return odometry, of stamps that need not be the same if ``alone``."""
         if self._pose is None or self._twist is None:
             return None
@@ -63,4 +52,6 @@ class PoseTwistSynchronizer:
             apart = f'{abs(stamp - other) / SECOND:.3g} s from that of pose'
             raise BadInput('twist.header.stamp', apart, f'within {APART / SECOND:g} s')
         self._joined_at = stamp
-        return PoseTwist(pose.header, twist.header.frame_id, pose, twist)
+        joined = Odometry(header=pose.header, child_frame_id=twist.header.frame_id)
+        joined.pose.pose, joined.twist.twist = pose.pose, twist.twist
+        return joined

@@ -2,14 +2,10 @@
 """Flights of a continuous vehicle with a floor and a rate limit: no command ever beyond them.
 
     python test/long/flights.py --count 200 --seed 1
-    python test/long/flights.py --mission fixed_wing --count 200 --seed 1 --jobs 2
 
 The planner's own path from messages to commands flies a vehicle that is not the one it believes in,
 through wind, with goals and odometry that fail now and then. The law: no command below the floor,
 above full speed or beyond ``max_rate``, on any tick, by any road. Exit code 1 if it was broken.
-
-With ``--mission`` a configuration flies the simulator's own vehicle, and what counts besides is
-whether it does its job: ``--at-least 0.99`` asks for so large a share.
 """
 
 from __future__ import annotations
@@ -20,16 +16,11 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import continuous
-import jobs
-import missions
 import numpy as np
 from continuous import Craft, Motion
 
@@ -283,75 +274,21 @@ def table(rows: list[dict[str, Any]]) -> str:
     return '\n'.join(lines)
 
 
-def arguments() -> argparse.Namespace:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--first', type=int, default=0, help='index of the first flight')
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--jobs', type=int, default=1, help='flights at a time')
-    parser.add_argument('--mission', choices=jobs.MISSIONS, help='a configuration and its job')
-    parser.add_argument('--at-least', type=float, default=0.0, help='share of jobs to be done')
-    parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE')
-    parser.add_argument('--patient', action='store_true', help='a solve has no deadline')
-    parser.add_argument(
-        '--over',
-        choices=('process', 'dds'),
-        default='process',
-        help='dds: the real nodes fly, each flight leaves its bag beside --out',
-    )
-    parser.add_argument(
-        '--out', type=Path, help='default: out/<mission or flights>[-dds]-<seed>.jsonl'
-    )
     args = parser.parse_args()
-    of_missions = (args.set, args.at_least, args.patient, args.over == 'dds')
-    if not args.mission and any(of_missions):
-        parser.error('--set, --at-least, --patient and --over dds need a --mission')
-    if args.patient and args.over == 'dds':
-        parser.error('--patient: nodes keep their deadline, --set deadline=... changes it')
-    name = f'{args.mission or "flights"}{"-dds" if args.over == "dds" else ""}-{args.seed}'
-    args.out = args.out or Path('out') / f'{name}.jsonl'
-    return args
-
-
-def flight_of(args: argparse.Namespace) -> Callable[[int], dict[str, Any]]:
-    """What flies the flight of an index."""
-    if args.mission:
-        flight = partial(missions.row, args.mission, args.seed, changes=tuple(args.set))
-        if args.over == 'process':
-            return partial(flight, patient=args.patient)
-        import over_dds
-
-        return partial(over_dds.row, *flight.args, **flight.keywords, folder=args.out.parent)
-    return partial(row, args.seed)
-
-
-def in_order(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """The flights asked for, so many at a time."""
-    indices, fly_one = range(args.first, args.first + args.count), flight_of(args)
-    if args.jobs == 1 and args.over == 'process':
-        yield from map(fly_one, indices)
-        return
-    # Over DDS each flight has a domain of its own, which a process keeps for good.
-    with get_context('spawn').Pool(args.jobs, maxtasksperchild=1) as pool:
-        yield from pool.imap(fly_one, indices)
-
-
-def main() -> int:
-    args = arguments()
-    args.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
-    with args.out.open('w') as file:
-        for each in in_order(args):
-            rows.append(each)
-            print(json.dumps(each), file=file, flush=True)
-            if each['broken']:
-                print(f'flight {each["index"]}: {each["broken"]}', flush=True)
-            if len(rows) % 10 == 0:
-                print(f'{len(rows)} of {args.count}', file=sys.stderr, flush=True)
-    print(missions.table(rows) if args.mission else table(rows), f'\nall records: {args.out}')
-    done = sum(each.get('caught', True) for each in rows)
-    good = done >= args.at_least * len(rows) and not any(each['broken'] for each in rows)
-    return 0 if good else 1
+    for index in range(args.first, args.first + args.count):
+        rows.append(row(args.seed, index))
+        if rows[-1]['broken']:
+            print(f'flight {index}: {json.dumps(rows[-1])}', flush=True)
+        if len(rows) % 10 == 0:
+            print(f'{len(rows)} of {args.count}', file=sys.stderr, flush=True)
+    print(table(rows))
+    return int(any(each['broken'] for each in rows))
 
 
 if __name__ == '__main__':

@@ -20,11 +20,13 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import reading as strict
 from orbimpc_ros.mpc.proof.limits import END, ENDS, STEP, Body, Cone, Limits, limits_of
 from orbimpc_ros.mpc.proof.reading import Refused
+from orbimpc_ros.mpc.proof.stated import UP
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, MULTIPLIERS, NOTHING, NOWHERE, ProofTree
 from orbimpc_ros.mpc.proof.verify import exact_bound, rounded_down
 
@@ -329,7 +331,11 @@ def _posed(document: Any) -> Posed:
         raise Refused(str(error)) from None
     if made.wanted is None and problem.weights.attitude:
         raise Refused('state.wanted is missing')
-    return Posed(problem, made, goals, _limits(document.get('limits', {}), problem))
+    limits = _limits(document.get('limits', {}), problem)
+    tilt = next((each.angle for each in limits.cones if each.axis == UP), 0.0)
+    if problem.inertial and tilt <= STEEPEST_CAP:  # splits may begin with patches of its cap
+        problem = replace(problem, tilt=tilt)
+    return Posed(problem, made, goals, limits)
 
 
 def _state(stated: Any, n: int) -> dict[str, Any]:

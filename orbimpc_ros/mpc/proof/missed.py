@@ -348,7 +348,7 @@ class MissedProgram:
         """
         shares = np.zeros(self._z.shape)
         seen, whole = set[int](), self._stated.width == 9
-        if whole:
+        if whole and disks:
             shares[self._free :] = [each[1:] for each in disks]
         for each, weight in zip(held, leaning, strict=True):
             size, way = disks[each.k - self._free][0], disks[each.k - self._free][1:]

@@ -79,12 +79,11 @@ class DynamicParameters(Generic[S, W]):
     def _typed(self, changes: list[Parameter]) -> list[Parameter]:
         """Return changes with empty lists of the parameters' types, which YAML's [] has not."""
         arrays = {spec.name: spec.kind for spec in self._specs if isinstance(spec.default, tuple)}
-        return [
-            Parameter(each.name, arrays[each.name], [])
-            if each.name in arrays and _empty(each)
-            else each
-            for each in changes
-        ]
+        for k, each in enumerate(changes):
+            empty = isinstance(each.value, Sized) and not isinstance(each.value, str)
+            if each.name in arrays and empty and not each.value:
+                changes[k] = Parameter(each.name, arrays[each.name], [])
+        return changes
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -97,11 +96,9 @@ class DynamicParameters(Generic[S, W]):
         return SetParametersResult(successful=True)
 
     def _merged(self, changes: list[Parameter]) -> dict[str, Any]:
-        values = self._values()
+        values, known = self._values(), self._node.get_parameter('use_sim_time').value
         for change in changes:
-            if change.name == 'use_sim_time':
-                if change.value == self._node.get_parameter('use_sim_time').value:
-                    continue
+            if change.name == 'use_sim_time' and change.value != known:
                 raise BadInput('use_sim_time', change.value, 'set at the start only')
             if change.name in values:
                 values[change.name] = change.value
@@ -111,10 +108,6 @@ class DynamicParameters(Generic[S, W]):
         if self._install is not None and self._pending is not None:
             self._install(self._pending)
         self._pending = None
-
-
-def _empty(given: Parameter) -> bool:
-    return isinstance(given.value, Sized) and not isinstance(given.value, str) and not given.value
 
 
 def _refuse_unknown(node: Node, specs: Sequence[ParameterSpec]) -> None:

@@ -36,6 +36,10 @@ from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.ros.transforms import Stated, stated
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
+OF_PROBLEM = (
+    *('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward', 'terminal'),
+    *('max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope'),
+)
 ROUNDING = 1e-5  # of the way of a step: more than a checked plan may be off
 
 
@@ -193,30 +197,12 @@ class PlannerSettings(VehicleParameters):
     @cached_property
     def problem(self) -> Problem:
         """Return what to solve."""
-        weights = Weights(
-            self.weights_position,
-            self.weights_input,
-            self.weights_length,
-            self.weights_terminal,
-            self.weights_attitude,
-        )
+        parts = ('position', 'input', 'length', 'terminal', 'attitude')
         problem = Problem(
-            dimension=self.dimension,
-            rotation_order=self.rotation_order,
-            translation_order=self.translation_order,
-            horizon=self.horizon,
-            step=self.step,
-            forward=self.forward,
-            weights=weights,
-            terminal=self.terminal,
+            **{name: getattr(self, name) for name in OF_PROBLEM},
+            weights=Weights(*(getattr(self, f'weights_{part}') for part in parts)),
             floor=Floor(self.floor_shape, self.floor_faces, self.floor_fraction),
-            max_rate=self.max_rate,
-            max_acceleration=self.max_acceleration,
             obstacles=self.boxes(),
-            no_corner_cutting=self.no_corner_cutting,
-            discretisation=self.discretisation,
-            tilt=self.tilt,
-            glide_slope=self.glide_slope,
         )
         return weighed(problem, self.weights_scaling)
 

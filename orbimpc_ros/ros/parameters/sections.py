@@ -33,23 +33,22 @@ def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[s
         node: that the files were given to.
         words: the command line; by default this process's.
     """
-    own, others = node.get_fully_qualified_name(), {*NODES} - {node.kind}
-    unused = []
-    for file in _files(sys.argv if words is None else words):
-        names = [name for name, _ in _sections(_read(file))]
-        used = {_shape(name) for name in names if _matches(name, own) and not _general(name)}
-        unused += [
-            f'{name} in {file}'
-            for name in names
-            if not _matches(name, own)
-            and name.rpartition('/')[2] not in others
-            and _shape(name) not in used
-        ]
+    own, unused = node.get_fully_qualified_name(), []
+    others = {*NODES} - {node.kind}
+    for flag, file in pairwise(sys.argv if words is None else words):
+        if flag != '--params-file':
+            continue
+        names = [name for name, _ in _sections(file)]
+        used = {_shape(n) for n in names if _matches(n, own) and '*' not in n.rpartition('/')[0]}
+        for name in names:
+            taken = _matches(name, own) or _shape(name) in used
+            if not taken and name.rpartition('/')[2] not in others:
+                unused.append(f'{name} in {file}')
     return unused
 
 
 def warn_of_unused(node: Managed) -> None:
-    """Say which sections of the parameter files do not reach a node."""
+    """Log which sections of the parameter files do not reach a node."""
     for section in unused_sections(node):
         name = node.get_fully_qualified_name()
         node.get_logger().warning(f'section {section} is not for {name}: not used')
@@ -63,42 +62,34 @@ def given(file: str, node: str, parameter: str) -> Any:
         node: its name with its namespace.
         parameter: not nested.
     """
-    found = (each.get(parameter) for name, each in _sections(_read(file)) if _matches(name, node))
-    return next((value for value in reversed(list(found)) if value is not None), None)
+    value = None
+    for name, values in _sections(file):
+        if _matches(name, node):
+            value = values.get(parameter, value)
+    return value
 
 
-def _read(file: str) -> Any:
-    """Return what a parameter file holds; nothing if only rcl can say what is wrong with it."""
+def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return the sections of a file; none if only rcl can say what is wrong with it."""
     try:
-        return yaml.safe_load(Path(file).read_text(errors='replace'))
+        return list(_below(yaml.safe_load(Path(file).read_text(errors='replace'))))
     except yaml.YAMLError:
-        return None
+        return []
 
 
-def _files(words: Sequence[str]) -> Iterator[str]:
-    for flag, word in pairwise(words):
-        if flag == '--params-file':
-            yield word
-
-
-def _sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
+def _below(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield sections, which may be nested by namespace: names with a leading slash, and values."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name == PARAMETERS:
             yield above, below if isinstance(below, dict) else {}
         else:
-            yield from _sections(below, f'{above}/{str(name).strip("/")}')
+            yield from _below(below, f'{above}/{str(name).strip("/")}')
 
 
 def _matches(section: str, node: str) -> bool:
     """Return whether rcl gives a section to a node: ``*`` is one name, ``**`` any number."""
     pattern = re.escape(section).replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'/\w+')
     return re.fullmatch(pattern, node) is not None
-
-
-def _general(section: str) -> bool:
-    """Return whether a section holds in more than one namespace."""
-    return '*' in section.rpartition('/')[0]
 
 
 def _shape(section: str) -> tuple[int, str]:

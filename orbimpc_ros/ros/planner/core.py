@@ -108,6 +108,7 @@ class Core:
         inputs: take in messages.
         planner: decides.
         timing: of its decisions.
+        outdated: why the last plan may not be followed, made in too long a time; None if it may.
     """
 
     def __init__(
@@ -124,6 +125,7 @@ class Core:
         self.settings, self.planner = settings, planner
         self.inputs = Inputs(settings, names, others)
         self.timing = Timing()
+        self.outdated: Reason | None = None
         self._simulated, self._counted = simulated, counted
         self._clock, self._unlimited = clock or time.perf_counter, clock is None
         self._limit, self._end = self._clock, math.inf  # of the last decision
@@ -178,9 +180,15 @@ class Core:
             self._end = min(deadline, LONGEST)
         at = None if ros.nanoseconds is None else ros.nanoseconds / SECOND + taking
         decision = self.planner.step(snapshot, at, self._is_late)
-        if not decision.planned:
-            return Report(decision)
         took = self._clock() - begun
+        if decision.state is None:
+            return Report(decision)
+        self.outdated = None
+        if snapshot.odometry_age + took > self.settings.odom_timeout:
+            later = ros
+            if ros.nanoseconds is not None and not self._simulated:
+                later = replace(ros, nanoseconds=ros.nanoseconds + round(took * SECOND))
+            self.outdated = self.unsafe(now + took, later)
         self.timing.took(took, self.settings.deadline, self.settings.period)
         solved = decision.cause is not Cause.GOAL
         return Report(decision, 1e3 * took if solved else 0.0, **self.inputs.heard)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -86,7 +87,7 @@ class Received(Generic[T]):
 
     def delay(self, ros: RosTime) -> float:
         """Return how old it is by its stamp [s]; 0 where that is unknown."""
-        return max(0.0, ros.since(self.stamp.nanoseconds)) if self.timed else 0.0
+        return max(0.0, _since(self.stamp.nanoseconds, ros)) if self.timed else 0.0
 
 
 class Inputs:
@@ -193,7 +194,7 @@ class Inputs:
         if is_goal and message.header.frame_id:
             message = self._placed(message)
         stamp, value = read(topic, message, settings)
-        apart = abs(ros.require_past(stamp.nanoseconds, settings.future_tolerance))
+        apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance))
         by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: of its arrival
         timeout = settings.goal_timeout if topic != 'odom' else settings.odom_timeout
         fresh = last is not None and now - last.at <= timeout
@@ -336,7 +337,7 @@ class Inputs:
 
     def _require_current(self, stamp: int, lifetime: float, ros: RosTime) -> None:
         """Refuse a stamp [ns] of the future, or older than a lifetime [s] when odometry came."""
-        ros.require_past(stamp, self.settings.future_tolerance)
+        _past(stamp, ros, self.settings.future_tolerance)
         limit = min(lifetime, COMPARABLE)
         if self.odometry is None or (age := (self._time - stamp) / SECOND) <= limit:
             return
@@ -568,6 +569,24 @@ class Inputs:
         if settings.goal_ageing is Ageing.NONE or (lasting and by_hand):
             return 0.0
         return goal.age(now, ros)
+
+
+def _since(stamp: int, ros: RosTime) -> float:
+    """Return the time since a stamp [ns], negative before it [s]; NaN if it is not known."""
+    return math.nan if ros.nanoseconds is None else (ros.nanoseconds - stamp) / SECOND
+
+
+def _past(stamp: int, ros: RosTime, tolerance: float) -> float:
+    """Return the time since a stamp [ns], which is not ahead by more than a tolerance [s].
+
+    Raises:
+        BadInput: it is.
+    """
+    since, allowed = _since(stamp, ros), tolerance + ros.lag
+    if -since > allowed:
+        ahead_of = f"{allowed:g} s ahead of this node's clock"
+        raise BadInput('future stamp', f'{-since:.3g} s ahead', f'at most {ahead_of}')
+    return since
 
 
 def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, Any]:

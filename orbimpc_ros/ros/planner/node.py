@@ -50,7 +50,7 @@ from orbimpc_ros.ros.planner.outputs import (
     report_messages,
 )
 from orbimpc_ros.ros.planner.wings import WINGS, Wing
-from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwist, PoseTwistSynchronizer
+from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwistSynchronizer
 from orbimpc_ros.ros.process import LIFE, qos, run
 from orbimpc_ros.ros.reports import (
     AFRESH,
@@ -256,7 +256,7 @@ class PlannerNode(Managed):
         if joined is not None:
             self._on_odometry(joined)
 
-    def _on_odometry(self, message: OdometryMessage | PoseTwist) -> None:
+    def _on_odometry(self, message: OdometryMessage) -> None:
         now, ros = self.steady_now(), self._time.now
         inputs = self._core.inputs
         refusal = inputs.update('odom', message, now, ros)
@@ -334,7 +334,7 @@ class PlannerNode(Managed):
         self._refusal, self._refused_at = refusal, self.steady_now()
         self._show_changes()
 
-    def _repeat_answer(self, message: OdometryMessage | PoseTwist) -> None:
+    def _repeat_answer(self, message: OdometryMessage) -> None:
         """Answer a repeated request again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._sent_at > REPEAT
@@ -357,27 +357,29 @@ class PlannerNode(Managed):
         # On the second call at the soonest: after a stall, what lies waiting gets its turn first.
         self._waits -= 1
         if self._waits == 0:
-            self._plan_now(self.steady_now(), self._time.now)
+            self._patience.cancel()
+            self._plan_if_nothing_is_missing()
 
     def _on_timer(self) -> None:
         period = self._core.settings.period
         self._core.timing.began(self._time.nanoseconds / SECOND, period)
-        self._plan_now(self.steady_now(), self._time.now)
+        self._plan_if_nothing_is_missing()
 
     # --- a decision
 
+    def _plan_if_nothing_is_missing(self) -> None:
+        if self._core.inputs.missing:
+            self._show_changes()
+        else:
+            self._plan_now(self.steady_now(), self._time.now)
+
     def _plan_now(self, now: float, ros: RosTime) -> None:
         self._patience.cancel()
-        odometry = self._core.inputs.odometry
-        if odometry is None or self._core.inputs.missing:
-            self._show_changes()
-            return
+        odometry = self._core.inputs.latest['odom']
         report = self._core.decide(now, ros, self._stop())
-        if report.decision.planned:
-            now, ros = self.steady_now(), self._time.now
-            outdated = self._core.unsafe(now, ros)  # by a decision that takes too long
-            if outdated is not None:
-                report = self._core.decide(now, ros, outdated)
+        outdated = self._core.outdated
+        if report.decision.state is not None and outdated is not None:
+            report = self._core.decide(self.steady_now(), self._time.now, outdated)
         self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
         self._look_for_events()

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from array import array
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 from orbimpc_ros.mpc.proof.prove import certificate_of
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
@@ -63,7 +65,8 @@ def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) 
     }
     if settings.hover_thrust:
         share = settings.hover_thrust * pushed / settings.gravity
-        found['thrust'] = messages.share_message(stamp, share)
+        head = messages.header(stamp.nanoseconds, stamp.frames.body)
+        found['thrust'] = Vector3Stamped(header=head, vector=messages.pushing(share, stamp.frames))
     return found
 
 
@@ -86,23 +89,24 @@ def report_messages(
         oriented: whether the vehicle's attitude is known, so that one can be commanded.
         heard: topics that somebody listens to: others are not worth the work.
     """
-    makers: dict[str, Callable[[], Any]] = {
-        'tick': lambda: tick_message(stamp.nanoseconds, node, report),
-        'plan': lambda: _path(settings, stamp, report),
-        'plan_markers': lambda: _markers(settings.problem, stamp, report.decision),
-    }
-    if settings.publish_certificate:
-        makers['certificate'] = lambda: _certificate(report)
-    if oriented:
-        makers['rotation'] = lambda: messages.rotation_message(stamp, report.decision.command)
-    made = {topic: make() for topic, make in makers.items() if topic in heard}
+    decision, made = report.decision, dict[str, Any]()
+    if 'tick' in heard:
+        made['tick'] = tick_message(stamp.nanoseconds, node, report)
+    if 'plan' in heard:
+        made['plan'] = _path(settings, stamp, decision)
+    if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
+        known = settings.problem, decision.plan, decision.state.hazards
+        made['plan_markers'] = plan_markers(stamp, *known)
+    if 'certificate' in heard and settings.publish_certificate:
+        made['certificate'] = _certificate(decision)
+    if 'rotation' in heard and oriented:
+        made['rotation'] = messages.rotation_message(stamp, decision.command)
     return {topic: message for topic, message in made.items() if message is not None}
 
 
-def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | None:
+def _path(settings: PlannerSettings, stamp: Stamp, decision: Decision) -> Path | None:
     """Return where the vehicle will be; without a plan only whoever avoids it has to know."""
-    decision, problem = report.decision, settings.problem
-    start = decision.advanced + decision.led
+    problem, start = settings.problem, decision.advanced + decision.led
     if decision.plan is not None:
         step = (decision.problem or problem).step
         return messages.plan_message(stamp, decision.plan, step, start)
@@ -113,26 +117,22 @@ def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | Non
     return messages.path_message(stamp, problem.step, poses, start)
 
 
-def _certificate(report: Report) -> UInt8MultiArray | None:
+def _certificate(decision: Decision) -> UInt8MultiArray | None:
     """Return what proves the plan's bound, where there is a form of it."""
-    case, plan = report.decision.case, report.decision.plan
+    case, plan = decision.case, decision.plan
     if case is None or plan is None or plan.proof.tree is None or plan.proof.lower_bound <= 0.0:
         return None
-    return messages.bytes_message(certificate_of(*case, plan.proof).text().encode())
+    return _proof(certificate_of(*case, plan.proof))
 
 
 def refutation_messages(report: Report) -> dict[str, Any]:
     """Return by topic what refutes that anything is feasible, or caught, where that is proved."""
     made = report.decision.refutation
-    return {} if made is None else {'certificate': messages.bytes_message(made.text().encode())}
+    return {} if made is None else {'certificate': _proof(made)}
 
 
-def _markers(problem: Problem, stamp: Stamp, decision: Decision) -> MarkerArray | None:
-    if decision.plan is None:
-        return None
-    return plan_markers(
-        stamp, problem, decision.plan, () if decision.state is None else decision.state.hazards
-    )
+def _proof(made: Certificate | Refutation) -> UInt8MultiArray:
+    return UInt8MultiArray(data=array('B', made.text().encode()))
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:

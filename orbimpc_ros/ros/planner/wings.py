@@ -89,7 +89,10 @@ class Wing(ABC):
 
     def look(self) -> None:
         """Look whether setpoints may leave, and keep the mode while there are some."""
-        engaged, why = self._state()
+        engaged, why = self._in_mode, f'{"in" if self._in_mode else "has left"} {self.mode}'
+        for what, limit in (('mode', MODE_LOST), ('position', FRESH)):
+            if self._age(what) > limit:
+                engaged, why = False, f'no {what} for {limit:g} s'
         if engaged != self.engaged:
             self.engaged = engaged
             if not engaged and self._in_mode:
@@ -97,13 +100,6 @@ class Wing(ABC):
             self._changed(engaged, f'{self.name}: {why}')
         if self._age('position') <= FRESH and self._age('setpoint') <= 1.0:
             self._keep()
-
-    def _state(self) -> tuple[bool, str]:
-        if self._age('position') > FRESH:
-            return False, f'no position for {FRESH:g} s'
-        if self._age('mode') > MODE_LOST:
-            return False, f'no mode for {MODE_LOST:g} s'
-        return self._in_mode, f'in {self.mode}' if self._in_mode else f'has left {self.mode}'
 
     def _note(self, what: str) -> None:
         """Note that something has just come, or gone."""
@@ -117,28 +113,27 @@ class Wing(ABC):
         self._node.create_subscription(kind, topic, self._node.guard(callback), latest)
 
     def _mode_is(self, *, right: bool) -> None:
+        """Take in whether the autopilot is in the mode that takes setpoints."""
         self._note('mode')
         self._in_mode = right
         self.look()
 
     def _airspeed_is(self, true: float) -> None:
+        """Take in the true airspeed [m/s]; none above 0 is none."""
         self._note('airspeed')
         self._airspeed = true if true > 0.0 else math.nan
 
     def _wind_is(self, message: TwistWithCovarianceStamped) -> None:
+        """Take in the wind, and publish it."""
         self._note('wind')
         linear = message.twist.twist.linear
         self._wind = np.array([linear.x, linear.y])
         self._wind_out.publish(message)
 
     def _moved(self, stamp: int, position: Array, velocity: Array, rotation: Array) -> None:
-        """Publish odometry through the air, of what is measured over ground.
+        """Publish odometry through the air, of what is measured over ground at a stamp [ns].
 
-        Args:
-            stamp: [ns].
-            position: ENU, shape (3,) [m].
-            velocity: ENU, shape (3,) [m/s].
-            rotation: FLU to ENU, shape (3, 3).
+        Positions [m] and velocities [m/s] are ENU, shape (3,); rotations FLU to ENU, shape (3, 3).
         """
         airspeed = self._airspeed if self._age('airspeed') <= AIRSPEED_LOST else math.nan
         wind = self._wind if self._age('wind') <= WIND_LOST else np.full(2, math.nan)

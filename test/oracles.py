@@ -1,0 +1,241 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Optima by other solvers: convex programs stated anew step by step, and local descents.
+
+The convex program has nothing in common with what it is an oracle for. Where a floor by faces, or
+boxes, leave a choice, it is that of a branch: of every one, or of the one that a plan has taken.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import cvxpy as cp
+import numpy as np
+from scipy.optimize import minimize
+
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import carried
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import entry_speed
+
+LATE = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}  # share of the new heading in a step
+Cell = tuple[np.ndarray, float]  # normal . value >= offset
+
+
+class Choice(NamedTuple):
+    """One of some half-spaces is to hold at steps: of headings, or of positions."""
+
+    name: str
+    on: str
+    steps: tuple[int, ...]
+    cells: list[Cell]
+
+    def best(self, plan: Plan) -> Cell:
+        """Return the half-space that a plan is deepest in."""
+        values = plan.rotations[:, :, 0] if self.on == 'heading' else plan.positions
+        points = values[list(self.steps)]
+        return max(self.cells, key=lambda cell: (points @ cell[0]).min() - cell[1])
+
+
+def choices(problem: Problem) -> list[Choice]:
+    n, found = problem.dimension, []
+    if problem.floor.exists and problem.floor.shape != 'circle':
+        faces = [(cell.normal, cell.offset) for cell in problem.floor.cells(n)]
+        steps = range(1, problem.horizon + 1)
+        found += [Choice('floor', 'heading', (k,), faces) for k in steps]
+    for i, box in enumerate(problem.boxes):
+        sides = [(-axis, -low) for axis, low in zip(np.eye(n), box.minimum, strict=True)]
+        sides += [(axis, high) for axis, high in zip(np.eye(n), box.maximum, strict=True)]
+        shared = int(problem.no_corner_cutting and problem.horizon > 1)
+        for k in range(1, problem.horizon + 1 - shared):
+            found.append(
+                Choice(f'obstacle {i}', 'position', tuple(range(k, k + 1 + shared)), sides)
+            )
+    return found
+
+
+class Stated:
+    """A problem as the paper writes it, within a branch of its choices, each constraint eased."""
+
+    def __init__(self, problem: Problem, start: State, goals: np.ndarray) -> None:
+        self.problem, self.choices = problem, choices(problem)
+        self.ease: dict[tuple[str, int], cp.Parameter] = {}
+        self._rows: list[Any] = []
+        self._chords = cp.Parameter(problem.horizon, nonneg=True)
+        self._r = [cp.Constant(start.rotation)]
+        self._r += [cp.Variable((problem.dimension,) * 2) for _ in range(problem.horizon)]
+        self._s, self._p = self._rollout(start)
+        self._first(start)
+        self._limits(start, goals)
+        self._cells = [self._choice(each) for each in self.choices]
+        self._program = cp.Problem(cp.Minimize(self._cost(start, goals)), self._rows)
+
+    def _rollout(self, start: State) -> tuple[list, list]:
+        problem, w = self.problem, start.disturbance
+        h, z, s, p = problem.step, problem.forward, [start.position], [start.velocity]
+        late = LATE[problem.discretisation]
+        for k in range(problem.horizon):
+            old, new = self._r[k][:, 0], self._r[k + 1][:, 0]
+            gained = h * (z * ((1.0 - late) * old + late * new) + w)
+            way = gained
+            if problem.translation_order == 2:
+                way = h * p[-1]
+                if problem.discretisation == 'exact':
+                    way = way + h * h * (z * (old / 3.0 + new / 6.0) + w / 2.0)
+                if problem.discretisation == 'held':
+                    way = way + h * h / 2.0 * (z * new + w)
+            s.append(s[-1] + way)
+            p.append(p[-1] + gained)
+        return s, p
+
+    def _by(self, name: str, step: int) -> cp.Parameter:
+        return self.ease.setdefault((name, step), cp.Parameter(value=0.0))
+
+    def _first(self, start: State) -> None:
+        if self.problem.rotation_order == 1:
+            return
+        if start.coasted is None:
+            decided = start.rotation + self.problem.step * start.rotation_rate
+            self._rows.append(self._r[1] == decided)
+            return
+        fraction = cp.Variable()
+        self._rows += [self._r[1] == fraction * start.coasted]
+        self._rows += [fraction >= -self._by('thrust', 1)]
+
+    def _limits(self, start: State, goals: np.ndarray) -> None:
+        problem, rows = self.problem, self._rows
+        headings, n, last = [each[:, 0] for each in self._r], problem.dimension, problem.horizon
+        for k in range(1, last + 1):
+            self._hull(self._r[k], self._by('hull', k))
+            if problem.max_rate:
+                self._by('max_rate', k)
+                rows.append(cp.norm(headings[k] - headings[k - 1]) <= self._chords[k - 1])
+            if problem.tilt:
+                rows.append(cp.norm(headings[k]) * math.cos(problem.tilt) <= headings[k][2])
+            if problem.glide_slope:
+                away = self._s[k] - goals[k - 1]
+                rows.append(cp.norm(away[:2]) * math.tan(problem.glide_slope) <= away[2])
+        if problem.approach.exists:
+            ahead = problem.approach.axis(start) @ headings[-1]
+            cosine = math.cos(problem.approach.cone)
+            rows += [ahead >= cosine * cp.norm(headings[-1])]
+            rows += [ahead >= cosine * problem.least_heading]
+        for i, axis in enumerate('xyz'[:n] if problem.terminal == 'constraint' else ''):
+            rows.append(self._s[-1][i] == goals[-1][i] + self._by(f'terminal {axis}', last))
+            if problem.translation_order == 2:
+                rows.append(self._p[-1][i] == self._by(f'terminal velocity {axis}', last))
+
+    def _hull(self, r: cp.Expression, by: cp.Parameter) -> None:
+        """conv SO(n): a disk, or the linear matrix inequality of Sanyal and others."""
+        if r.shape == (2, 2):
+            self._rows += [r[0, 0] == r[1, 1], r[0, 1] == -r[1, 0], cp.norm(r[:, 0]) <= 1 + by]
+            return
+        a, b, c = (r[i, i] for i in range(3))
+        x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+        xy, xz, yz = r[1, 0] + r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2]
+        matrix = [
+            [1 + a + b + c, x, y, z],
+            [x, 1 + a - b - c, xy, xz],
+            [y, xy, 1 - a + b - c, yz],
+            [z, xz, yz, 1 - a - b + c],
+        ]
+        self._rows.append(cp.bmat(matrix) + by * np.eye(4) >> 0)
+
+    def _choice(self, choice: Choice) -> tuple[cp.Parameter, cp.Parameter]:
+        normal, offset = cp.Parameter(self.problem.dimension), cp.Parameter()
+        for k in choice.steps:
+            value = self._r[k][:, 0] if choice.on == 'heading' else self._s[k]
+            self._rows.append(normal @ value >= offset - self._by(choice.name, k))
+        return normal, offset
+
+    def _cost(self, start: State, goals: np.ndarray) -> Any:
+        problem, w, h, r = self.problem, self.problem.weights, self.problem.step, self._r
+        inputs = [(b - a) / h for a, b in itertools.pairwise(r)]
+        if problem.rotation_order == 2:
+            inputs = [(b - a) / h for a, b in itertools.pairwise(inputs)]
+        misses = [place - goal for place, goal in zip(self._s[1:], goals, strict=True)]
+        cost = w.position * sum(map(cp.sum_squares, misses))
+        cost += w.input * sum(map(cp.sum_squares, inputs)) if inputs else 0.0
+        cost += (w.terminal + problem.arrival_weight) * cp.sum_squares(misses[-1])
+        if problem.translation_order == 2:
+            cost += problem.arrival_weight * h * h * cp.sum_squares(self._p[-1])
+        if w.length:
+            late = LATE[problem.discretisation]
+            sizes = [cp.norm(each[:, 0]) for each in r]
+            flown = sum((1 - late) * a + late * b for a, b in itertools.pairwise(sizes))
+            cost += w.length * h * problem.forward * flown
+        return cost + (w.attitude * cp.sum_squares(r[-1] - start.wanted) if w.attitude else 0.0)
+
+    def taking(self, cells: list[Cell]) -> Stated:
+        """Settle the choices."""
+        for (normal, offset), cell in zip(self._cells, cells, strict=True):
+            normal.value, offset.value = cell
+        return self
+
+    def optimum(self, name: str = '', step: int = 0, by: float = 0.0) -> float:
+        """Return the least cost, infinite without any, with one constraint eased by so much."""
+        for parameter in self.ease.values():
+            parameter.value = 0.0
+        omega = np.full(self.problem.horizon, self.problem.max_rate)
+        if name == 'max_rate':
+            omega[step - 1] += by
+        elif name:
+            self.ease[name, step].value = by
+        self._chords.value = 2.0 * np.sin(0.5 * self.problem.step * omega)
+        return self._program.solve(solver=cp.CLARABEL)
+
+
+def convex(problem: Problem, start: State, goals: np.ndarray) -> float:
+    """Return the optimal value of a problem without choices."""
+    return Stated(problem, start, goals).optimum()
+
+
+def enumerated(problem: Problem, start: State, goals: np.ndarray) -> float:
+    """Return the least optimal value of all branches."""
+    stated = Stated(problem, start, goals)
+    branches = itertools.product(*(each.cells for each in stated.choices))
+    return min(stated.taking(cells).optimum() for cells in branches)
+
+
+def descended(problem: Problem, start: State, goals: np.ndarray) -> float:
+    """Return the least cost of descents in speeds and turns; in the plane, at rotation order 1."""
+    count, most = problem.horizon, problem.speed_change
+    widest = min(math.pi, problem.widest_turn)
+    first = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
+    entry, paced = entry_speed(problem, start), problem.max_acceleration > 0.0
+    least = problem.floor.clearance(2)
+
+    def cost(y: np.ndarray) -> float:
+        around = first + np.cumsum(y[count:])
+        units = np.column_stack([np.cos(around), np.sin(around)])
+        low = np.array([problem.floor.least(unit) for unit in units])
+        sizes = y[:count] if paced else low + y[:count] * (1.0 - low)
+        headings = sizes[:, None] * units
+        x = coordinates(carried(start.attitude, headings))
+        return trajectory_of(problem, start, goals, x).cost
+
+    chain = np.hstack([np.eye(count) - np.eye(count, k=-1), np.zeros((count, count))])
+    begun = np.eye(count)[0] * entry
+    kept = [
+        {'type': 'ineq', 'fun': lambda y, side=side: most + side * (begun - chain @ y)}
+        for side in (-1.0, 1.0)
+    ]
+    box = [(least if paced else 0.0, 1.0)] * count + [(-widest, widest)] * count
+    found = []
+    turns = [(a, a) for a in (-1.0, -0.3, 0.3, 1.0)]
+    turns += [] if problem.max_rate else [(a, 0.0) for a in np.linspace(-0.9, 0.9, 8)]
+    for once, then in turns:
+        y = np.full(2 * count, then * widest)
+        y[:count], y[count] = entry if paced else 0.5, once * widest
+        known = {'bounds': box, 'constraints': kept if paced else (), 'options': {'maxiter': 80}}
+        y = np.clip(minimize(cost, y, method='SLSQP', **known).x, *np.transpose(box))
+        if paced:  # what it ends with may break the limit by little
+            for k, before in enumerate([entry, *y[: count - 1]]):
+                before = y[k - 1] if k else before
+                y[k] = min(1.0, before + most, max(least, before - most, y[k]))
+        found.append(cost(y))
+    return min(found)

@@ -1,0 +1,284 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Laws of rotation groups, orbitopes, projections, floors' outlines and covers, and separation."""
+
+import numpy as np
+import pytest
+from problems import rotation
+
+from orbimpc_ros.mpc.geometry import orbitopes
+from orbimpc_ros.mpc.geometry import rotations as so
+from orbimpc_ros.mpc.geometry.cells import cap_cells, round_cells
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.outline import sphere
+from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.problem import Floor
+from orbimpc_ros.mpc.problem.floor import largest_fraction
+
+SEEDS = range(30)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_exp_reaches_the_group_and_log_returns(n, seed):
+    rng = np.random.default_rng(seed)
+    q = rotation(rng, n)
+    phi = so.log(q)
+    assert np.allclose(q.T @ q, np.eye(n), atol=1e-12)
+    assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+    assert np.linalg.norm(phi) <= np.pi + 1e-9
+    assert np.allclose(so.exp(phi), q, atol=1e-12)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_log_inverts_exp_below_half_a_turn(n, seed):
+    rng = np.random.default_rng(seed)
+    phi = rng.normal(size=1 if n == 2 else 3)
+    phi *= 10.0 ** rng.uniform(-13, 0) * 3.1 / np.linalg.norm(phi)
+    assert np.allclose(so.log(so.exp(phi)), phi, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_exp_turns_at_the_rate_of_its_tangent(n):
+    rng = np.random.default_rng(0)
+    omega, h = rng.normal(size=1 if n == 2 else 3), 1e-6
+    derivative = (so.exp(h * omega) - so.exp(-h * omega)) / (2 * h)
+    assert np.allclose(derivative, so.skew(omega), atol=1e-8)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_nearest_is_nearer_than_any_other_rotation(n, seed):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(n, n))
+    if n == 2:
+        matrix = np.array([[matrix[0, 0], -matrix[1, 0]], [matrix[1, 0], matrix[0, 0]]])
+    best = so.nearest(matrix)
+    assert np.linalg.det(best) == pytest.approx(1.0, abs=1e-12)
+    distance = np.linalg.norm(matrix - best)
+    for _ in range(50):
+        step = so.exp(rng.normal(size=1 if n == 2 else 3) * 10.0 ** rng.uniform(-3, 0.5))
+        assert np.linalg.norm(matrix - best @ step) >= distance - 1e-12
+
+
+def test_nearest_is_a_rotation_where_the_papers_formula_gives_a_reflection():
+    matrix = -np.eye(3) / 3
+    u, _, vt = np.linalg.svd(matrix)
+    assert np.linalg.det(u @ vt) == pytest.approx(-1.0)
+    assert np.linalg.det(so.nearest(matrix)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_thrust_aligned_keeps_the_axis_and_finds_the_best_roll(seed):
+    rng = np.random.default_rng(seed)
+    mix = rng.dirichlet(np.ones(4))
+    matrix = sum(w * rotation(rng, 3) for w in mix)
+    q = so.project_all(matrix[None], np.eye(3), 'thrust_aligned')[0][0]
+    heading = matrix[:, 0]
+    assert np.allclose(q.T @ q, np.eye(3), atol=1e-12)
+    assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+    assert np.allclose(np.linalg.norm(heading) * q[:, 0], heading, atol=1e-12)
+    distance = np.linalg.norm(matrix - q)
+    for roll in np.linspace(-np.pi, np.pi, 41):
+        assert np.linalg.norm(matrix - q @ so.exp(np.array([roll, 0, 0]))) >= distance - 1e-12
+
+
+@pytest.mark.parametrize('how', ['nearest', 'thrust_aligned'])
+@pytest.mark.parametrize('n', [2, 3])
+def test_heading_is_held_where_it_is_undefined(n, how):
+    rng = np.random.default_rng(1)
+    first, *points = (rotation(rng, n) for _ in range(6))
+    still = np.diag([0.0, 1.0, 0.0]) if n == 3 else np.zeros((2, 2))
+    given = np.array([still, 0.5 * points[1], still, still, 0.7 * points[4]])
+    projected, held = so.project_all(given, first, how)
+    assert held.tolist() == [True, False, True, True, False]
+    expected = [first, points[1], points[1], points[1], points[4]]
+    np.testing.assert_allclose(projected, expected, atol=1e-12)
+
+
+def test_any_roll_will_do_where_all_fit_as_well():
+    flat = np.diag([0.3, 0.0, 0.0]) @ rotation(np.random.default_rng(2), 3)
+    flat[:, 1:] = 0.0
+    (q,), _ = so.project_all(flat[None], np.eye(3), 'thrust_aligned')
+    assert np.allclose(q.T @ q, np.eye(3), atol=1e-12)
+    assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+    assert np.allclose(q[:, 0] * np.linalg.norm(flat[:, 0]), flat[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_quaternions_are_unit_and_return(n, seed):
+    q = rotation(np.random.default_rng(seed), n)
+    quaternion = so.to_quaternion(q)
+    assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert np.allclose(so.from_quaternion(quaternion, n), q, atol=1e-12)
+
+
+def test_planar_rotation_of_a_tilted_body_is_its_heading_from_above():
+    pitch, yaw = so.exp(np.array([0.0, 0.4, 0.0])), so.exp(np.array([0.0, 0.0, 1.1]))
+    seen = so.from_quaternion(so.to_quaternion(yaw @ pitch), 2)
+    assert np.allclose(seen, so.exp(np.array([1.1])), atol=1e-12)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_turning_onto_an_axis_gets_there_by_the_shortest_way(seed):
+    rng = np.random.default_rng(seed)
+    q, goal = rotation(rng, 3), rotation(rng, 3)[:, 0]
+    goal = {0: q[:, 0], 1: -q[:, 0]}.get(seed, goal)
+    turned = so.turned_onto(q, goal)
+    assert np.allclose(turned[:, 0], goal, atol=1e-9)
+    assert np.allclose(turned.T @ turned, np.eye(3), atol=1e-12)
+    between = np.arccos(np.clip(q[:, 0] @ goal, -1, 1))
+    assert np.linalg.norm(so.log(q.T @ turned)) == pytest.approx(between, abs=1e-6)
+
+
+# --- orbitopes
+
+
+def smallest_eigenvalue(matrix):
+    return np.linalg.eigvalsh(orbitopes.lmi(orbitopes.coordinates(matrix)))[0]
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_margin_is_the_smallest_eigenvalue_of_the_lmi(seed):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 0.5)
+    if seed % 3 == 0:  # singular values that coincide, either sign of the determinant
+        matrix = rotation(rng, 3) @ np.diag(rng.choice([0.0, 1.0, -1.0], size=3)) @ rotation(rng, 3)
+    assert orbitopes.margin(matrix) == pytest.approx(smallest_eigenvalue(matrix), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('matrix', 'margin'),
+    [
+        (np.diag([1.0, 1.0, -1.0]), -2.0),
+        (-np.eye(3), -2.0),
+        (-np.eye(3) / 3, 0.0),
+        (np.eye(3), 0.0),
+        (np.zeros((3, 3)), 1.0),
+        (np.diag([1.0, 0.0, 0.0]), 0.0),
+        (np.array([[0.6, -0.8], [0.8, 0.6]]), 0.0),
+        (np.zeros((2, 2)), 1.0),
+    ],
+)
+def test_known_margins(matrix, margin):
+    assert orbitopes.margin(matrix) == pytest.approx(margin, abs=1e-12)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_mixtures_of_rotations_are_members_and_beyond_a_rotation_is_not(n, seed):
+    rng = np.random.default_rng(seed)
+    mixture = sum(w * rotation(rng, n) for w in rng.dirichlet(np.ones(5)))
+    assert orbitopes.margin(mixture) >= -1e-12
+    assert orbitopes.margin(1.01 * rotation(rng, n)) < -1e-3
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_coordinates_are_those_of_the_matrix_with_the_thrust_axis_first(n):
+    rng = np.random.default_rng(0)
+    q = np.stack([rotation(rng, n) for _ in range(4)])
+    x = orbitopes.coordinates(q)
+    assert x.shape == (4, orbitopes.coordinate_count(n))
+    assert np.array_equal(orbitopes.matrix(x), q) or np.allclose(orbitopes.matrix(x), q, atol=1e-15)
+    assert np.array_equal(x[:, :n], q[:, :, 0])
+    frobenius = orbitopes.frobenius_factor(n) * np.sum(x**2, axis=1)
+    assert np.allclose(frobenius, np.sum(q**2, axis=(1, 2)))
+
+
+# --- floors
+
+
+@pytest.mark.parametrize(('n', 'faces'), [(2, 3), (2, 4), (2, 7), (3, 6), (3, 12), (3, 20)])
+def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, faces):
+    directions = normals(n, faces)
+    assert directions.shape == (faces, n)
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+    assert len({tuple(np.round(d, 9)) for d in directions}) == faces
+    rng = np.random.default_rng(0)
+    v = rng.normal(size=(20_000, n))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    covered = (v @ directions.T).max(axis=1)
+    limit = largest_fraction(n, faces)
+    assert covered.min() >= limit - 1e-9
+    assert covered.min() <= limit + 0.02
+
+
+@pytest.mark.parametrize('faces', [4, 6, 7])
+def test_a_polygon_has_its_corners_and_edges(faces):
+    lines = np.array(Floor('polygon', faces, 0.5).outline(2))
+    assert lines.shape == (faces, 2, 3)
+    assert np.allclose(np.linalg.norm(lines, axis=2), 0.5 / np.cos(np.pi / faces))
+    reached = (lines[:, :, :2] @ normals(2, faces).T).max(axis=2)
+    assert np.allclose(reached, 0.5)
+
+
+@pytest.mark.parametrize(('faces', 'edges'), [(6, 12), (12, 30), (20, 30)])
+def test_a_solid_has_its_edges(faces, edges):
+    lines = np.array(Floor('polygon', faces, 0.5).outline(3))
+    assert lines.shape == (edges, 2, 3)
+    on = np.isclose(lines @ normals(3, faces).T, 0.5).all(axis=1)
+    assert (on.sum(axis=1) == 2).all()  # every edge belongs to two faces
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_round_floors_and_hulls_are_round(dimension):
+    for lines, radius in (
+        (sphere(dimension, 1.0), 1.0),
+        (Floor('circle', fraction=0.7).outline(dimension), 0.7),
+    ):
+        assert np.allclose(np.linalg.norm(np.concatenate(lines), axis=1), radius)
+    assert Floor().outline(dimension) == ()
+
+
+def allowed(cell, headings, depth):
+    """Which headings, shape (K, n), a cell allows that is cut so many times more."""
+    if not depth:
+        return headings @ cell.normal >= cell.offset - 1e-12
+    return np.any([allowed(part, headings, depth - 1) for part in cell.parts()], axis=0)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('depth', range(3))
+def test_the_cells_of_a_round_floor_miss_none_of_it(n, depth):
+    headings = np.random.default_rng(depth).normal(size=(2000, n))
+    headings *= 0.6 / np.linalg.norm(headings, axis=1, keepdims=True)
+    cells = round_cells(n, 0.6)
+    assert np.any([allowed(cell, headings, depth) for cell in cells], axis=0).all()
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_cells_are_cut_until_rounding_is_larger(n):
+    cell, cuts = round_cells(n, 0.6)[0], 0
+    while cell.parts():
+        cell, cuts = cell.parts()[-1], cuts + 1
+    assert 0.6 * (1.0 - 1e-12) < cell.offset <= 0.6
+    assert 15 < cuts < 30
+
+
+def test_the_patches_of_a_cap_cover_it_at_every_level():
+    rng = np.random.default_rng(2)
+    for tilt in (0.05, 0.2618, 1.0):
+        angles, around = tilt * np.sqrt(rng.uniform(0, 1, 500)), rng.uniform(0, 2 * np.pi, 500)
+        angles[:50] = tilt
+        across = np.column_stack([np.cos(around), np.sin(around)]) * np.sin(angles)[:, None]
+        axes = 0.3 * np.column_stack([across, np.cos(angles)])
+        for depth in range(3):
+            within = [allowed(cell, axes, depth) for cell in cap_cells(tilt, 0.3)]
+            assert np.any(within, axis=0).all()
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('m', [1, 2, 3, 4])
+def test_the_separating_normal_is_the_direction_to_the_nearest_point(n, m):
+    rng = np.random.default_rng([5, n, m])
+    sets = rng.normal(size=(300, m, n)) + 1.5 * rng.normal(size=(300, 1, n))
+    normals, values = separation(sets)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    np.testing.assert_allclose((sets @ normals[:, :, None]).min(axis=(1, 2)), values, atol=1e-12)
+    shares = rng.dirichlet(0.3 * np.ones(m), 4000)
+    nearest = np.linalg.norm(np.einsum('sm,kmn->ksn', shares, sets), axis=2).min(axis=1)
+    outside = values > 0.05
+    assert (values <= nearest + 1e-9).all()
+    np.testing.assert_allclose(nearest[outside], values[outside], atol=0.15)
+    assert outside.sum() > 50

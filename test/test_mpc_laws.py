@@ -1,0 +1,274 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Laws of plans, bounds and certificates, which hold for every family of problems.
+
+``ORBIMPC_SEEDS=1000:1020 pytest test/test_mpc_laws.py`` draws other problems (``make proofs``).
+"""
+
+import copy
+import itertools
+import json
+from dataclasses import replace
+from typing import NamedTuple
+
+import adversary
+import numpy as np
+import pytest
+from plans import assembled
+from problems import FAMILIES, HELD_OUT, OPEN, case, needs_machine_code, rotation, seeds
+
+from orbimpc_ros.mpc.check import holds, margins, violations
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.plan import Plan, shifted
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.proof.document import verified
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof.reading import Refused, parsed
+from orbimpc_ros.mpc.proof.refute import refutation_of
+from orbimpc_ros.mpc.solve.solver import Solver
+
+ROUNDING = 1e-7  # relative: what plans may miss constraints by saves as much
+LOOSE = {*OPEN, 'acceleration', 'space, acceleration'}  # whose gaps may stay open
+POLLS = 400  # of the clock, after which a search of an open family is over
+
+
+class Solved(NamedTuple):
+    family: str
+    case: Case
+    solver: Solver
+    plan: Plan
+
+
+def polled(limit):
+    """A clock that says that time is up after so many looks at it."""
+    left = iter(range(limit))
+    return lambda: next(left, None) is None
+
+
+def drawn():
+    """Yield each family with each seed; of families every fourth where plain Python searches."""
+    families = list(FAMILIES | OPEN)[:: 1 if COMPILED else 4]
+    for family, seed in itertools.product(families, seeds(1)):
+        marks = [needs_machine_code] if family in OPEN else []
+        yield pytest.param((family, seed), id=f'{family}-{seed}', marks=marks)
+
+
+@pytest.fixture(scope='module', params=drawn())
+def solved(request):
+    """A problem with its plan: of each, all laws are tested before the next is drawn."""
+    family, seed = request.param
+    known = case(family, seed)
+    solver = Solver(known.problem, coasting=known.state.coasted is not None, patient=True)
+    late = None if family in FAMILIES else polled(POLLS)
+    return Solved(family, known, solver, solver.solve(known.state, known.goals, None, late))
+
+
+def test_a_plan_passes_the_check_and_is_proved(solved):
+    family, known, _, plan = solved
+    assert violations(*known, plan) == []
+    assert plan.lower_bound <= plan.objective * (1.0 + ROUNDING)
+    assert plan.status == 'optimal' or HELD_OUT or family in LOOSE, plan.proof.reason
+    for name, least in margins(*known, plan).items():
+        assert least > -1e-5 * max(1.0, known.problem.length_unit), name
+
+
+def test_no_legal_trajectory_costs_less_than_the_bound(solved):
+    """Neighbours of the plan, near and far, as far as they keep all limits."""
+    _, (problem, state, goals), _, plan = solved
+    rng, n = np.random.default_rng(7), problem.dimension
+    first = problem.rotation_order  # R_1 is decided at order 2, but for its size
+    for _ in range(60):
+        moved, size = plan.rotations[1:].copy(), 10.0 ** rng.uniform(-4, 0)
+        for k in range(first - 1, len(moved)):
+            moved[k] = moved[k] @ rotation(rng, n, size)
+            moved[k] *= 1.0 - size * rng.uniform(-1.0, 1.0) * bool(rng.integers(2))
+        other = assembled(problem, state, goals, coordinates(moved))
+        kept = min(margins(problem, state, goals, other).values())
+        if kept >= 0.0 and holds(problem, state, goals, other):
+            assert other.objective >= plan.lower_bound * (1.0 - 1e-9)
+
+
+def test_a_search_that_is_cut_short_has_a_legal_plan_and_a_sound_bound(solved):
+    _, known, solver, best = solved
+    for limit in (0, 1, 3, 10, 50):
+        try:
+            plan = solver.solve(known.state, known.goals, None, polled(limit))
+        except SolverFailure:
+            continue
+        assert violations(*known, plan) == []
+        assert plan.lower_bound <= best.objective * (1.0 + ROUNDING)
+        assert best.lower_bound <= plan.objective * (1.0 + ROUNDING)
+
+
+def test_a_guess_leads_to_no_other_optimum(solved):
+    """Neither the plan itself, nor one that is none of this state, nor one that lies."""
+    family, known, solver, best = solved
+    elsewhere = shifted(*known, best, projection='nearest') or best
+    for guess in (best, elsewhere, replace(best, objective=0.1 * best.objective)):
+        plan = solver.solve(known.state, known.goals, guess, polled(POLLS))
+        assert violations(*known, plan) == []
+        assert plan.lower_bound <= best.objective * (1.0 + ROUNDING)
+        if family in FAMILIES and guess is best:
+            assert plan.objective <= best.objective * (1.0 + 1e-4)
+
+
+def test_other_units_are_another_way_to_state_the_same(solved):
+    _, (problem, state, goals), _, plan = solved
+    units, x = Units.of(problem), coordinates(plan.rotations[1:])
+    known = units.problem, units.state(state), units.lengths(goals)
+    plain, scaled = trajectory_of(problem, state, goals, x), trajectory_of(*known, x)
+    assert units.cost * scaled.cost == pytest.approx(plain.cost, rel=1e-9)
+    np.testing.assert_allclose(
+        units.length * scaled.positions, plain.positions, atol=1e-9 * problem.length_unit
+    )
+    lengths = ('obstacle', 'hazard', 'glide_slope')
+    kept = margins(*known, assembled(*known, x))
+    for name, least in margins(problem, state, goals, plan).items():
+        unit = units.length if name.startswith(lengths) else 1.0
+        assert unit * kept[name] == pytest.approx(least, abs=1e-9 * problem.length_unit)
+
+
+@pytest.mark.parametrize('seed', seeds(40))
+def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
+    """Flights at the edge of what their limits allow, in problems with limits of every kind.
+
+    Curves that pass a body nearer than their control points are no plans, and left out.
+    """
+    flown = 0
+    for index in range(60):
+        drawn = adversary.flight(np.random.default_rng([seed, index]))
+        if drawn is None:
+            continue
+        (problem, state, goals), cost = drawn.case, drawn.plan.objective
+        if problem.translation.degree > 1 and (problem.obstacles or state.hazards):
+            continue
+        flown += 1
+        solver = Solver(problem, coasting=state.coasted is not None)
+        try:
+            plan = solver.solve(state, goals, None, polled(100))
+        except SolverFailure:
+            continue
+        assert violations(problem, state, goals, plan) == [], index
+        assert plan.lower_bound <= cost * (1.0 + ROUNDING), index
+    assert flown > 20
+
+
+# --- certificates
+
+
+@pytest.fixture(scope='module')
+def certificate(solved):
+    """Its certificate; None of an open family, whose search may leave a tree without end."""
+    if solved.family in OPEN:
+        return None
+    return certificate_of(*solved.case, solved.plan.proof)
+
+
+def test_a_bound_is_verified_in_fractions(solved, certificate):
+    if certificate is not None:
+        verdict = verified(parsed(certificate.text().encode()))
+        assert verdict.holds
+        assert verdict.claimed == max(0.0, solved.plan.lower_bound)
+        assert verdict.proved <= solved.plan.objective * (1.0 + ROUNDING)
+
+
+def raised(known):
+    known['lower_bound'] *= 1.01
+
+
+def near(known):
+    """Move the goals to where the vehicle is, and with them most of the cost away."""
+    known['goals'] = [known['state']['position']] * len(known['goals'])
+    for name in ('disturbance', 'velocity'):
+        known['state'][name] = [0.0] * len(known['state'][name])
+    known['problem']['terminal'] = 'penalty'
+    known['tree'].pop('pull', None)
+
+
+def moved(known):
+    """Have the tangents touch far away, where they are steep."""
+    known['tree']['point'] = (np.array(known['tree']['point']) + 30.0).tolist()
+
+
+def not_a_number(known):
+    known['tree']['point'][0][0][0] = float('nan')
+
+
+def without_a_leaf(known):
+    for name in ('nodes', 'at'):
+        known['tree'][name].pop()
+
+
+def shorter(known):
+    known['tree']['point'][0].pop()
+
+
+def with_another_horizon(known):
+    known['problem']['horizon'] += 1
+
+
+CHANGES = (raised, near, moved, not_a_number, without_a_leaf, shorter, with_another_horizon)
+
+
+def judged(text):
+    try:
+        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
+    except Refused as error:
+        return str(error)
+
+
+def cut(text):
+    """Yield a text that ends too soon, and one with a name twice."""
+    yield from (text[: len(text) * share // 8] for share in range(8))
+    yield text[:-1] + ', "lower_bound": 0.0}'
+
+
+def test_a_changed_certificate_proves_nothing(solved, certificate):
+    if certificate is None:
+        return
+    bound_to_leave = {'floor', 'rotation_order', 'approach'}.intersection(FAMILIES[solved.family])
+    for change in CHANGES:
+        if change is near and bound_to_leave:
+            continue  # such a vehicle cannot stay where it is
+        known = copy.deepcopy(certificate.document())
+        change(known)
+        assert judged(json.dumps(known)) != 'holds', change.__name__
+    assert all(judged(text) != 'holds' for text in cut(certificate.text()))
+
+
+BOX, DISC = Box(np.array([1.2, -0.3]), np.array([2.4, 0.4])), Ball(np.array([1.6, 0.1]), 0.5)
+
+
+@pytest.mark.parametrize('body', [BOX, DISC])
+def test_a_proof_beside_a_body_depends_on_it(body):
+    problem = Problem(horizon=4, obstacles=(body,))
+    state, goals = State.at(np.zeros(2), np.eye(2)), np.tile([3.5, 0.0], (4, 1))
+    plan = Solver(problem).solve(state, goals)
+    free = Solver(replace(problem, obstacles=())).solve(state, goals)
+    assert plan.lower_bound > 1.001 * free.objective
+    known = certificate_of(problem, state, goals, plan.proof).document()
+    for each in known['limits']['bodies']:
+        each.update({'radius': 0.1} if 'radius' in each else {'max': [1.3, -0.2]})
+    assert judged(json.dumps(known)) == 'does not hold'
+    known['limits']['bodies'] = []
+    assert judged(json.dumps(known)) != 'holds'
+
+
+def test_what_has_a_plan_is_not_refuted(solved):
+    if solved.family not in OPEN:
+        with pytest.raises(Unproved, match='no refutation'):
+            refutation_of(Sought(*solved.case))
+
+
+def test_a_far_arrival_is_infeasible_at_once(solved):
+    """Even if there is no time, and whatever else limits the vehicle."""
+    (problem, state, goals), count = solved.case, solved.case.problem.horizon
+    there = replace(problem, terminal='constraint', arrival_weight=0.0)
+    far = goals + 100.0 * count**2 * problem.length_unit
+    with pytest.raises(Infeasible, match=f'beyond what {count} steps can reach'):
+        Solver(there, coasting=state.coasted is not None).solve(state, far, None, lambda: True)

@@ -1,0 +1,463 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Limits of turns, speeds, approaches and descents: what plans and commands make of them."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plans import assembled
+from problems import floor, goals, needs_machine_code, rotation, state
+from stepping import Stepped
+
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.mpc.check import approach_margin, command_violations, violations
+from orbimpc_ros.mpc.command import Command, command_of, flaw
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.plan import UNPROVED, assemble, shifted
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
+from orbimpc_ros.mpc.problem.approach import SLOWEST
+from orbimpc_ros.mpc.problem.cones import climb, relief, told
+from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.reach import clear_of_hazards
+from orbimpc_ros.mpc.solve.request import Enough
+from orbimpc_ros.mpc.solve.solver import Solver
+
+
+def measured(position, heading, speed, time=0.0):
+    along = np.array([speed, 0.0])
+    attitude = exp(np.array([heading]))
+    return Odometry(time, np.array(position, float), attitude, along, np.zeros(1))
+
+
+# --- turns
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('shape', 'faces'), [('circle', 4), ('polygon', 4), ('polygon', 8)])
+def test_with_a_floor_every_turn_of_a_plan_is_flown_as_planned(shape, faces):
+    rng = np.random.default_rng(17)
+    for rate in (0.3, 0.8, 2.0):
+        problem = Problem(horizon=4, floor=floor(shape, 0.5, faces), max_rate=rate)
+        start = state(rng, problem, full_speed=False)
+        targets = goals(rng, problem, 2.0)
+        plan = Solver(problem).solve(start, targets)
+        assert violations(problem, start, targets, plan) == []
+        for k in range(problem.horizon):
+            command = command_of(problem, start, plan, k)
+            np.testing.assert_allclose(command.rotation, plan.projected[k + 1], atol=1e-6)
+            assert command.speed_fraction == pytest.approx(plan.speed_fraction[k + 1], abs=1e-6)
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('shape', 'faces'), [('circle', 4), ('polygon', 8)])
+def test_a_fixed_wing_flies_its_plans(shape, faces):
+    """A wing that turns evenly through each step is, at its end, where the plan has it head."""
+    wing = floor(shape, 2.0 / 3.0, faces)
+    problem = Problem(step=0.5, horizon=8, forward=15.0, floor=wing, max_rate=0.4363)
+    controller = Stepped(problem, gap_tolerance=1e-2)
+    place, heading, speed = np.zeros(2), 2.0, 12.0
+    goal, drift = np.array([60.0, -50.0]), np.array([2.0, 1.5])
+    for k in range(30):
+        ahead = goal + drift * 0.5 * (k + np.arange(1.0, 9.0))[:, None]
+        tick = controller.tick(measured(place, heading, speed, 0.5 * k), ahead)
+        assert tick.fallback == '', tick.reason
+        rate = float(tick.command.body_rate[0])
+        assert abs(rate) <= problem.max_rate * (1.0 + 1e-9)
+        np.testing.assert_allclose(tick.command.rotation, tick.plan.projected[1], atol=1e-6)
+        for _ in range(25):  # 20 ms
+            heading += 0.02 * rate
+            place = place + 0.02 * speed * np.array([np.cos(heading), np.sin(heading)])
+        speed = problem.forward * tick.command.speed_fraction
+        assert speed >= 10.0 - 1e-6
+
+
+@needs_machine_code
+def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
+    rng, sooner = np.random.default_rng(23), {'cost': 0, 'bound': 0}
+    for _ in range(20):
+        problem = Problem(horizon=12, floor=floor('circle', 0.6), max_rate=0.3)
+        start = state(rng, problem, full_speed=False)
+        targets = goals(rng, problem, 6.0)
+        whole = Solver(problem).solve(start, targets)
+        for name in sooner:
+            settled = 1.5 * whole.objective if name == 'cost' else 0.5 * whole.objective
+            plan = Solver(problem, enough=Enough(**{name: settled})).solve(start, targets)
+            assert plan.lower_bound <= whole.objective * (1.0 + 1e-9)
+            assert plan.objective >= whole.lower_bound * (1.0 - 1e-9)
+            if plan.gap > 1e-4:  # not just as good as without
+                sooner[name] += plan.nodes < whole.nodes
+                assert plan.objective <= settled if name == 'cost' else plan.lower_bound > settled
+    assert min(sooner.values()) > 1
+
+
+# --- the approach
+
+
+def test_the_goals_own_axis_is_the_direction_where_none_is_given():
+    rng = np.random.default_rng(1)
+    problem = Problem(3, horizon=4, approach=Approach(0.2))
+    start = replace(state(rng, problem), wanted=rotation(rng, 3))
+    targets = goals(rng, problem)
+    plan = Solver(problem).solve(start, targets)
+    same = replace(problem, approach=Approach(0.2, tuple(start.wanted[:, 0].tolist())))
+    assert plan.objective == pytest.approx(Solver(same).solve(start, targets).objective, rel=1e-6)
+
+
+def test_a_heading_that_vanishes_has_no_direction():
+    problem = Problem(approach=Approach(0.3, (0.0, 1.0)))
+    start = State.at(np.zeros(2), np.eye(2))
+    assert approach_margin(problem, start, np.zeros(2)) < 0.0
+    assert approach_margin(problem, start, np.array([0.0, SLOWEST])) > 0.0
+    assert approach_margin(problem, start, np.array([0.0, 1.0])) == pytest.approx(1 - np.cos(0.3))
+    assert approach_margin(problem, start, np.array([0.0, -1.0])) < -1.0
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_a_plan_that_ends_out_of_the_cone_fails_the_check(n):
+    rng = np.random.default_rng(n)
+    problem = Problem(n, horizon=4)
+    start, targets = state(rng, problem), goals(rng, problem)
+    plan = Solver(problem).solve(start, targets)
+    heading = plan.rotations[-1, :, 0]
+    across = rotation(rng, n) @ heading
+    across -= heading * (across @ heading) / (heading @ heading)
+    for angle, allowed in ((0.29, True), (0.31, False), (2.5, False)):
+        along = np.cos(angle) * heading / np.linalg.norm(heading)
+        axis = along + np.sin(angle) * across / np.linalg.norm(across)
+        coned = replace(problem, approach=Approach(0.3, tuple(axis.tolist())))
+        flaws = violations(coned, start, targets, plan)
+        assert any('approach' in flaw for flaw in flaws) != allowed
+
+
+# --- changes of speed
+
+
+def changes(problem, start, plan):
+    speeds = plan.speed_fraction.copy()
+    speeds[0] = entry_speed(problem, start)
+    return np.abs(np.diff(speeds)) * problem.forward / problem.step
+
+
+FAR = {'hazards': (MovingObstacle.drifting(Ball([40.0, 9.0], 1.0), [0.1, 0.3]),)}
+NEAR = {'hazards': (MovingObstacle.drifting(Ball([1.2, 1.0], 0.4), [0.0, -0.1]),)}
+ROUTES = {
+    'hull': ({}, {}),
+    'chord': ({'max_rate': 1.0}, {}),
+    'space': ({'dimension': 3}, {}),
+    'length': ({'weights': Weights(1.0, 0.05, 0.3, 10.0), 'discretisation': 'exact'}, {}),
+    'box': ({'obstacles': (Box([0.9, -0.3], [1.5, 0.3]),), 'no_corner_cutting': True}, {}),
+    'disc': ({'obstacles': (Ball([1.2, 0.6], 0.35),)}, {}),
+    'far': ({}, FAR),
+    'moving': ({}, NEAR),
+    'moving, floor': ({'floor': Floor('circle', fraction=0.4), 'max_rate': 1.0}, NEAR),
+    'approach': ({'approach': Approach(0.4, (1.0, 0.8))}, {}),
+    'glide slope': ({'dimension': 3, 'glide_slope': 0.3}, {}),
+}
+
+
+@pytest.mark.parametrize('name', ROUTES)
+def test_whatever_else_limits_a_plan_it_slows_down_in_time_and_is_no_stand_in(name):
+    model, more = ROUTES[name]
+    if 'floor' in model and not COMPILED:
+        pytest.skip('sectors are searched in machine code: install numba')
+    problem = Problem(horizon=6, max_acceleration=0.25, **model)
+    n = problem.dimension
+    start = State.at((np.eye(3)[2] * 1.2 * (n == 3))[:n], 0.6 * np.eye(n), **more)
+    targets = np.tile([2.4, 0.3, 0.0][:n], (6, 1))
+    polls = itertools.count()
+    plan = Solver(problem).solve(start, targets, None, lambda: next(polls) > 400)
+    free = Solver(replace(problem, max_acceleration=0.0)).solve(start, targets)
+    assert violations(problem, start, targets, plan) == []
+    assert changes(problem, start, plan).max() <= 0.25 * (1.0 + 1e-5)
+    assert plan.proof.reason == ''  # not what stands in for a plan
+    # Without machine code nothing is counted in time, and nothing published.
+    bound = plan.lower_bound if COMPILED else plan.proof.lower_bound
+    assert 0.0 < bound <= plan.objective <= 1.5 * bound
+    assert free.lower_bound <= plan.objective * (1.0 + 1e-5)
+
+
+def test_what_is_surely_out_of_reach_is_left_out_of_the_search():
+    problem, wanted = Problem(horizon=5), State.at([0.0, 0.0], np.eye(2))
+    moving = [MovingObstacle.drifting(Ball([7.0, 0.0], 1.0), [v, 0.0]) for v in (0.0, -0.15, -0.25)]
+    found = [clear_of_hazards(problem, replace(wanted, hazards=(each,))) for each in moving]
+    assert [len(each.hazards) for each in found] == [0, 0, 1]  # 5 m and 6 m less the way of it
+    near, far = moving[2], moving[0]
+    assert len(clear_of_hazards(problem, replace(wanted, hazards=(far, near))).hazards) == 2
+    grown = replace(far, reserve=1.1)
+    assert len(clear_of_hazards(problem, replace(wanted, hazards=(grown,))).hazards) == 1
+
+
+def test_changes_count_from_what_was_commanded_and_from_the_floor_up():
+    problem = Problem(max_acceleration=0.1, floor=floor('circle', 0.5))
+    assert entry_speed(problem, State.at([0.0, 0.0], 0.8 * np.eye(2))) == pytest.approx(0.8)
+    commanded = State.at([0.0, 0.0], 0.8 * np.eye(2), commanded=0.6)
+    assert entry_speed(problem, commanded) == 0.6
+    assert entry_speed(problem, State.at([0.0, 0.0], 0.1 * np.eye(2))) == 0.5
+    plan = Solver(problem).solve(State.at([0.0, 0.0], 0.1 * np.eye(2)), np.ones((5, 2)))
+    assert 0.5 - 1e-6 <= plan.speed_fraction[1] <= 0.6 + 1e-6
+
+
+def test_the_last_look_refuses_a_jump_of_speed():
+    problem = Problem(max_acceleration=0.1)
+    for fraction, entry, fine in ((0.6, 0.5, True), (0.61, 0.5, False), (0.39, 0.5, False)):
+        command = Command(fraction, np.zeros(1), np.eye(2))
+        assert (flaw(problem, command, entry=entry) == '') is fine
+        assert flaw(problem, command, entry=entry, stopping=True) == ''
+        assert flaw(replace(problem, max_acceleration=0.0), command, entry=entry) == ''
+
+
+def test_a_speed_that_a_cut_turn_reduces_is_not_reduced_faster_than_allowed():
+    problem = Problem(max_rate=0.5, max_acceleration=0.05)
+    start = State.at([0.0, 0.0], 0.3 * np.eye(2))
+    plan = assembled(problem, start, np.ones((5, 2)), np.tile([0.02, 0.3], (5, 1)))
+    command = command_of(problem, start, plan)
+    assert command.speed_fraction == pytest.approx(0.25)
+    assert command_violations(problem, plan, command, 0.3) == []
+    assert command_violations(problem, plan, replace(command, speed_fraction=0.15), 0.3) != []
+
+
+@pytest.mark.parametrize('period', [0.5, 0.1])
+def test_a_vehicle_without_a_floor_comes_to_rest_at_its_goal(period):
+    """It takes each command over as fast as it may, at once where it may."""
+    problem = Problem(step=0.5, horizon=8, forward=2.0, max_acceleration=0.8)
+    controller, goal = Stepped(problem), np.array([6.0, 1.0])
+    place, heading, speed = np.zeros(2), 0.0, 0.0
+    for k in range(round(14.0 / period)):
+        tick = controller.tick(measured(place, heading, speed, k * period), np.tile(goal, (8, 1)))
+        assert tick.fallback == '', tick.reason
+        wanted = 2.0 * tick.command.speed_fraction
+        assert abs(wanted - speed) <= 0.5 * 0.8 + 1e-5
+        speed = min(speed + period * 0.8, max(speed - period * 0.8, wanted))
+        heading += period * float(tick.command.body_rate[0])
+        place = place + period * speed * np.array([np.cos(heading), np.sin(heading)])
+    assert np.linalg.norm(place - goal) < 0.1
+
+
+@pytest.mark.parametrize('kind', ['loiter', 'hold_rate_zero', 'stop'])
+def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
+    problem = Problem(max_acceleration=0.1, floor=floor('circle', 0.5))
+    controller = Stepped(problem, safe=kind)
+    ahead = np.tile([9.0, 0.0], (5, 1))
+    first = controller.tick(measured([0.0, 0.0], 0.0, 1.0), ahead).command.speed_fraction
+    lost = Reason(Cause.ODOMETRY, 'lost')
+    found = [controller.safe(np.eye(2), lost).command.speed_fraction for _ in range(8)]
+    if kind == 'stop':
+        assert found == [0.0] * 8
+    else:
+        assert np.abs(np.diff([first, *found])).max() <= 0.1 + 1e-9
+        assert found[-1] == pytest.approx(0.5 if kind == 'loiter' else first)
+
+
+# --- descents
+
+UP = np.array([0.0, 0.0, 1.0])
+UPRIGHT = turned_onto(np.eye(3), UP)
+WEIGHTS = Weights(position=0.3, input=0.05, length=0.3, terminal=1.0)
+THRUST = Floor('circle', 4, 0.3)
+PAD = np.zeros((8, 3))
+FALLING = np.array([0.0, 0.0, -1.62])
+
+
+def lander(**others):
+    """A lander that falls with 1.62 m/s^2: eight steps of a second."""
+    usual = {
+        'dimension': 3,
+        'translation_order': 2,
+        'horizon': 8,
+        'forward': 3.6,
+        'weights': WEIGHTS,
+        'discretisation': 'exact',
+        'tilt': 0.2,
+        'glide_slope': 0.6,
+    }
+    return Problem(**(usual | others))
+
+
+def falling(position, velocity=(0.0, 0.0, 0.0), attitude=UPRIGHT, fraction=0.45, **more):
+    known = {'velocity': velocity, 'attitude': attitude, 'disturbance': FALLING, **more}
+    return State.at(position, fraction * attitude, **known)
+
+
+def tilts(plan):
+    """Angles of the thrust axes from the vertical, of R_1..R_N [rad]."""
+    axes = plan.rotations[1:, :, 0]
+    return np.arctan2(np.hypot(axes[:, 0], axes[:, 1]), axes[:, 2])
+
+
+def slopes(plan):
+    """Angles at which s_1..s_N are seen from the goal, from the horizontal [rad]."""
+    away = plan.positions[1:]
+    return np.arctan2(away[:, 2], np.hypot(away[:, 0], away[:, 1]))
+
+
+@pytest.mark.parametrize('floor', [Floor(), THRUST])
+@pytest.mark.parametrize('weight', [0.0, 0.05])
+def test_plans_keep_both_cones_at_every_step_and_the_check_sees_those_that_do_not(floor, weight):
+    problem = lander(floor=floor, weights=replace(WEIGHTS, input=weight))
+    start = falling([9.0, -7.0, 15.0], [1.0, 1.0, -2.0])
+    free = replace(problem, tilt=0.0, glide_slope=0.0)
+    without = Solver(free, gap_tolerance=1e-3).solve(start, PAD)
+    found = ' '.join(violations(problem, start, PAD, without))
+    assert 'tilt violated by' in found
+    assert 'glide_slope violated by' in found
+    plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
+    assert plan.is_closed
+    assert plan.proof.checked
+    assert tilts(plan).max() <= 0.2 + 1e-5
+    assert slopes(plan).min() >= 0.6 - 1e-5
+    assert without.lower_bound <= plan.objective
+    assert told(problem, PAD, plan) == ''
+    raised = PAD + UP * (1e-4 / math.cos(0.6))  # lengths are kept to 1e-6 of a step's
+    assert 'glide_slope violated by' in ' '.join(violations(problem, start, raised, plan))
+
+
+def test_a_vehicle_with_body_rates_keeps_them_from_the_first_step_that_it_can():
+    """At rotation order 2 the state decides where R_1 points."""
+    problem, leaning = lander(rotation_order=2), UPRIGHT @ exp(np.array([0.0, 0.5, 0.0]))
+    sinking = [0.0, 0.0, -2.0]  # from rest, steps without thrust come, which has no direction
+    start = falling([9.0, -7.0, 15.0], sinking, attitude=leaning, coasted=leaning)
+    plan = Solver(problem, coasting=True).solve(start, PAD)
+    assert tilts(plan)[1:].max() <= 0.2 + 1e-5
+    assert relief(problem, start, PAD).tilt[0] > 0.1
+
+
+def test_a_speed_has_a_glide_slope_too():
+    smooth = Weights(position=0.0, input=3.0, terminal=1.0)
+    problem = Problem(dimension=3, horizon=8, glide_slope=0.66, weights=smooth)
+    start = State.at([9.0, 0.0, 8.3], turned_onto(np.eye(3), -UP))
+    assert slopes(Solver(problem).solve(start, PAD)).min() >= 0.66 - 1e-5
+    assert slopes(Solver(replace(problem, glide_slope=0.0)).solve(start, PAD)).min() < 0.65
+
+
+def anywhere(rng, problem):
+    attitude = rotation(rng, 3, 2.5)
+    return State.at(
+        rng.normal(scale=8.0, size=3),
+        rng.uniform(0.3, 1.0) * attitude,
+        velocity=rng.normal(scale=3.0, size=3) if problem.inertial else None,
+        attitude=attitude,
+        coasted=attitude @ exp(rng.uniform(-0.2, 0.2, size=3)),
+        disturbance=np.array([0.1, 0.0, -1.0]),
+    )
+
+
+@pytest.mark.parametrize('rotation_order', [1, 2])
+@pytest.mark.parametrize('max_rate', [0.0, 0.4])
+@pytest.mark.parametrize('floor', [Floor(), THRUST, Floor('polygon', 12, 0.5)])
+@pytest.mark.parametrize('translation_order', [1, 2])
+def test_a_climb_is_legal_from_anywhere(rotation_order, max_rate, floor, translation_order):
+    """Which is why there is a plan from anywhere: below the goal, upside down, on the way out."""
+    rng, orders = np.random.default_rng(5), {'rotation_order': rotation_order}
+    orders |= {'translation_order': translation_order, 'tilt': 0.2 * (translation_order == 2)}
+    problem = lander(max_rate=max_rate, floor=floor, **orders)
+    for _ in range(10):
+        start, targets = anywhere(rng, problem), goals(rng, problem)
+        begin = start.attitude if rotation_order == 1 else start.coasted
+        x = coordinates(carried(begin, climb(problem, start, targets)[1:]))
+        plan = assemble(problem, start, targets, x, projection='thrust_aligned', proof=UNPROVED)
+        assert violations(problem, start, targets, plan) == []
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_no_state_is_infeasible_for_a_descent(seed):
+    problem = lander(floor=THRUST)
+    start = replace(anywhere(np.random.default_rng(seed), problem), coasted=None)
+    plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
+    assert plan.status == 'optimal'
+    assert violations(problem, start, PAD, plan) == []
+
+
+@pytest.mark.parametrize('tilt', [0.1, 0.2618, 0.5])
+def test_a_climb_that_leans_as_far_as_it_may_eases_nothing(tilt):
+    """Whichever way it leans: on the cone's side, rounding leads in or out."""
+    problem, rng = lander(tilt=tilt), np.random.default_rng(1)
+    for _ in range(30):
+        start = falling([9.0, -7.0, 60.0], rng.uniform([4.0, -9.0, 0.0], [9.0, -4.0, 1.0]))
+        assert math.acos(climb(problem, start, PAD)[1, 2]) == pytest.approx(tilt)
+        assert not relief(problem, start, PAD).tilt.any()
+
+
+def test_what_is_outside_comes_back_in_and_it_is_said():
+    """Beside the pad and below the slope, descending; tilted by 60 degrees."""
+    problem = lander(floor=THRUST, max_rate=0.3)
+    leaning = UPRIGHT @ exp(np.array([0.0, math.pi / 3.0, 0.0]))
+    start = falling([6.0, 0.0, 2.0], [0.0, 0.0, -1.0], attitude=leaning)
+    plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
+    turning = np.maximum(math.pi / 3.0 - 0.3 * np.arange(1, 9), 0.2)
+    assert (tilts(plan) <= turning + 1e-5).all()
+    words = told(problem, PAD, plan)
+    assert 'tilted too far until step 2' in words
+    assert 'm outside the glide slope until step' in words
+    inside = np.flatnonzero(relief(problem, start, PAD).slope == 0.0)
+    assert inside.size
+    assert slopes(plan)[inside].min() >= 0.6 - 1e-5
+    controller = Stepped(lander(floor=THRUST), gap_tolerance=1e-3, disturbance=FALLING)
+    below = Odometry(0.0, np.array([6.0, 0.0, 2.0]), UPRIGHT, np.zeros(3), np.zeros(3))
+    tick = controller.tick(below, PAD)
+    assert (tick.status, tick.fallback) == ('optimal', '')
+    assert 'outside the glide slope until step' in tick.reason
+
+
+def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
+    """To wait for one is to fall."""
+    problem = lander(floor=THRUST, terminal='constraint')
+    with pytest.raises(Infeasible, match='beyond what 8 steps can reach'):
+        Solver(problem).solve(falling([0.0, 0.0, 500.0]), PAD)
+    controller = Stepped(problem, shrinking=True, gap_tolerance=1e-3, disturbance=FALLING)
+    high = Odometry(0.0, np.array([3.0, 0.0, 90.0]), UPRIGHT, np.zeros(3), np.zeros(3))
+    tick = controller.tick(high, PAD)
+    assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
+    assert tick.plan.gap < 1e-3
+
+
+def test_an_arrival_that_became_impossible_as_time_ran_out_goes_on_as_planned():
+    """Rather than by a climb, which passes the check as well and leads away."""
+    problem = lander(floor=THRUST, terminal='constraint', horizon=12)
+    controller = Stepped(problem, shrinking=True, gap_tolerance=1e-3, disturbance=FALLING)
+    places, still = np.zeros((12, 3)), np.zeros(3)
+    at = Odometry(0.0, np.array([3.0, 0.0, 30.0]), UPRIGHT, np.array([-3.0, 0.0, 0.0]), still)
+    tick = controller.tick(at, places)
+    for k in range(1, 6):  # and then 25 m too high to arrive
+        place, attitude = tick.plan.positions[1] + (k == 5) * 25.0 * UP, tick.plan.projected[1]
+        at = Odometry(float(k), place, attitude, attitude.T @ tick.plan.velocities[1], still)
+        tick = controller.tick(at, places[k:], (lambda: True) if k == 5 else None)
+    assert tick.fallback == 'soft arrival'
+    assert np.linalg.norm(tick.plan.positions[-1]) == pytest.approx(25.0, abs=1e-3)
+
+
+def test_the_rest_of_a_plan_keeps_the_least_thrust_where_a_share_of_a_step_has_passed():
+    """Between two directions of the least thrust a chord leads below it."""
+    problem = lander(floor=THRUST, tilt=0.0, glide_slope=0.0)
+    start = falling([0.0, 0.0, 30.0], fraction=0.3)
+    turns = np.array([UPRIGHT @ exp(np.array([0.0, 0.1 * k, 0.0])) for k in range(1, 9)])
+    plan = assembled(problem, start, PAD, coordinates(0.3 * turns))
+    rest = shifted(problem, start, PAD, plan, 0.5 + np.arange(1, 9), projection='thrust_aligned')
+    assert violations(problem, start, PAD, rest) == []
+    assert rest.speed_fraction[1:] == pytest.approx(0.3)
+
+
+def test_a_descent_that_leans_at_the_least_thrust_is_searched_to_its_optimum():
+    """Where the relaxation is below the floor: too much thrust to come down in time, and aside."""
+    weights = Weights(position=1.0, input=0.05, length=0.0, terminal=1.0)
+    problem = lander(floor=THRUST, horizon=6, weights=weights, glide_slope=0.0, tilt=0.6)
+    start, places = falling([6.0, 2.0, 40.0], fraction=0.3), np.zeros((6, 3))
+    found = Solver(problem).solve(start, places)
+    assert found.status == 'optimal'
+    assert found.nodes > 1
+    wide = Solver(replace(problem, tilt=1.5), gap_tolerance=1e-3).solve(start, places)
+    assert wide.lower_bound <= found.objective

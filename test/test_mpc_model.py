@@ -1,0 +1,182 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The discrete model: rollouts, maps, inputs, the condensed quadratic, and what weights mean."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import ORDERS, disturbed, goals, rotation, weights
+
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.scaling import weighed
+from orbimpc_ros.mpc.problem.units import Units
+
+MODELS = [{**orders, 'discretisation': how} for orders in ORDERS for how in ('euler', 'exact')]
+MODELS += [{**each, 'discretisation': 'held'} for each in ORDERS if each['translation_order'] == 2]
+SPEEDS = [(0.02, 0.1), (0.7, 3.0), (2.0, 1000.0)]
+
+
+def moved(problem, start, headings):
+    """Positions and velocities, step by step, as docs/mathematics.md 1.1 has them."""
+    h, z, w = problem.step, problem.forward, start.disturbance
+    s, p = [start.position], [start.velocity]
+    for old, new in itertools.pairwise(headings):
+        mean = {'euler': old, 'exact': 0.5 * (old + new), 'held': new}[problem.discretisation]
+        way = h * (z * mean + w)
+        if problem.translation_order == 2:
+            way = h * p[-1]
+            if problem.discretisation == 'exact':
+                way = way + h**2 * (z * (old / 3.0 + new / 6.0) + 0.5 * w)
+            if problem.discretisation == 'held':
+                way = way + 0.5 * h**2 * (z * new + w)
+        s.append(s[-1] + way)
+        p.append(p[-1] + h * (z * mean + w))
+    if problem.translation_order == 1:
+        return np.array(s), z * np.array(headings) + w
+    return np.array(s), np.array(p)
+
+
+def turned(problem, begin, rate, inputs):
+    """R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k."""
+    found = [begin]
+    for u in inputs:
+        found.append(found[-1] + problem.step * (u if problem.rotation_order == 1 else rate))
+        rate = rate + problem.step * u
+    return np.array(found)
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
+    rng = np.random.default_rng([*map(ord, str(model))])
+    problem = Problem(**model, horizon=6, step=rng.uniform(0.1, 2), forward=1.7)
+    start, targets = disturbed(rng, problem), goals(rng, problem)
+    x = rng.uniform(-1, 1, size=(6, 2 if problem.dimension == 2 else 9))
+    flown = trajectory_of(problem, start, targets, x)
+    positions, velocities = moved(problem, start, flown.headings)
+    np.testing.assert_allclose(flown.positions, positions, atol=1e-11)
+    np.testing.assert_allclose(flown.velocities, velocities, atol=1e-11)
+    mapped = dynamics.drift(problem, start) + problem.maps.reach @ flown.headings
+    np.testing.assert_allclose(mapped, positions[1:], atol=1e-11)
+    rate = (flown.rotations[1] - flown.rotations[0]) / problem.step
+    again = turned(problem, flown.rotations[0], rate, flown.inputs)
+    np.testing.assert_allclose(again, flown.rotations, atol=1e-10)
+    assert np.allclose(coordinates(flown.rotations[1:]), x)
+    inputs = np.einsum('kj,jab->kab', dynamics.input_map(problem), flown.rotations)
+    np.testing.assert_allclose(flown.inputs[: len(inputs)], inputs, atol=1e-9)
+
+
+@pytest.mark.parametrize('model', [each for each in MODELS if each['dimension'] == 2])
+def test_the_condensed_quadratic_is_the_objective(model):
+    rng = np.random.default_rng([*map(ord, str(model))])
+    drawn = replace(weights(rng), length=0.0, attitude=4.0)
+    problem = Problem(**model, horizon=5, step=0.4, forward=1.7, weights=drawn)
+    start, targets = replace(disturbed(rng, problem), coasted=None), goals(rng, problem)
+    z, condensed = rng.normal(size=(5, 2)), Condensed(problem)
+    if problem.rotation_order == 2:
+        z[0] = (start.rotation + problem.step * start.rotation_rate)[:, 0]
+    q, c = condensed.affine(start, targets)
+    cost = 0.5 * np.sum(z * (condensed.hessian @ z)) + np.sum(q * z) + c
+    assert cost == pytest.approx(trajectory_of(problem, start, targets, z).cost)
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_exact_steps_follow_a_vehicle_that_turns_evenly(order):
+    """A fine integration of constant thrust on an axis that turns evenly, 0.3 rad in each step."""
+    exact = Problem(2, 1, order, horizon=5, discretisation='exact')
+    fine = Problem(2, 1, order, horizon=500, step=0.01, discretisation='exact')
+    start = State.at([0.0, 0.0], np.eye(2), velocity=[0.0, 0.0], disturbance=[0.1, -0.2])
+
+    def end(problem, turn):
+        angles = turn * problem.step * np.arange(problem.horizon + 1)
+        axes = np.column_stack([np.cos(angles), np.sin(angles)])
+        return dynamics.translation_rollout(problem, start, axes)[0][-1]
+
+    def error(problem, turn):
+        return np.linalg.norm(end(problem, turn) - end(fine, turn))
+
+    assert error(exact, 0.3) < 0.1 * error(replace(exact, discretisation='euler'), 0.3)
+    assert error(exact, 0.3) / error(exact, 0.15) == pytest.approx(4.0, abs=0.3)  # second order
+
+
+# --- units and weights
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+@pytest.mark.parametrize(('step', 'forward'), SPEEDS)
+def test_natural_units_have_steps_of_one_and_a_hessian_of_one(orders, step, forward):
+    rng = np.random.default_rng(3)
+    problem = Problem(**orders, step=step, forward=forward, weights=weights(rng))
+    units = Units.of(problem)
+    assert (units.problem.step, units.problem.forward) == (1.0, 1.0)
+    diagonal = np.diag(Condensed(units.problem).hessian)
+    assert max(diagonal.max(), units.problem.weights.length) == pytest.approx(1.0)
+    unit = Problem(**orders, weights=problem.weights)
+    natural, again = (Units.of(weighed(each, 'time')).problem for each in (unit, problem))
+    for name in ('position', 'input', 'length', 'terminal'):
+        one, two = getattr(natural.weights, name), getattr(again.weights, name)
+        assert two == pytest.approx(one, rel=1e-12)
+
+
+def test_limits_are_scaled_along():
+    near = Box([1.0, 2.0], [3.0, 4.0])
+    problem = Problem(step=0.5, forward=4.0, max_rate=2.0 * np.pi, obstacles=(near,))
+    scaled = Units.of(problem).problem
+    assert scaled.max_rate == np.pi
+    np.testing.assert_allclose(scaled.obstacles[0].maximum, [1.5, 2.0])
+    assert scaled.chord == pytest.approx(problem.chord)
+    assert Units.of(Problem(weights=Weights(0.0, 0.0, 0.0, 0.0))).cost == 1.0
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+def test_a_finer_step_resolves_the_same_integrals(orders):
+    """The cost of one smooth motion, sampled: its differences halve with the step."""
+    costs = [_cost(orders, steps) for steps in (40, 80, 160, 320)]
+    apart = np.abs(np.diff(costs))
+    np.testing.assert_allclose(apart[1:] / apart[:-1], 0.5, atol=0.12)
+    assert apart[-1] < 0.01 * costs[-1]
+
+
+def _cost(orders, steps, lasts=10.0):
+    problem = Problem(**orders, horizon=steps, step=lasts / steps, forward=2.0)
+    problem = weighed(replace(problem, weights=Weights(1.0, 0.5, 0.3, 2.0)), 'time')
+    n, times = problem.dimension, np.linspace(0.0, lasts, steps + 1)
+    rotations = np.tile(np.eye(n), (steps + 1, 1, 1))
+    c, s = np.cos(0.2 * times), np.sin(0.2 * times)
+    rotations[:, :2, :2] = np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
+    rotations *= (0.8 + 0.1 * np.sin(times))[:, None, None]
+    rate = (rotations[1] - rotations[0]) / problem.step
+    start = State.at(np.zeros(n), rotations[0], rotation_rate=rate)
+    targets = np.outer(times[1:], np.linspace(1.0, -0.5, n))
+    return trajectory_of(problem, start, targets, coordinates(rotations[1:])).cost
+
+
+def test_the_paper_means_sums_and_the_weight_of_the_attitude_has_no_unit():
+    problem = Problem(step=0.1, forward=30.0, weights=Weights(attitude=4.0))
+    assert weighed(problem, 'paper') is problem
+    assert weighed(problem, 'time').weights.attitude == 4.0
+
+
+def test_a_case_may_state_what_its_weights_mean():
+    plain = {
+        'dimension': 2, 'rotation_order': 1, 'translation_order': 1, 'horizon': 5, 'step': 0.5,
+        'forward': 2.0, 'weights': {'position': 1.0, 'input': 0.05, 'terminal': 10.0},
+        'state': {'position': [0.0, 0.0], 'rotation': np.eye(2).tolist()}, 'goal': [3.0, 1.0],
+    }  # fmt: skip
+    timed = {**plain, 'weights': {**plain['weights'], 'scaling': 'time'}}
+    assert case_of(timed).problem == weighed(case_of(plain).problem, 'time')
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_an_attitude_is_wanted_at_the_end_alone(n):
+    rng = np.random.default_rng(n)
+    problem = Problem(n, weights=Weights(0.0, 0.0, 0.0, 0.0, attitude=2.0))
+    start = State.at(np.zeros(n), np.eye(n), wanted=rotation(rng, n))
+    turns = np.array([rotation(rng, n) for _ in range(5)])
+    cost = trajectory_of(problem, start, np.zeros((5, n)), coordinates(turns)).cost
+    assert cost == pytest.approx(2.0 * np.sum((turns[-1] - start.wanted) ** 2))

@@ -1,0 +1,428 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Optima are those that other formulations, solvers and enumerations find."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles import convex, descended, enumerated
+from problems import (
+    ANSWERS,
+    CASES,
+    FAMILIES,
+    ORDERS,
+    box,
+    case,
+    disturbed,
+    floor,
+    goals,
+    needs_machine_code,
+    reference,
+    state,
+    weights,
+)
+
+from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.rotations import turned_onto
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.scaling import weighed
+from orbimpc_ros.mpc.solve.solver import Solver
+
+BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not proved optimal
+
+
+@pytest.mark.parametrize('name', CASES)
+def test_the_papers_problems_have_their_known_optima(name):
+    problem, start, targets = reference(name)
+    plan = Solver(problem).solve(start, targets)
+    answer = ANSWERS[name]['objective']
+    assert plan.is_closed
+    # With a weight on fuel, plans of a cone program are too inaccurate for a certificate.
+    assert plan.proof.checked or (name == 'spacecraft_fuel0.1' and not COMPILED)
+    assert plan.gap <= 1e-4 or not plan.proof.checked
+    assert violations(problem, start, targets, plan) == []
+    if name.startswith('uav_unit'):
+        assert np.allclose(plan.speed_fraction[1:], 1.0, atol=1e-9)
+    if name.startswith(BEST_KNOWN):
+        assert plan.objective <= answer * (1 + 1e-6)
+        assert plan.lower_bound <= answer * (1 + 1e-4)
+    else:
+        assert plan.objective == pytest.approx(answer, rel=1e-5)
+
+
+def test_the_papers_minute_long_problem_is_proved():
+    """Dubins, N = 20, det R >= 1/2 by a square, path length alone: no input weight."""
+    problem, start, targets = reference('dubins_square')
+    pure = replace(problem, weights=replace(problem.weights, input=0.0))
+    plan = Solver(pure).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert plan.objective < 14.46
+
+
+# --- convex problems
+
+BRANCHING = ('polygon', 'circle', 'shell', 'solid', 'boxes', 'discs', 'cones', 'acceleration')
+CONVEX = [each for each in FAMILIES if not any(word in each for word in BRANCHING)]
+
+
+@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('family', CONVEX)
+def test_convex_optima_are_those_of_another_formulation(family, seed):
+    problem, start, targets = case(family, seed, longest=6)
+    start = replace(start, rotation=(1.0 - 0.4 * seed) * start.rotation)
+    solver = Solver(problem, gap_tolerance=1e-6, coasting=start.coasted is not None, patient=True)
+    try:
+        plan = solver.solve(start, targets)
+    except Infeasible:  # of an arrival from a lower speed
+        assert seed
+        return
+    assert plan.is_closed, plan.proof.reason
+    assert plan.objective == pytest.approx(convex(problem, start, targets), rel=1e-5)
+
+
+@pytest.mark.parametrize('orders', ORDERS, ids=str)
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
+def test_convex_optima_in_wind_are_those_of_another_formulation(orders, discretisation):
+    rng = np.random.default_rng(sum(orders.values()))
+    chosen = Weights(1.0, 0.1, 0.7, 3.0, 2.0)
+    model = {**orders, 'discretisation': discretisation, 'step': 0.6, 'forward': 1.4}
+    problem = Problem(**model, horizon=6, weights=chosen)
+    start, targets = disturbed(rng, problem), goals(rng, problem, distance=1.0)
+    plan = Solver(problem, gap_tolerance=1e-7, coasting=True).solve(start, targets)
+    assert plan.objective == pytest.approx(convex(problem, start, targets), rel=1e-5)
+
+
+@pytest.mark.parametrize('horizon', [1, 2, 45])
+def test_long_and_short_horizons_are_solved_as_well(horizon):
+    rng = np.random.default_rng(4)
+    problem = Problem(horizon=horizon, step=0.2, weights=Weights(attitude=2.0))
+    start, targets = disturbed(rng, problem), goals(rng, problem, distance=3.0)
+    plan = Solver(problem, gap_tolerance=1e-7).solve(start, targets)
+    assert plan.objective == pytest.approx(convex(problem, start, targets), rel=2e-6)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('distance', [0.0, 1e3, 1e6, 1e8])
+def test_goals_out_of_all_proportion_are_no_trouble(n, distance):
+    problem = Problem(n, horizon=5, forward=20.0)
+    start = state(np.random.default_rng(3), problem)
+    way = np.full(n, 1.0 / np.sqrt(n))
+    plan = Solver(problem).solve(start, np.tile(start.position + distance * way, (5, 1)))
+    assert plan.status == 'optimal'
+    if distance:
+        assert np.allclose(plan.rotations[1, :, 0], way, atol=0.03)
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_the_optimum_of_a_descent_is_that_of_another_formulation(seed):
+    rng = np.random.default_rng(seed)
+    problem = Problem(
+        3, 1, 2, horizon=8, forward=3.6, weights=Weights(0.3, 0.05, 0.3, 1.0), tilt=0.2,
+        glide_slope=0.6,
+    )  # fmt: skip
+    upright = turned_onto(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    start = State.at(
+        rng.uniform([-9, -9, 14], [9, 9, 20]), 0.45 * upright, attitude=upright,
+        velocity=rng.uniform(-1.5, 1.5, 3), disturbance=[0.0, 0.0, -1.62],
+    )  # fmt: skip
+    pad = np.zeros((8, 3))
+    plan = Solver(problem).solve(start, pad)
+    assert plan.status == 'optimal'
+    assert plan.objective == pytest.approx(convex(problem, start, pad), rel=1e-5)
+
+
+def test_hovering_under_gravity_costs_nothing_but_turns():
+    """With the weight carried at every step, the vehicle stays where it is: at its goal."""
+    problem = Problem(3, 1, 2, horizon=8, step=0.2, forward=20.0)
+    up, share = np.eye(3)[:, [2, 0, 1]], 9.81 / 20.0
+    start = State.at(np.ones(3), share * up, attitude=up, disturbance=[0.0, 0.0, -9.81])
+    for each in ('euler', 'exact'):
+        plan = Solver(replace(problem, discretisation=each)).solve(start, np.ones((8, 3)))
+        assert plan.status == 'optimal'
+        assert plan.objective < 1e-9
+        np.testing.assert_allclose(plan.positions, 1.0, atol=1e-5)
+        np.testing.assert_allclose(plan.speed_fraction, share, atol=1e-4)
+
+
+# --- choices
+
+
+def branching():
+    """Seed, dimension, floor, boxes, whether consecutive points share a face, horizon."""
+    for seed in range(3):
+        yield seed, 2, floor('polygon', 0.5, 4), 0, False, 3
+        yield seed, 2, floor('polygon', 0.4, 3), 0, False, 3
+        yield seed, 2, floor('none'), 1, False, 3
+        yield seed, 2, floor('none'), 1, True, 3
+    yield 0, 2, floor('polygon', 0.6, 4), 1, False, 2
+    yield 0, 3, floor('polygon', 0.5, 6), 0, False, 2
+    yield 0, 3, floor('none'), 1, True, 3
+
+
+@pytest.mark.parametrize(('seed', 'n', 'shape', 'boxes', 'sharing', 'horizon'), list(branching()))
+def test_searches_find_what_enumeration_finds(seed, n, shape, boxes, sharing, horizon):
+    rng = np.random.default_rng(seed)
+    problem = Problem(n, horizon=horizon, floor=shape, weights=weights(rng))
+    start = state(rng, problem)
+    middle = start.position + start.rotation[:, 0] * 1.9
+    obstacles = tuple(box(rng, n, middle) for _ in range(boxes))
+    problem = replace(problem, obstacles=obstacles, no_corner_cutting=sharing)
+    targets = np.tile(middle + 0.3 * rng.normal(size=n), (horizon, 1))
+    expected = enumerated(problem, start, targets)
+    if expected == np.inf:
+        with pytest.raises(Infeasible):
+            Solver(problem).solve(start, targets)
+        return
+    plan = Solver(problem).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert plan.objective == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_steps_that_can_be_exchanged_lose_nothing(seed):
+    """Pure length to an arrival: only the sum of the steps counts, so their order is free."""
+    rng = np.random.default_rng(seed)
+    alone = Weights(position=0.0, input=0.0, length=1.0, terminal=0.0)
+    shape = floor('polygon', 0.6, int(rng.integers(4, 6)))
+    problem = Problem(horizon=3, terminal='constraint', floor=shape, weights=alone)
+    start = state(rng, problem)
+    beyond = start.position + start.rotation[:, 0] + rng.uniform(-1.3, 1.3, size=2)
+    targets = np.tile(beyond, (3, 1))
+    expected = enumerated(problem, start, targets)
+    try:
+        assert Solver(problem).solve(start, targets).objective == pytest.approx(expected, rel=1e-5)
+    except Infeasible:
+        assert expected == np.inf
+
+
+# --- floors
+
+FLOORS = {
+    'circle': {'floor': Floor('circle', fraction=0.6)},
+    'constant speed': {'floor': Floor('circle', fraction=1.0)},
+    'circle, inertia': {'floor': Floor('circle', fraction=0.5), 'translation_order': 2},
+    'circle, exact': {'floor': Floor('circle', fraction=0.5), 'discretisation': 'exact'},
+    'circle, turn rate': {'floor': Floor('circle', fraction=0.6), 'max_rate': 1.1},
+    'octagon, turn rate': {'floor': Floor('polygon', 8, 0.6), 'max_rate': 0.6},
+    'pentagon, turn rate': {'floor': Floor('polygon', 5, 0.5), 'max_rate': 1.5},
+    'wing': {'floor': Floor('circle', fraction=0.6), 'max_rate': 0.7, 'max_acceleration': 0.1},
+    'speeds': {'max_acceleration': 0.15, 'floor': Floor('circle', fraction=0.3)},
+}
+
+
+@needs_machine_code
+@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('name', FLOORS)
+def test_no_local_search_beats_a_floor_in_wind(name, seed):
+    rng = np.random.default_rng([seed, *name.encode()])
+    wanting = 4.0 * seed * ('max_acceleration' not in FLOORS[name])
+    chosen = Weights(1.0, 0.1, 0.0, 3.0, attitude=wanting)
+    problem = Problem(horizon=4, weights=chosen, **FLOORS[name])
+    start, targets = disturbed(rng, problem), goals(rng, problem, distance=1.5)
+    speed = max(0.8, problem.floor.fraction)
+    start = replace(start, rotation=speed * start.attitude)
+    plan = Solver(problem, gap_tolerance=1e-5).solve(start, targets)
+    other = descended(problem, start, targets)
+    assert plan.status == 'optimal'
+    assert plan.lower_bound <= other * (1.0 + 1e-9)
+    assert plan.objective <= other * (1.0 + 1e-5)
+
+
+HARD = [
+    ([2.38028833, -0.54582049], [0.98153921, 0.19126104], 0.8476808,
+     [[3.71374836, 0.04473868], [3.5959582, -0.05858627], [3.58673334, -0.2540099],
+      [3.65740896, -0.49784341], [3.78678497, -0.75824361]]),
+    ([4.84911772, -0.39878528], [0.30919549, 0.45210414], 0.7352761,
+     [[5.16370425, -0.18621886], [5.40701176, -0.13395184], [5.55477072, -0.16355349],
+      [5.57321975, -0.26826013], [5.45814346, -0.4241474]]),
+]  # fmt: skip
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('position', 'heading', 'known', 'targets'), HARD)
+def test_an_optimum_that_no_local_search_reaches_is_found(position, heading, known, targets):
+    """Two ticks of a study in which IPOPT, from its previous plan, once came out cheaper."""
+    (a, b), problem = heading, Problem(floor=floor('circle', np.sqrt(0.3)))
+    plan = Solver(problem).solve(State.at(position, [[a, -b], [b, a]]), np.array(targets))
+    assert plan.objective == pytest.approx(known, rel=1e-6)
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('fraction', [0.5, 1.0])
+def test_a_shell_is_certified_where_the_cost_sees_the_thrust_axis_alone(seed, fraction):
+    rng = np.random.default_rng(seed)
+    seen = Weights(position=1.0, input=0.0, length=0.0, terminal=10.0)
+    problem = Problem(dimension=3, horizon=4, weights=seen, floor=floor('circle', fraction))
+    start = state(rng, problem)
+    plan = Solver(problem).solve(start, np.tile(start.position + rng.normal(size=3), (4, 1)))
+    assert plan.status == 'optimal'
+
+
+@needs_machine_code
+@pytest.mark.parametrize('side', [1.0, -1.0])
+def test_a_search_winds_round_to_the_cone_of_an_approach(side):
+    """A full circle to a heading just behind: left or right."""
+    problem = Problem(
+        horizon=16, step=0.5, forward=15.0, floor=floor('circle', 1.0), max_rate=np.radians(30.0),
+        approach=Approach(0.2, (-1.0, 0.0)),
+    )  # fmt: skip
+    start, targets = State.at(np.zeros(2), np.eye(2)), np.tile([-20.0, 57.0 * side], (16, 1))
+    plan = Solver(problem).solve(start, targets)
+    assert plan.gap < 1e-2
+    turned = np.unwrap(np.arctan2(plan.rotations[:, 1, 0], plan.rotations[:, 0, 0]))[-1]
+    assert side * turned == pytest.approx(np.pi, abs=0.2 + 1e-6)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('horizon', [20, 31, 45])
+def test_wings_are_proved_over_long_horizons(horizon):
+    problem = Problem(
+        step=6.0 / horizon, horizon=horizon, forward=15.0, floor=floor('circle', 2.0 / 3.0, 4),
+        max_rate=0.4363, discretisation='exact',
+    )  # fmt: skip
+    solver = Solver(weighed(problem, 'time'), gap_tolerance=1e-3)
+    for goal in ([60.0, 20.0], [-40.0, 30.0]):
+        targets = np.tile(goal, (horizon, 1))
+        assert solver.solve(State.at(np.zeros(2), np.eye(2)), targets).status == 'optimal'
+
+
+# --- invariances
+
+
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
+@pytest.mark.parametrize(('n', 'shape'), [(2, 'none'), (2, 'circle'), (3, 'none'), (3, 'polygon')])
+def test_wind_is_as_good_as_goals_that_drift_against_it(n, shape, discretisation):
+    """Galilei: seen from the air, the goals move by -w, and the rotations are the same."""
+    rng = np.random.default_rng(n)
+    shape = Floor(shape, 4 if n == 2 else 6, 0.5)
+    problem = Problem(n, horizon=4, step=0.7, floor=shape, discretisation=discretisation)
+    start, targets = disturbed(rng, problem), goals(rng, problem, distance=2.0)
+    ahead = problem.step * np.arange(1.0, 5.0)
+    still = replace(start, disturbance=np.zeros(n))
+    solver = Solver(problem, gap_tolerance=1e-7)
+    plan = solver.solve(start, targets)
+    other = solver.solve(still, targets - np.outer(ahead, start.disturbance))
+    assert plan.objective == pytest.approx(other.objective, rel=1e-6)
+    flat = 1e-4 if n == 2 else 3e-3  # in space a cost hardly tells rolls apart
+    np.testing.assert_allclose(plan.rotations, other.rotations, atol=flat)
+
+
+FACTORS = [1e-12, 1e-6, 1e6, 1e12]
+
+
+@pytest.mark.parametrize('factor', FACTORS)
+@pytest.mark.parametrize('shape', ['none', 'polygon', 'circle'])
+def test_weights_that_are_all_larger_change_no_plan(shape, factor):
+    rng = np.random.default_rng(12)
+    small = Problem(floor=floor(shape), weights=Weights(1.0, 0.05, 0.3, 10.0))
+    large = replace(small, weights=Weights(factor, 0.05 * factor, 0.3 * factor, 10.0 * factor))
+    start, targets = state(rng, small), goals(rng, small)
+    expected, plan = (Solver(p).solve(start, targets) for p in (small, large))
+    assert plan.status == expected.status == 'optimal'
+    assert plan.objective == pytest.approx(factor * expected.objective, rel=1e-6)
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_weights_far_apart_are_no_trouble(seed):
+    rng = np.random.default_rng(seed)
+    chosen = Weights(*10.0 ** rng.uniform(-6, 6, 2), 0.0, 10.0 ** rng.uniform(-6, 6))
+    chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
+    problem = Problem(horizon=2, floor=floor('polygon', 0.6, 4), weights=chosen)
+    start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
+    plan = Solver(problem, gap_tolerance=1e-6).solve(start, targets)
+    assert plan.objective == pytest.approx(enumerated(problem, start, targets), rel=1e-3)
+
+
+def test_a_cost_far_below_the_usual_is_proved_in_proportion_to_itself():
+    """Turning weighs 1e13 times as much as what is flown: still the shorter flight is found."""
+    weight = Weights(0.0, 0.125, 2.8e-14, 0.0)
+    problem = Problem(horizon=2, weights=weight, floor=floor('polygon', 0.728, 5), max_rate=0.42)
+    start = State.at([0.0, 0.0], np.eye(2))
+    plan = Solver(problem).solve(start, np.tile([3.0, 1.0], (2, 1)))
+    assert plan.objective <= 2.0 * 2.8e-14 * (1.0 + 1e-6)
+
+
+def test_a_cost_far_below_its_curvature_is_minimised():
+    weight = Weights(position=0.0, input=7844.0, length=11.1, terminal=0.0156)
+    problem = Problem(
+        2, 2, 2, horizon=8, step=0.0236, forward=9.22, weights=weight
+    )  # fmt: skip
+    (a, b), (c, d) = ((np.cos(t), np.sin(t)) for t in (-0.082, -0.01))
+    first, coasted = 0.454 * np.array([[a, -b], [b, a]]), np.array([[c, -d], [d, c]])
+    start = State.at([0.0, 0.0], first, velocity=[0.0401, 0.0089], coasted=coasted)
+    plan = Solver(problem, coasting=True).solve(start, np.tile([-0.177, -0.458], (8, 1)))
+    assert plan.gap <= 1e-4
+
+
+@pytest.mark.parametrize('fraction', [0.5, 1.0])
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_heading_that_nothing_weighs_is_no_trouble(dimension, fraction):
+    rng = np.random.default_rng(7)
+    for chosen in (Weights(1.0, 0.0, 0.0, 1.0), Weights(0.0, 0.0, 0.0, 0.0)):
+        problem = Problem(dimension=dimension, weights=chosen, floor=floor('circle', fraction))
+        start, targets = state(rng, problem), goals(rng, problem)
+        assert Solver(problem).solve(start, targets).status == 'optimal'
+
+
+def test_corners_are_cut_only_where_that_is_allowed():
+    """Two points on neighbouring sides of a box are outside it; the line between them is not."""
+    corner = box(np.random.default_rng(0), 2, np.zeros(2))
+    corner = replace(corner, minimum=np.array([0.0, -1.0]), maximum=np.array([1.0, 1.0]))
+    free = Problem(horizon=4, obstacles=(corner,))
+    start = State.at([-0.8, 0.0], np.array([[0.6, -0.8], [0.8, 0.6]]))
+    targets = np.tile([1.2, 1.6], (4, 1))
+    cutting = Solver(free).solve(start, targets)
+    clear = Solver(replace(free, no_corner_cutting=True)).solve(start, targets)
+
+    def deepest(plan):
+        ways = itertools.pairwise(plan.positions[1:])
+        points = [a + s * (b - a) for a, b in ways for s in np.linspace(0, 1, 101)]
+        return corner.depth(np.array(points)).max()
+
+    assert deepest(cutting) > 0.02
+    assert deepest(clear) <= 1e-6
+    assert clear.objective >= cutting.objective
+
+
+# --- arrivals
+
+
+def test_an_arrival_out_of_reach_is_refused_and_one_just_within_is_met():
+    problem = Problem(horizon=6, terminal='constraint', floor=floor('circle', 0.5))
+    start, solver = State.at(np.zeros(2), np.eye(2)), Solver(problem)
+    with pytest.raises(Infeasible):
+        solver.solve(start, np.tile([6.001, 0.0], (6, 1)))
+    plan = solver.solve(start, np.tile([5.999, 0.0], (6, 1)))
+    assert np.allclose(plan.positions[-1], [5.999, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_the_last_step_to_an_arrival_is_the_states_and_with_exact_steps_not(n):
+    """With old values on the right, R_1 moves nothing: only one goal can be arrived at."""
+    weight = Weights(input=0.0) if n == 3 else Weights()
+    shape = Floor('circle', fraction=0.5)
+    problem = Problem(n, horizon=1, terminal='constraint', floor=shape, weights=weight)
+    start = State.at(np.zeros(n), np.eye(n), disturbance=0.2 * np.eye(n)[1])
+    there = np.eye(n)[:1] + 0.2 * np.eye(n)[1]
+    assert Solver(problem).solve(start, there).status == 'optimal'
+    with pytest.raises(Infeasible):
+        Solver(problem).solve(start, 0.99 * there)
+    exact = replace(problem, discretisation='exact')
+    assert Solver(exact).solve(start, 0.9 * there).status == 'optimal'
+
+
+def test_an_arrival_with_body_rates_ends_at_rest_under_gravity():
+    problem = Problem(3, 2, 2, horizon=10, step=0.5, forward=20.0, terminal='constraint')
+    up = np.eye(3)[:, [2, 0, 1]]
+    known = {'attitude': up, 'coasted': up, 'disturbance': [0.3, 0.0, -9.81]}
+    start = State.at(np.zeros(3), 0.5 * up, velocity=[0.0, 1.0, 0.0], **known)
+    for each in ('euler', 'exact'):
+        solver = Solver(replace(problem, discretisation=each), coasting=True)
+        plan = solver.solve(start, np.tile([3.0, 1.0, 2.0], (10, 1)))
+        assert plan.status == 'optimal'
+        np.testing.assert_allclose(plan.positions[-1], [3.0, 1.0, 2.0], atol=1e-6)
+        np.testing.assert_allclose(plan.velocities[-1], 0.0, atol=1e-6)
