@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LINES = {
     'orbimpc_ros': 40_380,
-    'orbimpc_ros/mpc': 21_470,
+    'orbimpc_ros/mpc': 21_475,
     'orbimpc_ros/loop': 4_128,
     'orbimpc_ros/ros': 5_256,
     'orbimpc_ros/sim': 3_213,
