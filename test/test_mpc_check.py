@@ -75,16 +75,6 @@ def test_second_order_rotation_leaves_where_the_body_rate_carries_it():
     assert any('R_1' in f for f in violations(problem, other, goals, plan))
 
 
-def test_second_order_rotation_thrusts_forwards():
-    problem = Problem(rotation_order=2, translation_order=2)
-    start = State.at([0.0, 0.0], np.eye(2), coasted=np.eye(2))
-    plan = solved(problem, start, GOALS, coasting=True)
-    x = coordinates(plan.rotations[1:]).copy()
-    x[0] = [-0.1, 0.0]  # in the hull, but no thrust
-    backwards = assembled(problem, start, GOALS, x)
-    assert 'backwards by 0.1' in only_complaint(problem, backwards, start)
-
-
 def test_shifted_plan_holds_from_where_the_plan_leads():
     problem = Problem(floor=floor('circle', 0.5))
     plan = solved(problem)
