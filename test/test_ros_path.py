@@ -24,9 +24,9 @@ from orbimpc_ros.ros.process import initialised
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
-FILES = 15  # from odometry to a command; the mathematics is one of them
+FILES = 13  # from odometry to a command; the mathematics is one of them
 MATHEMATICS = 24  # files of formulas, solvers and checks that a tick of the retrieval calls
-HOPS = 80  # from file to file, the mathematics counting as one
+HOPS = 50  # from file to file, the mathematics counting as one
 FRAMES = Frames('odom', 'base_link')
 
 
