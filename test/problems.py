@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.case import Case, case_of
-from orbimpc_ros.mpc.problem.feasibility import beyond_reach
+from orbimpc_ros.mpc.problem.reach import beyond_reach
 
 HELD_OUT = os.environ.get('ORBIMPC_SEEDS', '')  # first:end of other seeds than the usual
 REFERENCE = Path(__file__).parent / 'reference'

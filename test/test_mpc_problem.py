@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.case import case_of
-from orbimpc_ros.mpc.problem.feasibility import constraints_in_force
+from orbimpc_ros.mpc.problem.reach import constraints_in_force
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
 

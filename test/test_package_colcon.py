@@ -168,7 +168,7 @@ def test_a_run_without_any_test_fails(suite):
 
 
 def test_colcon_test_runs_pytest(workspace):
-    one = 'test/test_mpc_orbitopes.py'
+    one = 'test/test_mpc_geometry.py'
     done = colcon(
         'test', '--event-handlers', 'console_direct+', '--pytest-args', one, cwd=workspace
     )

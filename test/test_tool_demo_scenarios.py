@@ -112,8 +112,9 @@ def test_configurations_say_what_the_scenarios_say(name):
     assert planner_settings(values).problem == PROBLEMS[name]()
     found, known = sim_settings(settings.of_sim(values)).scenario, getattr(scenarios, name)()
     assert found.model == known.model
-    for part in ('start', 'rope'):
-        for field, value in vars(getattr(known, part)).items():
-            assert np.allclose(getattr(getattr(found, part), field), value, atol=1e-12), field
+    for name in ('position', 'velocity', 'attitude'):
+        assert np.allclose(getattr(found.start, name), getattr(known.start, name), atol=1e-12)
+    for name, value in vars(known.rope).items():
+        assert np.allclose(getattr(found.rope, name), value, atol=1e-12)
     for field in ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed'):
         assert getattr(found, field) == getattr(known, field)

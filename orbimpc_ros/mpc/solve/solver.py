@@ -20,8 +20,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.feasibility import beyond_reach, reason
-from orbimpc_ros.mpc.problem.reach import clear_of_hazards
+from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
 from orbimpc_ros.mpc.proof.tree import ProofTree, in_users_units
@@ -31,7 +30,7 @@ from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request,
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
-SURELY = 1e-3  # of a step's length: an arrival so far out of reach takes no search
+SURELY = 1e-3  # of a step's length, or of 1 rad: an end so far out of reach takes no search
 OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
 NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan that took no search stands in'
@@ -172,7 +171,8 @@ class Solver:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
         if self._wants_attitude and state.wanted is None:
             raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
-        if beyond_reach(self.problem, state, goals) > SURELY * self.problem.length_unit:
+        beyond = beyond_reach(self.problem, state, goals) / self.problem.length_unit
+        if max(beyond, beyond_turning(self.problem, state)) > SURELY:
             raise Infeasible(reason(self.problem, state, goals))
         usable, units = self._usable(query), self._units
         start, targets = units.state(state), units.lengths(goals)
