@@ -342,7 +342,8 @@ class _Run:
             headings: of the solution, shape (N, n), if there is one.
         """
         regions, sides = self._regions, self._regions.sides(self._known(node), cut)
-        gains, refuted = np.zeros(cut.parts), np.full(cut.parts, -1)
+        gains: Array = np.zeros(cut.parts)
+        refuted = np.full(cut.parts, -1)
         if headings is not None:
             gains, refuted = regions.gains(cut.choice, sides, headings)
         node.cut, node.first = cut, len(self._nodes)

@@ -198,7 +198,9 @@ class Statement:
             state: where plans start.
         """
         problem, n, steps = self.problem, self.problem.dimension, self.problem.horizon
-        pull, slide, share = np.zeros((0, n)), np.zeros((0, 0)), np.zeros((steps, n))
+        pull: Array = np.zeros((0, n))
+        slide: Array = np.zeros((0, 0))
+        share: Array = np.zeros((steps, n))
         if problem.terminal == 'constraint':
             pull = z[self._arrival].reshape(-1, n)
         if problem.first_turn_is_a_cone and n == 3:
