@@ -235,8 +235,8 @@ class Solver:
         cost, bound, checked = self._units.cost, self._units.cost * found.lower_bound, False
         tree = None if found.proof is None else in_users_units(found.proof, self._units)
         if tree is not None and self._verifier is not None:
-            known = query.searched, query.goals, tree, query.out_of_time
-            proved = self._verifier.bound(*known)
+            posed = query.searched, query.goals
+            proved = self._verifier.bound(*posed, tree, query.out_of_time)
             checked = -np.inf < proved < np.inf
             bound, tree = (proved, tree) if checked else (bound, None)
         else:
