@@ -34,7 +34,6 @@ REFUSED = {
     f'plot {DUBINS} -o out --namespace /uav7': 'without /uav7/odom',
     f'replay {RETRIEVAL} --tick 26': '--tick is 26; allowed: 0 to 25',
     f'replay {RETRIEVAL} --tick -1': '--tick is -1',
-    f'replay {RETRIEVAL} --tick 1 --update': '--update',
     f'replay {RETRIEVAL} --set weights.input=-1': 'weights.input is -1',
     f'replay {RETRIEVAL} --set wait=1': "--set: unknown parameter 'wait'",
     f'replay {RETRIEVAL} --params nowhere.yaml': 'nowhere.yaml',
