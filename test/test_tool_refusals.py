@@ -56,8 +56,6 @@ REFUSED = {
     'bench --json /tmp': '--json',
     'faults --only weather': '--only',
     'faults --json /nowhere/rows.json': '--json',
-    'faults --soak 0': '--soak',
-    'faults --soak nan': '--soak',
 }
 VIEWER = {
     'view nowhere': 'nowhere',

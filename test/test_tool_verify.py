@@ -162,10 +162,8 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(run, tmp_path, solved)
     messages = bags.raw(HERE / 'golden' / 'dubins')
     for text in (*BROKEN, sound, json.dumps(spoilt), old):
         message = made(layout([], 0), np.frombuffer(text.encode(), np.uint8))
-        data = bytes(STORE.serialize_cdr(message, made.__msgtype__))
-        messages.append(
-            messages[0]._replace(topic='/certificate', type=made.__msgtype__, data=data)
-        )
+        data = bytes(STORE.serialize_cdr(message, kind))
+        messages.append(messages[0]._replace(topic='/certificate', type=kind, data=data))
     bag = write(tmp_path / 'bag', messages, bags.notes(HERE / 'golden' / 'dubins'))
     code, out, _ = run('verify', bag)
     assert code == 1
