@@ -124,21 +124,6 @@ def test_a_huge_value_is_cut_short_in_the_message():
     assert len(str(caught.value)) < 200
 
 
-def test_states_start_at_rest_and_know_their_attitude():
-    state = State.at([1.0, 2.0, 3.0], 0.5 * np.eye(3))
-    assert state.dimension == 3
-    assert np.all(state.velocity == 0.0)
-    assert np.all(state.rotation_rate == 0.0)
-    assert np.allclose(state.attitude, np.eye(3))
-    with pytest.raises(ValueError, match='read-only'):
-        state.position[0] = 0.0
-
-
-def test_parts_of_another_type_are_named_with_the_type_that_is_wanted():
-    with pytest.raises(BadInput, match=r'^weights is a dict; allowed: a Weights$'):
-        Problem(weights={'position': 1.0})
-
-
 def same(x=0.0):
     """Return a new state, box and problem; equal ones for equal numbers."""
     box = Box([x, 1.0], [2.0, 3.0])
@@ -227,12 +212,6 @@ def test_a_point_is_as_deep_in_a_ball_as_it_is_from_its_surface():
     points = np.array([[1.0, 2.0], [1.5, 2.0], [1.0, 4.0]])
     np.testing.assert_allclose(ball.depth(points), [0.5, 0.0, -1.5], atol=1e-15)
     np.testing.assert_allclose(ball.scaled(2.0).depth(2.0 * points), [1.0, 0.0, -3.0], atol=1e-15)
-
-
-def test_a_drifting_body_keeps_its_velocity_for_ever():
-    hazard = MovingObstacle.drifting(Ball(np.zeros(3), 1.0), np.array([1.0, -2.0, 0.5]))
-    times = np.array([0.0, 0.3, 1.0, 7.0])
-    np.testing.assert_allclose(hazard.moved(times), times[:, None] * [1.0, -2.0, 0.5], atol=1e-12)
 
 
 def test_a_body_moves_evenly_between_the_times_it_is_known_at_and_then_goes_on():
