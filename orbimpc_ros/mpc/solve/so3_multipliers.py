@@ -20,7 +20,6 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, PROVED, SETTLED, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
@@ -38,6 +37,7 @@ from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, R
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
+SLICE = 2e6  # multiplications between two looks at the time: about a millisecond
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
 EASY = 12  # a horizon up to which hardly a solve was seen to stall
 USUAL = 100.0  # forces of problems near their goal
