@@ -164,14 +164,17 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     headings, stiff = plan.rotations[1:, :, 0], np.full((problem.horizon, problem.horizon), np.inf)
     regions = Regions(problem, Statement(problem), Request(state, goals), stiff)
     near = regions.beside(headings, nothing)
+    controls, count = problem.translation.degree + 1, problem.horizon
     for choice, held in regions.tangents(headings, near, {}).items():
-        body, step = divmod(choice, problem.horizon)
-        if problem.no_corner_cutting and body - 2 < len(problem.boxes) and step == 0:
-            continue  # it is on the side of the next one
+        body, step = divmod(choice, count)
+        still = body - 2 < len(problem.boxes)
+        if still and problem.no_corner_cutting and step == 0 < count - 1:
+            continue  # its end is the beginning of the next one
         for row, _ in held:
             if row.normal @ (row.shares @ headings) - row.offset < nothing:
                 gradient = on_axes(np.outer(row.shares, row.normal))
-                yield Slack(names[body - 2], step + 1, gradient)
+                begins = still and (row.place - count) % controls == 0
+                yield Slack(names[body - 2], step + (not begins), gradient)
 
 
 def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:

@@ -37,7 +37,7 @@ from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, R
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
-SLICE = 2e6  # multiplications between two looks at the time: about a millisecond
+SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
 EASY = 12  # a horizon up to which hardly a solve was seen to stall
 USUAL = 100.0  # forces of problems near their goal
