@@ -6,16 +6,15 @@ from __future__ import annotations
 import json
 import re
 import sys
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
 
-from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.mpc.errors import BadInput
 
 LARGEST = 1 << 18  # [bytes] of a document
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
@@ -169,22 +168,32 @@ def _require_plain(value: Any, largest: float, path: str = '') -> None:
 
 
 def require_writable(culprit: str, file: Path) -> None:
-    """See to it before the work that its result can be written, as far as can be known by then.
+    """Create the file for a result before the work, so that it will not be in vain.
 
     Args:
         culprit: what names the file, such as an option.
-        file: to write, or to replace.
+        file: what is in it stays until the result comes.
 
     Raises:
-        BadInput: it is a folder, or nothing can be written beside it.
+        BadInput: it cannot be written.
     """
-    if file.is_dir():
-        raise BadInput.stating(f'{culprit} {file}', 'a folder', 'a file is needed')
     try:
-        with tempfile.TemporaryFile(dir=file.parent):
-            pass
+        file.open('a').close()
     except OSError as error:
         raise BadInput.stating(f'{culprit} {file}', why(error), WRITABLE) from None
+
+
+def folder_at(path: Path) -> Path:
+    """Return a folder for results; created if it is not there.
+
+    Raises:
+        BadInput: it cannot be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput.stating(f'--out {path}', why(error), WRITABLE) from None
+    return path
 
 
 def new_folder(out: str, name: str) -> Path:
@@ -193,51 +202,14 @@ def new_folder(out: str, name: str) -> Path:
     Raises:
         BadInput: it cannot be created.
     """
-    for number in range(1, 10_000):
-        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except FileExistsError:
-            if not folder.is_dir():
-                break
-        except OSError as error:
-            raise BadInput.stating(f'--out {out}', why(error), WRITABLE) from None
-    raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
+    folder, number = Path(out).resolve() / name, 1
+    while folder.exists():
+        number += 1
+        folder = folder.with_name(f'{name}-{number}')
+    return folder_at(folder)
 
 
 def shown(path: Path) -> Path:
     """Return a path as people type it: relative where it is below the present folder."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
-
-
-@contextmanager
-def writing_to(folder: Path) -> Iterator[None]:
-    """Report a disk that takes no more as the failure of the job that writes into a folder.
-
-    Raises:
-        OrbimpcError: in one line; what was written before stays.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise OrbimpcError(f'{folder}: {why(error)}') from None
-
-
-def write_whole(file: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all.
-
-    Args:
-        file: to write; what is there is replaced at once.
-        write: fills the file whose path it is given.
-
-    Raises:
-        OSError: the disk does not take it; nothing has changed.
-    """
-    new = file.with_name(f'.{file.name}.new')
-    try:
-        write(new)
-        new.replace(file)
-    finally:
-        new.unlink(missing_ok=True)

@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.arguments import add_namespace
-from orbimpc_ros.tool.files import write_whole
+from orbimpc_ros.tool.files import folder_at
 
 if TYPE_CHECKING:
     from orbimpc_ros.loop.planner import Decision
@@ -232,9 +232,8 @@ def _certified(
 
 
 def _write(folder: Path, row: TickVerdict, made: document.Certificate | Refutation) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    text, name = made.text() + '\n', f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-    write_whole(folder / name, lambda file: file.write_text(text))
+    name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
+    (folder_at(folder) / name).write_text(made.text() + '\n')
 
 
 def _shown(value: float | None) -> str:

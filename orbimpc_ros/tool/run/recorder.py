@@ -8,7 +8,6 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -115,9 +114,7 @@ class Recorder:
         kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
         profile = QoSProfile(depth=DEPTH, durability=kept)
         take: Any = self._taking(topic)  # rclpy also gives what is known about the message
-        package, _, kind = topic.type.split('/')
-        message = getattr(import_module(f'{package}.msg'), kind)
-        self._node.create_subscription(message, topic.name, take, profile, raw=True)
+        self._node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, about: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from orbimpc_ros import __version__
 from orbimpc_ros.mpc.arrays import whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.arguments import add_set
-from orbimpc_ros.tool.files import new_folder, writing_to
+from orbimpc_ros.tool.files import folder_at, new_folder
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.study.draws import Draws
@@ -59,13 +59,12 @@ def run(args: argparse.Namespace) -> int:
         'tuned': _tuned(names, draws.name),
     }
     folder = _folder(args, draws.name)
-    with writing_to(folder):
-        results = Results(folder / FLIGHTS, about, resumed=args.resume)
-        _fly(results, draws, names, args)
-        rows = {name: [results.rows[name, k] for k in range(args.runs)] for name in names}
-        text = report(draws, rows)
-        (folder / REPORT).write_text(text)
-        draw(draws, rows, folder / PICTURE)
+    results = Results(folder / FLIGHTS, about, resumed=args.resume)
+    _fly(results, draws, names, args)
+    rows = {name: [results.rows[name, k] for k in range(args.runs)] for name in names}
+    text = report(draws, rows)
+    (folder / REPORT).write_text(text)
+    draw(draws, rows, folder / PICTURE)
     print(text, end='')
     return 0
 
@@ -84,11 +83,9 @@ def _require_sound(args: argparse.Namespace) -> None:
 def _folder(args: argparse.Namespace, name: str) -> Path:
     if args.out is None:
         return new_folder(OUT, name)
-    folder = Path(args.out).resolve()
-    with writing_to(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
-            raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
+    folder = folder_at(Path(args.out).resolve())
+    if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
+        raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
     return folder
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
@@ -27,8 +29,19 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import attitude, fields, point, seconds
 from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
-from orbimpc_ros.tool.view.layout import CHARTS, THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
+TIMELINE = 'ros_time'
+WORLD, THRUST, TICK, CHARTS = 'world', 'thrust', 'tick', 'charts'
+SHOWN = {
+    'Distance to the goal [m]': ('distance',),
+    'Share of full speed |R e₁|, floor': ('speed', 'floor'),
+    'Gap to the proved bound, log₁₀': ('gap',),
+    'Solve time [ms]': ('solve_time_ms',),
+    'Earliest catch, and its bound [s]': ('earliest_catch', 'catch_bound'),
+}  # lines of each chart, below CHARTS
+OPENING = math.radians(27.0)  # half the viewer's vertical field of view
+NEAR = 2.0  # [m]: look at no less
+SLANT = np.array([0.45, -0.85, 0.5])  # where space is looked at from
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # places on the flown path
 SWING = 50  # sightings of the goal
@@ -36,6 +49,7 @@ SIZE = 0.06  # of a vehicle, as a share of the scene
 LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
 CUBE = 1  # type of a Marker; every other body is round
 CLEAR = rr.components.FillMode.TransparentFillMajorWireframe
+CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
 
 # A paper dart: nose, wing tips, and the keel that tells up from down.
 NOSE, LEFT, RIGHT, TAIL, KEEL = (
@@ -73,7 +87,7 @@ class Scene:
             'captured': self._take_captured,
         }
         self.configure(values)
-        self._look_at(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]))
+        self._look_at(CORNERS)
 
     @property
     def topics(self) -> Sequence[str]:
@@ -157,8 +171,7 @@ class Scene:
 
     def _look_at(self, points: Array) -> None:
         dimension = self._problem.dimension
-        layout = blueprint(dimension, eye(dimension, points), intercepting=self._intercepting)
-        self._to.send_blueprint(layout)
+        self._to.send_blueprint(_layout(dimension, points, intercepting=self._intercepting))
 
     def _take_plan(self, message: Any) -> None:
         places = read_itinerary(message, 3, Frames())[1].positions
@@ -251,3 +264,58 @@ def _text(value: Any) -> str:
     if isinstance(value, list):
         return ', '.join(_text(each) for each in value)
     return f'{value:.4g}' if isinstance(value, float) else str(value)
+
+
+# --- the layout of the page: the world, the set of thrusts, the tick in words, and charts
+
+
+def eye(dimension: int, points: Array) -> tuple[Array, Array, Array]:
+    """Return from where to look, at what, and which way is up: the plane from above, space aslant.
+
+    Args:
+        dimension: of the scene.
+        points: to see, shape (K, 3) [m].
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    target, reach = 0.5 * (low + high), 0.5 * max(NEAR, float(np.linalg.norm(high - low)))
+    away = 1.15 * reach / math.tan(OPENING)
+    if dimension == 2:
+        return target + np.array([0.0, 0.0, away]), target, np.array([0.0, 1.0, 0.0])
+    return target + away * SLANT / np.linalg.norm(SLANT), target, np.array([0.0, 0.0, 1.0])
+
+
+def _layout(dimension: int, points: Array, *, intercepting: bool) -> rrb.Blueprint:
+    """Return the page's layout, with a chart of catches where any are looked for."""
+    charts = [
+        rrb.TimeSeriesView(name=title, contents=[f'/{CHARTS}/{name}' for name in lines])
+        for title, lines in SHOWN.items()
+    ]
+    axes = 'the (a, b) disk' if dimension == 2 else 'the unit ball'
+    thrusts = f'R e₁ of the plan in {axes}: hull, floor'
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _space(WORLD, 'Vehicle, plan, rope', eye(dimension, points), grid=True),
+                rrb.Horizontal(charts[0], charts[1]),
+                row_shares=[9, 3],
+            ),
+            rrb.Vertical(
+                _space(THRUST, thrusts, eye(dimension, 0.75 * CORNERS), grid=False),
+                rrb.TextDocumentView(origin=TICK, name='Tick'),
+                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),
+                row_shares=[9, 9, 6],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state='collapsed'),
+        collapse_panels=True,
+    )
+
+
+def _space(
+    origin: str, name: str, seen: tuple[Array, Array, Array], grid: bool
+) -> rrb.Spatial3DView:
+    kind, (position, target, up) = rrb.Eye3DKind.Orbital, seen
+    controls = rrb.EyeControls3D(kind=kind, position=position, look_target=target, eye_up=up)
+    lines = rrb.LineGrid3D(visible=grid)
+    return rrb.Spatial3DView(origin=origin, name=name, eye_controls=controls, line_grid=lines)
