@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.arguments import add_set
-from orbimpc_ros.tool.files import new_folder, shown
+from orbimpc_ros.tool.files import new_folder, shown, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.history import History
@@ -77,16 +77,17 @@ def run(args: argparse.Namespace) -> int:
             _require_engine(values['vehicle'])
     folder = new_folder(args.out, args.scenario)
     bags = {}
-    for name, values in flights.items():
-        place = folder / name
-        place.mkdir(exist_ok=True)
-        fly(values, place, own)
-        bags[name] = place / 'bag'
-    if own:
-        flown = {name: history.of_bag(bags[''], name) for name in own}
-    else:
-        flown = {name: history.of_bag(bag) for name, bag in bags.items()}
-    return report(folder, [*bags.values()], flown)
+    with writing_to(folder):
+        for name, values in flights.items():
+            place = folder / name
+            place.mkdir(exist_ok=True)
+            fly(values, place, own)
+            bags[name] = place / 'bag'
+        if own:
+            flown = {name: history.of_bag(bags[''], name) for name in own}
+        else:
+            flown = {name: history.of_bag(bag) for name, bag in bags.items()}
+        return report(folder, [*bags.values()], flown)
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool.replay.recording import Published, published
+from orbimpc_ros.tool.replay.recording import Answer, published
 from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 # Solvers of other versions, and numba or not, find the same optimum up to these. An objective is
@@ -65,11 +66,12 @@ class Tolerances:
             order=problem.rotation_order,
         )
 
-    def of(self, quantity: str, *answers: Published) -> float:
+    def of(self, quantity: str, *answers: Answer) -> float:
         """Return what a quantity of some answers may differ by."""
-        gaps = [each.gap for each in answers if each.gap is not None]
-        unproved = any(each.bound_checked is False for each in answers)
-        if quantity in PROVED and unproved and all(each.status in PLANNED for each in answers):
+        gaps = [each['gap'] for each in answers if each.get('gap') is not None]
+        unproved = not all(each.get('bound_checked', True) for each in answers)
+        planned = all(each.get('status') in PLANNED for each in answers)
+        if quantity in PROVED and unproved and planned:
             return math.inf
         if quantity == 'gap':
             open_ = len(gaps) == len(answers) and all(self.gap < gap < math.inf for gap in gaps)
@@ -77,8 +79,8 @@ class Tolerances:
         if quantity == 'objective':  # two searches may end at any plans within what they leave open
             return max(OBJECTIVE, min(max(gaps, default=0.0), self.gap))
         if quantity in TURNS:
-            shares = [s for each in answers for s in each.speed_fraction[1 : self.order + 1]]
-            least = min([1.0, *shares])
+            parts = (each.get('speed_fraction', [])[1 : self.order + 1] for each in answers)
+            least = min([1.0, *itertools.chain(*parts)])
             allowed = RATE if quantity == 'body_rate' else ANGLE
             return allowed / least if least > 0.0 else math.inf
         return float(getattr(self, quantity, 0.0))
@@ -129,7 +131,7 @@ def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> lis
 
 
 def comparisons(
-    tick: int, time: float, recorded: Published, replayed: Published, tolerances: Tolerances
+    tick: int, time: float, recorded: Answer, replayed: Answer, tolerances: Tolerances
 ) -> Iterator[Comparison]:
     """Yield a comparison for every quantity that was recorded.
 
@@ -141,7 +143,7 @@ def comparisons(
         tolerances: what they may differ by.
     """
     for quantity in QUANTITIES:
-        before, now = getattr(recorded, quantity), getattr(replayed, quantity)
+        before, now = recorded.get(quantity), replayed.get(quantity)
         if before is not None:
             allowed = tolerances.of(quantity, recorded, replayed)
             apart = math.inf if now is None else _apart(quantity, before, now, tolerances.step)

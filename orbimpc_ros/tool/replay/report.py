@@ -51,18 +51,6 @@ def run(args: argparse.Namespace) -> int:
     return DIFFERENT if differences else SAME
 
 
-def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[ReplayedTick]:
-    """Yield the ticks of a bag, made anew with the parameters that it was made with.
-
-    Args:
-        path: of the bag.
-        params: a file of parameters, for a bag without notes of them.
-        namespace: of the vehicle.
-    """
-    values = _values(path, namespace, params, [])
-    yield from _replayed(*_opened(path, namespace, values), values)
-
-
 def _values(path: Path, namespace: str, params: str | None, changes: Sequence[str]) -> Values:
     """Return every parameter's value: as given, or as noted in the bag by its recorder."""
     if params is not None:
@@ -114,8 +102,8 @@ def _show(
         mark = '  differs' if each.differs else ''
         pair = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
         print(f'{each.quantity + unit:<20}{pair}{mark}')
-    if then.reason or now.reason:
-        print(lines({'recorded': shown(then.reason), 'replayed': shown(now.reason)}))
+    if then.get('reason') or now.get('reason'):
+        print(lines({'recorded': shown(then.get('reason')), 'replayed': shown(now.get('reason'))}))
     for refusal in answers[-1].refusals:
         print(refusal)
     return DIFFERENT if any(each.differs for each in found) else SAME
