@@ -24,10 +24,7 @@ from benchmarks.faults import inputs, processes, stimulus
 from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
-from benchmarks.faults.processes import nonsense
 from benchmarks.machine import uncollected
-from orbimpc_ros.ros.parameters import PLANNER
-from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import cli
 
 MATRIX = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
@@ -164,7 +161,7 @@ def test_collections_wait_until_a_measurement_is_over():
     assert gc.isenabled()
 
 
-# --- what is done to messages and parameters
+# --- what is done to messages
 
 
 def test_spoilers_do_what_they_say():
@@ -201,19 +198,6 @@ def test_spoilers_do_what_they_say():
         norms.add(round(math.hypot(q.x, q.y, q.z, q.w), 3))
     assert norms == {0.0, 0.99, 1.01, 1e200}
     assert all(isinstance(stimulus.garbled(fresh(), draw)[0], bytes) for _ in range(20))
-
-
-@pytest.mark.parametrize('number', range(30))
-def test_nonsense_is_nonsense(number):
-    from orbimpc_ros.mpc.errors import BadInput
-
-    draw = random.Random(number)
-    for parameter in (*PLANNER, *SIM):
-        value = nonsense(parameter, draw)
-        if type(value) is not type(parameter.default) and not isinstance(value, list):
-            continue  # ROS refuses another type
-        with pytest.raises(BadInput):
-            parameter.check(value)
 
 
 # --- the command

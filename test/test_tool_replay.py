@@ -20,9 +20,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters import PLANNER, planner_settings
 from orbimpc_ros.tool import bags, cli, settings
-from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
+from orbimpc_ros.tool.replay.difference import distance, tolerance
 from orbimpc_ros.tool.replay.recording import published, recording_of, was_solved
 from orbimpc_ros.tool.replay.resolving import replayed
 
@@ -388,12 +388,19 @@ def costing(objective, gap=None):
     return {'objective': objective, 'gap': gap}
 
 
+SECOND_ORDER = {'rotation_order': 2}
 DIFFERENCES = {
     # What a turn may differ by grows as the thrust falls that it directs.
     'full thrust': ('rotation', pointing(1.0, 1.0, 1.0), pointing(of=ASIDE), {}, True),
     'no thrust': ('rotation', pointing(1.0, 0.01, 1.0), pointing(of=ASIDE), {}, False),
     'no thrust later': ('rotation', pointing(1.0, 1.0, 0.01), pointing(of=ASIDE), {}, True),
-    'at order 2': ('rotation', pointing(1.0, 1.0, 0.0), pointing(of=ASIDE), {'order': 2}, False),
+    'at order 2': (
+        'rotation',
+        pointing(1.0, 1.0, 0.0),
+        pointing(of=ASIDE),
+        {'rotation_order': 2},
+        False,
+    ),
     'thrust unknown': ('rotation', pointing(), pointing(of=ASIDE), {}, True),
     'the opposite quaternion': ('rotation', pointing(of=ASIDE), pointing(of=-ASIDE), {}, False),
     'half a turn': ('body_rate', turn(2 * np.pi), turn(-2 * np.pi), {'step': 0.5}, False),
@@ -430,8 +437,10 @@ DIFFERENCES = {
     ('quantity', 'before', 'now', 'given', 'differs'), DIFFERENCES.values(), ids=DIFFERENCES
 )
 def test_answers_differ_beyond_their_tolerances(quantity, before, now, given, differs):
-    found = {each.quantity: each for each in comparisons(0, 0.0, before, now, Tolerances(**given))}
-    assert found[quantity].differs == differs
+    values = {row.name: row.default for row in PLANNER} | given
+    problem = planner_settings(values)
+    apart = distance(quantity, before[quantity], now[quantity], problem.problem.step)
+    assert (apart > tolerance(quantity, problem, before, now)) == differs
 
 
 def test_many_differences_are_capped_and_summed_up(replay):

@@ -81,12 +81,11 @@ StrictLoader.add_implicit_resolver(
 )
 
 
-def read(source: str, largest: float = MAX_NUMBER) -> Any:
+def read(source: str) -> Any:
     """Return the content of a JSON or YAML file, or of standard input for ``-``.
 
     Args:
         source: the file's path.
-        largest: magnitude allowed of numbers.
 
     Raises:
         BadInput: not readable, larger than 256 KiB, malformed.
@@ -100,25 +99,24 @@ def read(source: str, largest: float = MAX_NUMBER) -> Any:
                 raw = stream.read()
         if len(raw) > LARGEST:
             raise BadInput.stating(name, 'too large', f'at most {LARGEST} bytes are read')
-        return parse(raw.decode(), name, largest)
+        return parse(raw.decode(), name)
     except UnicodeDecodeError:
         raise BadInput.stating(name, 'not UTF-8', 'UTF-8 text is needed') from None
 
 
-def parse(text: str, name: str, largest: float = MAX_NUMBER) -> Any:
+def parse(text: str, name: str) -> Any:
     """Return the content of JSON or YAML text.
 
     Args:
         text: the document.
         name: where it comes from, for the message.
-        largest: magnitude allowed of numbers.
 
     Raises:
         BadInput: malformed.
     """
     try:
         content = _content(text)
-        _require_plain(content, largest)
+        _require_plain(content)
     except BadInput:
         raise
     except yaml.YAMLError as error:
@@ -148,18 +146,18 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _require_plain(value: Any, largest: float, path: str = '') -> None:
+def _require_plain(value: Any, path: str = '') -> None:
     """Require mappings with names, lists and scalars, with numbers of sane size."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
                 raise BadInput.stating(f'field {key!r}', 'not a name', 'names are needed as keys')
-            _require_plain(inner, largest, f'{path}.{key}' if path else key)
+            _require_plain(inner, f'{path}.{key}' if path else key)
     elif isinstance(value, list):
         for inner in value:
-            _require_plain(inner, largest, path)
-    elif isinstance(value, (int, float)) and abs(value) > largest:
-        raise BadInput(path, str(value), f'finite, of a magnitude of at most {largest:g}')
+            _require_plain(inner, path)
+    elif isinstance(value, (int, float)) and abs(value) > MAX_NUMBER:
+        raise BadInput(path, str(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
     elif value is not None and not isinstance(value, (str, int, float)):
         raise BadInput(path, str(value), 'numbers, words, lists and mappings')
 

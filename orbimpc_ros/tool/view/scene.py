@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -39,9 +38,6 @@ SHOWN = {
     'Solve time [ms]': ('solve_time_ms',),
     'Earliest catch, and its bound [s]': ('earliest_catch', 'catch_bound'),
 }  # lines of each chart, below CHARTS
-OPENING = math.radians(27.0)  # half the viewer's vertical field of view
-NEAR = 2.0  # [m]: look at no less
-SLANT = np.array([0.45, -0.85, 0.5])  # where space is looked at from
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # places on the flown path
 SWING = 50  # sightings of the goal
@@ -49,7 +45,6 @@ SIZE = 0.06  # of a vehicle, as a share of the scene
 LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
 CUBE = 1  # type of a Marker; every other body is round
 CLEAR = rr.components.FillMode.TransparentFillMajorWireframe
-CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
 
 # A paper dart: nose, wing tips, and the keel that tells up from down.
 NOSE, LEFT, RIGHT, TAIL, KEEL = (
@@ -87,7 +82,6 @@ class Scene:
             'captured': self._take_captured,
         }
         self.configure(values)
-        self._look_at(CORNERS)
 
     @property
     def topics(self) -> Sequence[str]:
@@ -101,10 +95,10 @@ class Scene:
         except BadInput:
             self._problem = Problem()
         self._frames = Frames(thrust_axis=values['thrust_axis'])
-        self._intercepting = values['objective'] == 'intercept'
         self._radius = float(settings.of_sim(values)['capture_radius'])
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
+        self._to.send_blueprint(layout(n, intercepting=values['objective'] == 'intercept'))
         self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
         self._to.log(f'{THRUST}/floor', _lines(floor.outline(n), RED, 0.014), static=True)
         corners = np.zeros((len(self._problem.boxes), 2, 3))
@@ -154,12 +148,11 @@ class Scene:
         self._to.log(f'{WORLD}/goal', ball, trail)
 
     def _begin(self) -> None:
-        """Choose the point of view and the size of things once both ends of the way are known."""
+        """Choose the size of things once both ends of the way are known."""
         if self._unit or not (self._way and self._swing):
             return
         ends = np.array([self._way[0], self._swing[0]])
         self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
-        self._look_at(ends)
         shades = np.repeat(SHADES, 3, axis=0)
         dart = rr.Mesh3D(vertex_positions=self._unit * DART, vertex_colors=shades)
         axes = rr.Arrows3D(
@@ -168,10 +161,6 @@ class Scene:
             radii=0.06 * self._unit,
         )
         self._to.log(f'{WORLD}/vehicle/body', dart, axes, static=True)
-
-    def _look_at(self, points: Array) -> None:
-        dimension = self._problem.dimension
-        self._to.send_blueprint(_layout(dimension, points, intercepting=self._intercepting))
 
     def _take_plan(self, message: Any) -> None:
         places = read_itinerary(message, 3, Frames())[1].positions
@@ -266,43 +255,26 @@ def _text(value: Any) -> str:
     return f'{value:.4g}' if isinstance(value, float) else str(value)
 
 
-# --- the layout of the page: the world, the set of thrusts, the tick in words, and charts
-
-
-def eye(dimension: int, points: Array) -> tuple[Array, Array, Array]:
-    """Return from where to look, at what, and which way is up: the plane from above, space aslant.
-
-    Args:
-        dimension: of the scene.
-        points: to see, shape (K, 3) [m].
-    """
-    low, high = points.min(axis=0), points.max(axis=0)
-    target, reach = 0.5 * (low + high), 0.5 * max(NEAR, float(np.linalg.norm(high - low)))
-    away = 1.15 * reach / math.tan(OPENING)
-    if dimension == 2:
-        return target + np.array([0.0, 0.0, away]), target, np.array([0.0, 1.0, 0.0])
-    return target + away * SLANT / np.linalg.norm(SLANT), target, np.array([0.0, 0.0, 1.0])
-
-
-def _layout(dimension: int, points: Array, *, intercepting: bool) -> rrb.Blueprint:
-    """Return the page's layout, with a chart of catches where any are looked for."""
+def layout(dimension: int, *, intercepting: bool) -> rrb.Blueprint:
+    """Return the page: the world, the set of thrusts, the tick in words, and charts."""
     charts = [
         rrb.TimeSeriesView(name=title, contents=[f'/{CHARTS}/{name}' for name in lines])
         for title, lines in SHOWN.items()
     ]
     axes = 'the (a, b) disk' if dimension == 2 else 'the unit ball'
     thrusts = f'R e₁ of the plan in {axes}: hull, floor'
+    lines = rrb.LineGrid3D(visible=False)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
-                _space(WORLD, 'Vehicle, plan, rope', eye(dimension, points), grid=True),
+                rrb.Spatial3DView(origin=WORLD, name='Vehicle, plan, rope'),
                 rrb.Horizontal(charts[0], charts[1]),
                 row_shares=[9, 3],
             ),
             rrb.Vertical(
-                _space(THRUST, thrusts, eye(dimension, 0.75 * CORNERS), grid=False),
+                rrb.Spatial3DView(origin=THRUST, name=thrusts, line_grid=lines),
                 rrb.TextDocumentView(origin=TICK, name='Tick'),
-                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),
+                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),  # without catches
                 row_shares=[9, 9, 6],
             ),
             column_shares=[3, 2],
@@ -310,12 +282,3 @@ def _layout(dimension: int, points: Array, *, intercepting: bool) -> rrb.Bluepri
         rrb.TimePanel(timeline=TIMELINE, state='collapsed'),
         collapse_panels=True,
     )
-
-
-def _space(
-    origin: str, name: str, seen: tuple[Array, Array, Array], grid: bool
-) -> rrb.Spatial3DView:
-    kind, (position, target, up) = rrb.Eye3DKind.Orbital, seen
-    controls = rrb.EyeControls3D(kind=kind, position=position, look_target=target, eye_up=up)
-    lines = rrb.LineGrid3D(visible=grid)
-    return rrb.Spatial3DView(origin=origin, name=name, eye_controls=controls, line_grid=lines)
