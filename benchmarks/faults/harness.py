@@ -201,20 +201,17 @@ class Harness(Session):
         """Publish odometry again."""
         self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
 
-    def refusals(self, values: Mapping[str, Any]) -> list[str]:
-        """Set parameters of the running planner, one by one; return the reasons for refusals."""
-        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
-        request = SetParameters.Request(parameters=parameters)
-        results = self.call(SetParameters, '/planner/set_parameters', request).results
-        return [result.reason for result in results if not result.successful]
-
     def set_live(self, **values: Any) -> None:
         """Set parameters of the running planner.
 
         Raises:
             OrbimpcError: they are refused.
         """
-        if refused := self.refusals(values):
+        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        request = SetParameters.Request(parameters=parameters)
+        results = self.call(SetParameters, '/planner/set_parameters', request).results
+        refused = [result.reason for result in results if not result.successful]
+        if refused:
             raise OrbimpcError(f'refused: {refused}')
 
 
