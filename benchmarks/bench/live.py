@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,21 +23,22 @@ from unittest import mock
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from harness import Observer
 from nav_msgs.msg import Odometry
 from scenarios import retrieval_problem
 
 from benchmarks.bench.instances import around
 from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.results import LATE, BenchRow, percentiles
-from benchmarks.faults.harness import Place, Session
-from benchmarks.faults.monitor import Limits
 from benchmarks.machine import busy, resident
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery
+from orbimpc_ros.tool.run.processes import Process
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
@@ -46,6 +48,7 @@ FAST, FASTEST, SLOW = 50.0, 200.0, 5.0  # [Hz]
 SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
+LEAVE = 5.0  # [s] in which a planner ends
 TRAILING = 10.0  # [s] in which the last answers come, or are lost
 BARE = 'a node that only answers'
 PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'benchmarks.bench.echo'
@@ -74,31 +77,30 @@ class RoundTrip:
     solve_ms: float = math.nan
 
 
-class Driver(Session):
+class Driver:
     """Publishes odometry and goals in each namespace, in turns within a period.
 
     Args:
-        place: of the nodes.
-        nodes: their modules by namespace.
+        namespaces: of the planners.
+        executor: of the driver's own node.
 
     Attributes:
         ticks: round trips by the stamp of their odometry [ns], for each namespace.
     """
 
-    def __init__(self, place: Place, nodes: Mapping[str, str]) -> None:
-        super().__init__(place, Limits(1.0, math.pi))
-        self.ticks = [dict[int, RoundTrip]() for _ in nodes]
-        self._answered = [False] * len(nodes)
-        self._publishers = [self._wire(i, name) for i, name in enumerate(nodes)]
+    def __init__(self, namespaces: Sequence[str], executor: str) -> None:
+        self._observer = Observer(executor=executor)
+        self.ticks = [dict[int, RoundTrip]() for _ in namespaces]
+        self._answered = [False] * len(namespaces)
+        self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
         self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
         self._count, self._stamp = 0, 0
-        for namespace, module in nodes.items():
-            self.launch(module, PARAMETERS, namespace)
 
     def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
-        subscribe, publish = self.subscribe, self.node.create_publisher
+        subscribe = self._observer.subscribe
         subscribe(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
         subscribe(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
+        publish = self._observer.node.create_publisher
         return (
             publish(Odometry, f'{namespace}/odom', qos()),
             publish(PoseStamped, f'{namespace}/goal', qos()),
@@ -123,7 +125,7 @@ class Driver(Session):
         while sent * gap < seconds and not done():
             self._publish(sent % len(self._publishers))
             sent += 1
-            self.spin(begin + sent * gap - time.monotonic(), done)
+            self._observer.spin(begin + sent * gap - time.monotonic(), done)
 
     def until_answered(self, rate: float) -> None:
         """Drive until every planner has answered.
@@ -141,7 +143,7 @@ class Driver(Session):
         for ticks in self.ticks:
             ticks.clear()
         self.drive(rate, seconds)
-        self.spin(TRAILING, lambda: all(answered(each.values()) for each in self.ticks))
+        self._observer.spin(TRAILING, lambda: all(answered(each.values()) for each in self.ticks))
 
     def _publish(self, i: int) -> None:
         odometry, goal = self._publishers[i]
@@ -152,6 +154,10 @@ class Driver(Session):
         message = messages.odometry_message(Stamp(self._stamp, FRAMES), measured(flight.vehicle))
         self.ticks[i][self._stamp] = RoundTrip(time.monotonic())
         odometry.publish(message)
+
+    def close(self) -> None:
+        """Take the node down."""
+        self._observer.close()
 
 
 def answered(ticks: Any) -> bool:
@@ -184,30 +190,46 @@ def measurements(
 
 
 @contextmanager
-def _driven(nodes: Mapping[str, str], executor: str = 'wait_set') -> Iterator[Driver]:
-    """Yield a driver of nodes, on the paper's UAV problem.
+def _driven(
+    nodes: Mapping[str, str], executor: str = 'wait_set'
+) -> Iterator[tuple[Driver, list[Process]]]:
+    """Yield a driver and its nodes, on the paper's UAV problem.
 
     Args:
         nodes: their modules by namespace.
         executor: of all.
     """
+    processes = list[Process]()
     # The environment will name the folder, which goes away: it is restored.
     with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
         folder = Path(name)
-        with Driver(Place(folder, discovery.isolate(folder), executor), nodes) as driver:
-            yield driver
+        discovery.isolate(folder)
+        file = folder / 'planner.yaml'
+        settings.write(file, PARAMETERS, executor=executor)
+        with closing(Driver([*nodes], executor)) as driver:
+            try:
+                for i, (namespace, module) in enumerate(nodes.items()):
+                    log = folder / f'node-{i}.log'
+                    processes.append(Process(module, file, log, namespace=namespace))
+                yield driver, processes
+            finally:
+                for process in processes:  # all at once, so that none waits for another to end
+                    process.tell(signal.SIGINT)
+                for process in processes:
+                    process.wait(LEAVE)
+                    process.stop()
 
 
 def _start(count: int) -> list[BenchRow]:
     """Return the rows of time to the first command, and memory."""
     times, sizes = [], []
     for _ in range(count):
-        with _driven({'': PLANNER}) as driver:
+        with _driven({'': PLANNER}) as (driver, planners):
             begin = time.perf_counter()
             driver.until_answered(FAST)
             times.append(1e3 * (time.perf_counter() - begin))
             driver.drive(FAST, 1.0)
-            sizes.append(1e-6 * resident(driver.processes[0].pid))
+            sizes.append(1e-6 * resident(planners[0].pid))
     title, limits = 'node: resident memory [MB]', {'objective': 250.0}
     memory = BenchRow(title, OURS, count, objective=max(sizes), required=limits)
     return [BenchRow(START, OURS, count, *percentiles(times), required={'p50_ms': 1000.0}), memory]
@@ -219,14 +241,11 @@ def latency(title: str, rate: float, executor: str, seconds: float) -> list[Benc
     They are driven in turns within a period, so that both meet the same machine: what the planner
     adds to the other's latency, its solve left out, is its own.
     """
-    with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as driver:
+    with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as (driver, processes):
         driver.until_answered(FAST)
-        pids = [process.pid for process in driver.processes]
-        before = [busy(pid) for pid in pids]
+        before = [busy(process.pid) for process in processes]
         driver.measure(rate, seconds, SETTLED / rate)
-        taken = [
-            busy(each.pid) - begun for each, begun in zip(driver.processes, before, strict=True)
-        ]
+        taken = [busy(each.pid) - begun for each, begun in zip(processes, before, strict=True)]
         ours, bare = ([*ticks.values()] for ticks in driver.ticks)
     done = [t for t in ours if t.latency < math.inf and not math.isnan(t.solve_ms)]
     whole = [1e3 * t.latency for t in done]
@@ -257,7 +276,7 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
 
     A tick is missed if its command takes longer than a period after the odometry, or never comes.
     """
-    with _driven({f'/p{i}': PLANNER for i in range(count)}) as driver:
+    with _driven({f'/p{i}': PLANNER for i in range(count)}) as (driver, _):
         driver.until_answered(SLOW)
         driver.measure(SLOW, seconds, WARM_UP)
         times = [1e3 * tick.latency for ticks in driver.ticks for tick in ticks.values()]

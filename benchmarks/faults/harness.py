@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import random
-import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
@@ -55,7 +54,7 @@ class Place(NamedTuple):
 
 
 class Session(Observer):
-    """Processes that are stopped when the session ends.
+    """Processes that are stopped, the last one first, when the session ends.
 
     Args:
         place: of the processes.
@@ -64,24 +63,23 @@ class Session(Observer):
     Attributes:
         folder: takes parameters and logs.
         monitor: of commands, ticks and diagnostics.
-        processes: in the order of their start.
     """
 
     def __init__(self, place: Place, limits: Limits) -> None:
-        super().__init__(place.domain, place.executor)
+        super().__init__(place.domain)
         self.folder, self._place, self.monitor = place.folder, place, Monitor(limits)
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
         self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
-        self.processes: list[Process] = []
+        self._processes: list[Process] = []
 
-    def launch(self, module: str, values: Mapping[str, Any], namespace: str = '') -> Process:
-        """Return a new process of a node's module with parameters, in a namespace."""
-        name = f'{module.rpartition(".")[2]}-{len(self.processes) + 1}'
+    def launch(self, module: str, values: Mapping[str, Any]) -> Process:
+        """Return a new process of a node's module with parameters."""
+        name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
         settings.write(file, {**values, 'executor': self._place.executor})
-        process = Process(module, file, file.with_suffix('.log'), self.domain, namespace)
-        self.processes.append(process)
+        process = Process(module, file, file.with_suffix('.log'), self.domain)
+        self._processes.append(process)
         return process
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:
@@ -90,9 +88,9 @@ class Session(Observer):
         Raises:
             OrbimpcError: it never is, or the last process has ended.
         """
-        self.spin(PATIENCE, lambda: bool(done()) or not self.processes[-1].running)
+        self.spin(PATIENCE, lambda: bool(done()) or not self._processes[-1].running)
         if not done():
-            self.processes[-1].require_health()
+            self._processes[-1].require_health()
             raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
 
     def until_first(self, event: Callable[[Monitor, float], float], since: float) -> float:
@@ -104,10 +102,7 @@ class Session(Observer):
         return self
 
     def __exit__(self, *_error: object) -> None:
-        for process in self.processes:  # all at once, so that none waits for another to end
-            if process.running:
-                process.tell(signal.SIGINT)
-        for process in self.processes:
+        for process in reversed(self._processes):
             process.stop()
         self.close()
 
