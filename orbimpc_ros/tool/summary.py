@@ -45,7 +45,9 @@ def story(flown: Mapping[str, History]) -> str:
     if len(flown) > 2:
         return f'{job}: {sum(each.captured for each in flown.values())} of {len(flown)}'
     return '\n'.join(
-        f'{name.replace("_", " ").capitalize() or job}: {_end(each)}'
+        f'{name.replace("_", " ").capitalize()}: {_end(each, _job(each))}'
+        if name
+        else f'{job}: {_end(each)}'
         for name, each in flown.items()
     )
 
@@ -62,15 +64,19 @@ def _job(history: History) -> str:
     return 'arrived' if history.arrives else 'captured'
 
 
-def _end(history: History) -> str:
+def _end(history: History, yes: str = 'yes') -> str:
     capture, begun = history.capture, history.times[0]
     if history.arrives:
         missed, speed = map(_length, history.missed)
-        done, when = 'yes' if history.captured else 'no', history.times[-1] - begun
+        done, when = yes if history.captured else _not(yes), history.times[-1] - begun
         return f'{done}, {missed} from the goal at {speed}/s, t = {when:.0f} s'
     if capture is None:
-        return 'no'
+        return _not(yes)
     return f't = {capture.time - begun:.2f} s, {_length(capture.distance)} from the rope'
+
+
+def _not(yes: str) -> str:
+    return 'no' if yes == 'yes' else f'not {yes}'
 
 
 def _length(metres: float) -> str:
