@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +15,9 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.arguments import add_namespace, add_set
 
 if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters.planner import PlannerSettings
     from orbimpc_ros.tool.replay.difference import Comparison
+    from orbimpc_ros.tool.replay.recording import Recording
     from orbimpc_ros.tool.replay.resolving import ReplayedTick
     from orbimpc_ros.tool.settings import Values
 
@@ -36,24 +38,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
 
 
+def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[ReplayedTick]:
+    """Yield the ticks of a bag, made anew with the parameters that it was made with.
+
+    Args:
+        path: of the bag.
+        params: a file of parameters, for a bag without notes of them.
+        namespace: of the vehicle.
+    """
+    values = _values(path, namespace, params, [])
+    planner, recording = _opened(path, namespace, values)
+    yield from _replayed(planner, recording, values)
+
+
 def run(args: argparse.Namespace) -> int:
     """Solve a bag's inputs again, compare, report; 0 if nothing differs beyond the tolerances."""
-    from orbimpc_ros.ros.parameters import planner_settings  # with ROS, which --help is without
-    from orbimpc_ros.tool.offline import resolved
     from orbimpc_ros.tool.replay.difference import compared
-    from orbimpc_ros.tool.replay.recording import recording_of
-    from orbimpc_ros.tool.replay.resolving import replayed
 
     begun, path = time.perf_counter(), Path(args.bag)
     values = _values(path, args.namespace, args.params, args.set)
-    planner = planner_settings(values)
-    recording = recording_of(path, args.namespace, resolved(planner, args.namespace))
+    planner, recording = _opened(path, args.namespace, values)
     if args.tick is not None:
         if not 0 <= args.tick < len(recording.answers):
             raise BadInput('--tick', args.tick, f'0 to {len(recording.answers) - 1}')
         recording = replace(recording, answers=recording.answers[: args.tick + 1])
-    simulated = bool(values.get('use_sim_time', recording.simulated))
-    answers = list(replayed(recording, planner, simulated))
+    answers = list(_replayed(planner, recording, values))
     found = list(compared(answers, planner))
     if args.tick is not None:
         found = [each for each in found if each.tick == args.tick]
@@ -63,6 +72,23 @@ def run(args: argparse.Namespace) -> int:
         took = f'in {time.perf_counter() - begun:.2f} s'
         _sum_up(f'{len(answers)} ticks of {path} {took}', inputs, found)
     return DIFFERENT if any(each.differs for each in found) else SAME
+
+
+def _opened(path: Path, namespace: str, values: Values) -> tuple[PlannerSettings, Recording]:
+    from orbimpc_ros.ros.parameters import planner_settings  # with ROS, which --help is without
+    from orbimpc_ros.tool.offline import resolved
+    from orbimpc_ros.tool.replay.recording import recording_of
+
+    planner = planner_settings(values)
+    return planner, recording_of(path, namespace, resolved(planner, namespace))
+
+
+def _replayed(
+    planner: PlannerSettings, recording: Recording, values: Values
+) -> Iterator[ReplayedTick]:
+    from orbimpc_ros.tool.replay.resolving import replayed
+
+    return replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
 
 
 def _values(path: Path, namespace: str, params: str | None, changes: Sequence[str]) -> Values:
