@@ -18,11 +18,11 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.proof.flight import rolled
-from orbimpc_ros.mpc.proof.rows import about, control_of, side_of
+from orbimpc_ros.mpc.proof.flight import DECIDED, control_of, control_points, flown_by
+from orbimpc_ros.mpc.proof.rows import about, side_of
 from orbimpc_ros.mpc.proof.sets import nearest_floor
 from orbimpc_ros.mpc.proof.splits import Region
-from orbimpc_ros.mpc.proof.stated import DECIDED, FREE, SEGMENT, Stated
+from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT, Stated
 from orbimpc_ros.mpc.proof.tree import POINTS, ProofTree, one
 
 ACCURACY = 1e-9  # of solutions, in steps
@@ -71,24 +71,21 @@ class Places:
 
     def __init__(self, stated: Stated) -> None:
         n, count, bodies = stated.n, stated.root.span.shape[1], stated.bodies
-        flown, steered = np.zeros((4, count + 1, n)), np.zeros((4, count + 1, count))
-        rolled(stated.motion, stated.start, np.zeros((count, n)), flown)
-        rolled(stated.motion, np.zeros((len(stated.start), count)), np.eye(count), steered)
-        self.flown, self.steered = flown[:2], steered[:2]
+        known = (
+            (stated.motion, stated.start[:, :n], np.zeros((count, n))),
+            (stated.motion, np.zeros((len(stated.start), count)), np.eye(count)),
+        )
+        self.flown, self.steered = (flown_by(*each) for each in known)
+        free, reach = (control_points(*each) for each in known)
         shape = len(bodies.of), count, POINTS
         self.free, self.reach = np.zeros((*shape, n)), np.zeros((*shape, count))
         self.rows = np.zeros(shape, bool)
-        degree, lead = stated.motion.degree, stated.motion.lead
         for j, k, at in np.ndindex(*shape):
-            i = control_of(bodies.of[j], k, degree, at)
-            self.rows[j, k, at] = i >= 0
-            if i < 0:
-                self.free[j, k, at], self.reach[j, k, at] = self.free[j, k, 0], self.reach[j, k, 0]
-                continue
-            late = int(2 * i > degree)
-            led = (-lead if late else lead) if 0 < i < degree else 0.0
-            free, reach = (each[0, k + late] + led * each[1, k + late] for each in (flown, steered))
-            self.free[j, k, at], self.reach[j, k, at] = free - bodies.centres[j, k, at], reach
+            i = control_of(bodies.of[j], k, stated.motion.degree, at)
+            self.rows[j, k, at], point = i >= 0, at if i >= 0 else 0
+            i = control_of(bodies.of[j], k, stated.motion.degree, point)
+            self.free[j, k, at] = free[k, i] - bodies.centres[j, k, point]
+            self.reach[j, k, at] = reach[k, i]
         self._bodies, self._n = bodies, n
 
     def entered(self, x: Array) -> tuple[Array, Array]:
