@@ -22,7 +22,6 @@ from orbimpc_ros.mpc.proof.bound import leaf_bound
 from orbimpc_ros.mpc.proof.document import Posed, Refutation, refuted_by
 from orbimpc_ros.mpc.proof.missed import Missed, MissedProgram, Side
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
-from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.rows import about
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, ICOSAHEDRON, begin, part_of
 from orbimpc_ros.mpc.proof.stated import FREE, Statement
@@ -89,11 +88,8 @@ def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutatio
     Raises:
         Unproved: for one of them none was found.
     """
-    try:
-        trees = [_tree(each, out_of_time) for each in refuted_by(made.document(), count)]
-    except Refused as error:
-        raise Unproved(f'no certificate: {error}') from None
-    return replace(made, trees=tuple(trees))
+    problems = refuted_by(made.document(), count)
+    return replace(made, trees=tuple(_tree(each, out_of_time) for each in problems))
 
 
 def _tree(posed: Posed, out_of_time: OutOfTime) -> ProofTree:
