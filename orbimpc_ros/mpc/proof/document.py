@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.proof.tree import (
     NOWHERE,
     ProofTree,
 )
-from orbimpc_ros.mpc.proof.verify import exact_bound, rounded_down
+from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
 
 FORMAT, OLD = 'orbimpc certificate 2', 'orbimpc certificate 1'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
@@ -192,7 +192,8 @@ def _refuting(document: Any) -> Verdict:
 
 
 def _proved(posed: Posed, tree: ProofTree) -> float:
-    return exact_bound(posed.problem, posed.state, posed.goals, tree, *posed[3:])
+    exact = Verifier(posed.problem, Fraction)
+    return exact.bound(posed.state, posed.goals, tree, posed.limits, posed.radius)
 
 
 def _leaves(tree: ProofTree, kind: int) -> int:
@@ -404,6 +405,6 @@ def _tree(stated: Any) -> ProofTree:
         if name in INTEGERS and made.size and made.dtype != np.int64:
             raise BadInput(f'tree.{name}', value, 'integers')
         found[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
-    if found['nodes'].ndim != 2:
+    if found['nodes'].shape[1:] != (5,):
         raise BadInput('tree.nodes', stated['nodes'], 'rows of 5')
     return ProofTree(**found, ordered='ordered' in stated)
