@@ -65,7 +65,7 @@ def test_fractions_prove_what_floats_do(seed):
     for each in certificates(seed, 40):
         problem, state, goals, limits, _ = each.posed
         floats = Verifier(problem).bound(state, goals, each.tree)
-        exact = Verifier(problem, Fraction).bound(state, goals, each.tree, limits)
+        exact = Verifier(problem, Fraction).bound(state, goals, each.tree, None, limits)
         assert max(floats, exact) <= each.cost * (1.0 + OF_A_COST)
         proved += exact == floats or abs(exact - floats) < 1e-9 * (abs(exact) + 1.0)
     assert proved > 30  # of others the floats cannot tell that they are convex

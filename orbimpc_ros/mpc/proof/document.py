@@ -193,7 +193,7 @@ def _refuting(document: Any) -> Verdict:
 
 def _proved(posed: Posed, tree: ProofTree) -> float:
     exact = Verifier(posed.problem, Fraction)
-    return exact.bound(posed.state, posed.goals, tree, posed.limits, posed.radius)
+    return exact.bound(posed.state, posed.goals, tree, None, posed.limits, posed.radius)
 
 
 def _leaves(tree: ProofTree, kind: int) -> int:

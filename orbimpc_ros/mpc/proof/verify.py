@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -19,13 +20,23 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED, compiled
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.bound import PROVED, REFUTED, Leaves, Sections, Work, tree_bound
+from orbimpc_ros.mpc.proof.bound import (
+    PAUSED,
+    PROVED,
+    REFUTED,
+    Leaves,
+    Sections,
+    Walk,
+    Work,
+    tree_bound,
+)
 from orbimpc_ros.mpc.proof.limits import NO_LIMITS, Limits, limits_of
 from orbimpc_ros.mpc.proof.splits import ICOSAHEDRON, Allowed, Order, Region, depths_of
 from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
+SLICE = 4000  # points of steps between two looks at the time: that takes 2 to 5 ms
 HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
 _depths, _bound = compiled(depths_of), compiled(tree_bound)
 
@@ -53,17 +64,18 @@ class Verifier:
             n, count = problem.dimension, problem.horizon
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
             still = one(np.zeros((count, self._statement.width)), leaf)
-            self.bound(start, np.zeros((count, n)), still, NO_LIMITS)
+            self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
 
     def bound(
         self,
         state: State,
         goals: Array,
         tree: ProofTree,
+        late: Callable[[], bool] | None = None,
         limits: Limits | None = None,
         radius: float = -1.0,
     ) -> float:
-        """Return a cost that no trajectory undercuts, rounded down; -inf if a tree proves none.
+        """Return a cost that no trajectory undercuts; -inf if a tree proves none, or none in time.
 
         Infinity if it proves that there is no trajectory.
 
@@ -71,25 +83,31 @@ class Verifier:
             state: where trajectories start.
             goals: g_1..g_N, shape (N, n) [m].
             tree: in the units of the problem.
+            late: whether time is up; a tree is taken in slices of a few milliseconds.
             limits: beside the problem's own, whose obstacles count only as these have them; by
                 default those from the state.
             radius: within which s_N is of g_N [m]; negative where it may be anywhere.
         """
         problem = self._statement.problem
-        known = limits_of(problem, state, goals) if limits is None else limits
-        stated = self._statement.of(state, goals, known, radius)
+        if limits is None:
+            limits = limits_of(problem, state, goals)
+        stated = self._statement.of(state, goals, limits, radius)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         depth = np.empty(len(tree.nodes), np.int64)
-        most = self._depths(tree.nodes, depth)
+        deepest = self._depths(tree.nodes, depth)
         choices = (2 + len(stated.bodies.of)) * problem.horizon
-        if most < 0 or (most + 1) * choices > MOST:
+        if deepest < 0 or (deepest + 1) * choices > MOST:
             return -math.inf
-        if self._region.part.shape[0] <= most or self._region.part.shape[1] != choices:
-            self._region = region_of(2 * most + 1, choices, problem.dimension, self._kind)
+        if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
+            self._region = region_of(2 * deepest + 1, choices, problem.dimension, self._kind)
+        walk, most = walk_of(tree, self._kind), 1 + SLICE // problem.horizon
         try:
             parts = parts_of(stated, in_fractions(tree) if self._exact else tree)
-            least, _, what = self._bound(stated, *parts, depth, self._region, self._work)
+            known = stated, *parts, depth, self._region, self._work, walk, most
+            least, _, what = self._bound(*known)
+            while what == PAUSED and not (late and late()):
+                least, _, what = self._bound(*known)
         except HOSTILE:
             return -math.inf
         if what == REFUTED:
@@ -148,6 +166,13 @@ def region_of(depths: int, choices: int, n: int, kind: Any) -> Region:
     shape = depths, choices
     corners = np.zeros((depths, choices if n == 3 else 1, 3, 3), kind)
     return Region(np.zeros(shape, np.int64), np.zeros((*shape, 2), kind), corners)
+
+
+def walk_of(tree: ProofTree, kind: Any) -> Walk:
+    """Return how far a walk through a tree is before it begins."""
+    count = len(tree.nodes)
+    waiting, parent = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    return Walk(waiting, parent, np.zeros(2, np.int64), np.zeros(1, kind))
 
 
 def work_of(problem: Problem, width: int, kind: Any) -> Work:
