@@ -143,7 +143,7 @@ def _places(known, way=()):
 def test_whatever_a_document_holds_it_is_judged_or_refused():
     rng = np.random.default_rng(7)
     judged = filter(None, (adversary.judged(*each) for each in flights(7)))
-    for found in itertools.islice(judged, 12):
+    for found in itertools.islice(judged, 6):
         ways = list(_places(found.document))
         for _ in range(60):
             made = copy.deepcopy(found.document)
