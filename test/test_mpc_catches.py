@@ -130,7 +130,7 @@ def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monke
     goals = np.tile([3.9, 0.0], (6, 1))
     behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to
     assert [hunted(FREE, goals)[0].checked, hunted(WING, behind)[0].checked] == [True, True]
-    unproved = lambda *_: -np.inf  # noqa: E731
+    unproved = lambda *_, **__: -np.inf  # noqa: E731
     monkeypatch.setattr('orbimpc_ros.mpc.solve.solver.Verifier.bound', unproved)
     assert hunted(FREE, goals)[0].checked  # by distances alone
     word, _ = hunted(WING, behind)
