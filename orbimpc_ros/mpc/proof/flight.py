@@ -104,9 +104,13 @@ def flown_by(motion: Motion, start: Any, point: Any) -> Any:
     return flown[:2]
 
 
-def control_points(motion: Motion, start: Any, point: Any) -> Any:
-    """Return the control points of steps, less s_0, shape (N, degree + 1, n)."""
-    flown = flown_by(motion, start, point)
+def controls_of(motion: Motion, flown: Any) -> Any:
+    """Return the control points of steps, shape (N, degree + 1, n).
+
+    Args:
+        motion: a step's.
+        flown: positions and velocities at the ends of steps, shape (2, N + 1, n).
+    """
     return controls(motion.degree, motion.degree * motion.lead, *flown)
 
 

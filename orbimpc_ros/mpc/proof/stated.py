@@ -34,7 +34,8 @@ from orbimpc_ros.mpc.proof.flight import (
     WIND,
     Motion,
     control_of,
-    control_points,
+    controls_of,
+    flown_by,
 )
 from orbimpc_ros.mpc.proof.limits import STEP, Body, Cone, Limits
 from orbimpc_ros.mpc.proof.tree import POINTS
@@ -434,8 +435,8 @@ class Statement:
         Headings are no longer than 1.
         """
         n, count, m = self.problem.dimension, self.problem.horizon, self._motion.degree + 1
-        free = control_points(self._motion, start[:, :n], self._rows(np.zeros((count, n))))
-        a, b = np.triu_indices(m, 1)
+        flown = flown_by(self._motion, start[:, :n], self._rows(np.zeros((count, n))))
+        free, (a, b) = controls_of(self._motion, flown), np.triu_indices(m, 1)
         fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
         spread = self._rows(np.zeros((len(bodies), count)))
         for j, body in enumerate(bodies):
@@ -452,6 +453,6 @@ class Statement:
             self._rows(each)
             for each in (np.eye(self.problem.horizon), np.zeros((8, self.problem.horizon)))
         )
-        reach = control_points(self._motion, none, units)
+        reach = controls_of(self._motion, flown_by(self._motion, none, units))
         a, b = np.triu_indices(self._motion.degree + 1, 1)
         return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
