@@ -39,9 +39,10 @@ from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound
 from orbimpc_ros.mpc.proof.convex import set_hessian
 from orbimpc_ros.mpc.proof.document import Certificate, Posed, Refutation, refuted_by
+from orbimpc_ros.mpc.proof.flight import control_of
 from orbimpc_ros.mpc.proof.limits import STEP, Body, limits_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
-from orbimpc_ros.mpc.proof.stated import Statement, shares
+from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import in_fractions, parts_of, region_of, work_of
 
@@ -455,7 +456,7 @@ class Part:
         points = np.array([start, *inner, end])
         first, last = body.shifts[k : k + 2]
         points = points - first - np.linspace(0.0, 1.0, len(points))[:, None] * (last - first)
-        return points[shares(body.of, k, degree)]
+        return points[_on_side(body, k, degree)]
 
     def leaf(self, refutes: bool) -> ProofTree:
         """Return a leaf with some multipliers, each of any size."""
@@ -502,7 +503,7 @@ class Part:
                 low, high = self.region.span[depth, choice]
                 if high - low > 3:
                     continue
-            last = degree if body.of == STEP else len(shares(body.of, k, degree)) - 1
+            last = degree if body.of == STEP else len(_on_side(body, k, degree)) - 1
             number = 4 * (choice - 2 * self.count) + int(self.rng.integers(last + 1))
             found.append(number + 4 * self.count * len(self.posed.limits.bodies) * levels)
         return np.array(found, np.int64)
@@ -536,3 +537,9 @@ class Part:
             nodes += [[kind, 0, 0, 0, 0] for _ in range(parts)]
             at += parts * [0.0]
         return leaf._replace(nodes=np.array(nodes), at=np.array(at), origins=self.origins)
+
+
+def _on_side(body: Body, k: int, degree: int) -> list[int]:
+    """Return which control points of step k are on one side of a body."""
+    every = (control_of(body.of, k, degree, at) for at in range(trees.POINTS))
+    return [i for i in every if i >= 0]

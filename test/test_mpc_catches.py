@@ -17,8 +17,8 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem
+from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.reach import Reach
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.proof.refute import catches_refuted
 
@@ -130,7 +130,7 @@ def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monke
     goals = np.tile([3.9, 0.0], (6, 1))
     behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to
     assert [hunted(FREE, goals)[0].checked, hunted(WING, behind)[0].checked] == [True, True]
-    unproved = lambda *_: -np.inf  # noqa: E731
+    unproved = lambda *_, **__: -np.inf  # noqa: E731
     monkeypatch.setattr('orbimpc_ros.mpc.solve.solver.Verifier.bound', unproved)
     assert hunted(FREE, goals)[0].checked  # by distances alone
     word, _ = hunted(WING, behind)
@@ -156,7 +156,7 @@ MOTIONS = [{**orders, 'discretisation': how} for orders in ORDERS for how in ('e
 def test_straight_flights_end_at_the_rim_of_what_headings_lead_to(given):
     rng = np.random.default_rng([*map(ord, str(given))])
     problem = Problem(horizon=5, step=0.6, forward=1.7, **given)
-    reach, n, radius = Reach(problem), problem.dimension, 0.3
+    n, radius = problem.dimension, 0.3
     start = replace(state_of(rng, problem), disturbance=0.2 * rng.normal(size=n))
     way = rotation(rng, n)
     ahead = trajectory_of(problem, start, np.zeros((5, n)), coordinates(np.tile(way, (5, 1, 1))))
@@ -165,6 +165,6 @@ def test_straight_flights_end_at_the_rim_of_what_headings_lead_to(given):
     rim = ahead.positions[1:] - middle
     away = np.linalg.norm(rim, axis=1, keepdims=True)
     outward = np.divide(rim, away, out=np.tile(way[:, 0], (5, 1)), where=away > 0.0)
-    for beyond, missed in ((-1e-9, False), (1e-9, True)):
+    for beyond, outside in ((-1e-9, False), (1e-9, True)):
         goals = middle + (away + radius + beyond) * outward
-        assert reach.misses(start, goals, radius).tolist() == 5 * [missed]
+        assert missed(problem, start, goals, radius).tolist() == 5 * [outside]

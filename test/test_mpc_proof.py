@@ -6,6 +6,7 @@ import copy
 import itertools
 import json
 import math
+from fractions import Fraction
 from functools import cache
 
 import adversary
@@ -14,7 +15,7 @@ import pytest
 from problems import floor, seeds
 from toy_floor import Eastward
 
-from orbimpc_ros.mpc.geometry.cells import cap, icosahedron
+from orbimpc_ros.mpc.geometry.cells import icosahedron
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -26,7 +27,7 @@ from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.stated import Sets
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
-from orbimpc_ros.mpc.proof.verify import Verifier, exact_bound
+from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.solver import Solver
 
 DRAWS = 60  # of each seed
@@ -64,11 +65,10 @@ def test_fractions_prove_what_floats_do(seed):
     for each in certificates(seed, 40):
         problem, state, goals, limits, _ = each.posed
         floats = Verifier(problem).bound(state, goals, each.tree)
-        exact = exact_bound(problem, state, goals, each.tree, limits)
-        assert floats <= exact <= each.cost * (1.0 + OF_A_COST)
-        assert exact == floats or exact - floats < 1e-9 * (abs(exact) + 1.0)
-        proved += floats > -math.inf
-    assert proved > 20
+        exact = Verifier(problem, Fraction).bound(state, goals, each.tree, None, limits)
+        assert max(floats, exact) <= each.cost * (1.0 + OF_A_COST)
+        proved += exact == floats or abs(exact - floats) < 1e-9 * (abs(exact) + 1.0)
+    assert proved > 30  # of others the floats cannot tell that they are convex
 
 
 @pytest.mark.parametrize('seed', seeds(20))
@@ -143,7 +143,7 @@ def _places(known, way=()):
 def test_whatever_a_document_holds_it_is_judged_or_refused():
     rng = np.random.default_rng(7)
     judged = filter(None, (adversary.judged(*each) for each in flights(7)))
-    for found in itertools.islice(judged, 12):
+    for found in itertools.islice(judged, 6):
         ways = list(_places(found.document))
         for _ in range(60):
             made = copy.deepcopy(found.document)
@@ -156,22 +156,11 @@ def test_whatever_a_document_holds_it_is_judged_or_refused():
                 verified(made)
 
 
-def document_of(horizon, point=0.1, shor=-1.0, leaves=1):
-    """Return a certificate without much of a bound, whose leaves are the same."""
+def document_of(horizon):
+    """Return a certificate without much of a bound."""
     case = Problem(horizon=horizon), State.at(np.zeros(2), np.eye(2)), np.ones((horizon, 2))
-    leaf = one(np.full((horizon, 2), point), np.full(horizon, shor))
-    nodes = [[ARCS, 1, 1, leaves, -1], *[[LEAF, 0, 0, 0, 0]] * leaves][leaves == 1 :]
-    tree = leaf._replace(nodes=np.array(nodes), at=np.zeros(len(nodes)))
-    return json.loads(Certificate(*case, 1.0, tree).text())
-
-
-def test_what_takes_more_work_than_its_length_may_is_refused():
-    assert verified(document_of(200)).leaves == 1
-    with pytest.raises(Refused, match='work'):
-        verified(document_of(200, shor=1.0))
-    assert verified(document_of(50, leaves=40)).leaves == 40
-    with pytest.raises(Refused, match='work'):  # a leaf that many nodes share is as much work
-        verified(document_of(50, leaves=4000))
+    leaf = one(np.full((horizon, 2), 0.1), np.full(horizon, -1.0))
+    return json.loads(Certificate(*case, 1.0, leaf).text())
 
 
 CONE = {'axis': [1.0, 0.0], 'angle': 1.0, 'least': 0.0, 'steps': []}
@@ -184,12 +173,12 @@ BALL = {'centre': [1.0, 0.0], 'radius': 1.0, 'of': 'end'}
     [
         (('format',), 'another', 'format'),
         (('format',), 'orbimpc certificate 1', 'read no more'),
-        (('goals',), ..., 'lacks goals'),
-        (('lower_bound',), True, 'finite'),
-        (('lower_bound',), 10**400, 'finite'),
-        (('lower_bound',), '1', 'finite'),
-        (('more',), 1, 'unknown'),
-        (('goals', 0), [1.0], 'list of 2'),
+        (('goals',), ..., 'goals: missing'),
+        (('lower_bound',), True, 'a number'),
+        (('lower_bound',), 10**400, 'a number'),
+        (('lower_bound',), '1', 'a number'),
+        (('more',), 1, "unknown certificate field 'more'"),
+        (('goals', 0), [1.0], '2x2 finite'),
         (('problem', 'horizon'), 2.5, 'horizon'),
         (('problem', 'step'), 0.0, 'step'),
         (('problem', 'weights', 'position'), -1.0, 'position'),
@@ -207,7 +196,7 @@ BALL = {'centre': [1.0, 0.0], 'radius': 1.0, 'of': 'end'}
         (('limits',), {'bodies': [{**BALL, 'of': 'all'}]}, 'of'),
         (('tree',), 7, 'tree'),
         (('tree', 'nodes'), [[0, 0, 0, 0]], 'nodes'),
-        (('tree', 'points'), [], "unknown 'points'"),
+        (('tree', 'points'), [], "unknown tree field 'points'"),
     ],
 )
 def test_states_and_limits_that_are_none_are_refused(path, value, word):
@@ -340,18 +329,3 @@ def test_the_least_over_the_orbitope(seed):
     points = coordinates(np.array(rotations))
     least = sets.over_orbitope(g.T.ravel(), np.zeros((4, 4)))
     assert abs(held_against(least, points, g.T.ravel(), 0.0, 0.0)) < 1e-9
-
-
-@pytest.mark.parametrize('seed', range(20))
-def test_the_least_over_a_patch_within_a_cone(seed):
-    rng = np.random.default_rng([12, seed])
-    angle, corners = rng.uniform(0.2, 1.0), rng.normal(size=(3, 3))
-    if seed % 2:
-        corners = cap(angle)[rng.integers(4)]
-    cone, g = np.array([0.0, 0.0, 1.0, np.cos(angle), np.sin(angle)]), rng.normal(size=3)
-    units = rng.dirichlet([0.5] * 3, size=100_000) @ corners
-    units /= np.linalg.norm(units, axis=1, keepdims=True)
-    inside = units[units[:, 2] >= np.cos(angle)]
-    least = sets.in_both(g, cone, corners)
-    assert not len(inside) or least <= (inside @ g).min() + 1e-12
-    assert len(inside) < 5000 or least >= (inside @ g).min() - 0.02

@@ -1,10 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What contributors meet: workflows and forms that are valid, a declaration that is true."""
 
-import re
 import subprocess
 import sys
-import xml.etree.ElementTree as ElementTree
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,16 +49,3 @@ def test_the_workflow_runs_the_two_commands_of_the_readme():
         each['pins'] for each in jobs['test']['strategy']['matrix']['include'] if each['pins']
     ]
     assert pinned == ["'numpy==1.26.4' 'cvxpy>=1.7,<1.8'"]
-
-
-def test_the_declaration_of_quality_says_what_is():
-    """It claims level 4 as long as it marks a requirement of level 3 as not met."""
-    text = (ROOT / 'QUALITY_DECLARATION.md').read_text()
-    version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
-    stable = int(version.partition('.')[0]) >= 1
-    assert (f'*not yet*: The version is {version}' in text) != stable
-    level = int(re.search(r'\*\*Quality Level (\d)\*\*', text)[1])
-    assert level == (4 if '*not yet*' in text else 3)
-    assert '(QUALITY_DECLARATION.md)' in (ROOT / 'README.md').read_text()
-    for name in re.findall(r'\]\(([^)#:]+)\)', text):
-        assert (ROOT / name).exists(), name

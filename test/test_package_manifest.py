@@ -159,3 +159,13 @@ def test_a_node_says_in_one_line_that_ros_is_missing(node):
     assert done.stderr.count('\n') == 1
     assert done.stderr.startswith(f'{node}: ')
     assert 'is missing: install ROS 2, or ' in done.stderr
+
+
+STATEMENT = '# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0\n'
+
+
+def test_each_source_file_begins_with_its_copyright_statement():
+    folders = ('docs', 'launch', 'orbimpc_ros', 'test')
+    files = [ROOT / 'setup.py', *(f for name in folders for f in (ROOT / name).rglob('*.py'))]
+    assert len(files) > 200
+    assert [file for file in files if not file.read_text().startswith(STATEMENT)] == []

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Arrays of frozen types: one gate for untrusted values, and equality by content."""
+"""Untrusted values: one gate for fields, numbers and arrays; frozen types, equal by content."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -77,6 +77,36 @@ def whole(value: object, culprit: str, low: int, high: int) -> int:
     if not low <= value <= high:
         raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
     return int(value)
+
+
+def fields_of(
+    value: Any, culprit: str, needed: Iterable[str], optional: Iterable[str] = ()
+) -> Mapping[str, Any]:
+    """Return ``value`` if it is a mapping that has what is needed and nothing unknown."""
+    allowed = (*needed, *optional)
+    if not isinstance(value, dict):
+        raise BadInput(culprit, value, f'a mapping of {", ".join(allowed)}')
+    for name in value:
+        if name not in allowed:
+            raise BadInput.unknown(f'{culprit} field', str(name), allowed)
+    for name in needed:
+        if name not in value:
+            raise BadInput.stating(f'{culprit} field {name}', 'missing', _needs(tuple(needed)))
+    return value
+
+
+def _needs(names: tuple[str, ...]) -> str:
+    return f'all of {", ".join(names)} are needed' if names[1:] else f'{names[0]} is needed'
+
+
+def numbers_of(value: Any, culprit: str) -> Any:
+    """Return ``value`` if it is a list of numbers, or of lists of them; NumPy would take words."""
+    leaves: list[Any] = value if isinstance(value, list) else [None]
+    while leaves and all(isinstance(leaf, list) for leaf in leaves):
+        leaves = [inner for leaf in leaves for inner in leaf]
+    if not all(isinstance(leaf, (int, float)) and not isinstance(leaf, bool) for leaf in leaves):
+        raise BadInput(culprit, value, 'a list of finite numbers')
+    return value
 
 
 class ByContent:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -177,41 +177,27 @@ def _limits(
     problem: Problem, state: State, goals: Array, plan: Plan
 ) -> dict[str, tuple[float, float]]:
     """Return the least margin to each limit, and by how much it may be missed."""
-    limits = {'hull': (float(margin(plan.rotations[1:]).min()), TOLERANCE)}
+    rotations, length = plan.rotations, _length_tolerance(problem, state)
+    shares: dict[str, Any] = {'hull': margin(rotations[1:])}
+    lengths: dict[str, Any] = {}
     if problem.floor.exists:
-        least = float(floor_margin(problem, plan.rotations[1:, :, 0]).min())
-        limits['floor'] = least, TOLERANCE
+        shares['floor'] = problem.floor.margin(rotations[1:, :, 0])
     if problem.max_rate > 0.0:
-        least = float(turn_margin(problem, state, plan.rotations).min())
-        limits['max_rate'] = least, TOLERANCE
+        shares['max_rate'] = turn_margin(problem, state, rotations)
     if problem.max_acceleration > 0.0:
-        least = float(speed_margin(problem, state, plan.rotations).min())
-        limits['max_acceleration'] = least, TOLERANCE
-    length = _length_tolerance(problem, state)
-    if problem.boxes:
-        limits['obstacle'] = obstacle_margin(problem, plan.positions), length
-    if problem.obstacles or state.hazards:
-        apart = clearances(problem, state, plan)
-        limits |= {name: (least, length) for name, least in apart.items()}
-    if problem.approach.cone > 0.0:
-        least = approach_margin(problem, state, plan.rotations[-1, :, 0])
-        limits['approach'] = least, TOLERANCE
+        shares['max_acceleration'] = speed_margin(problem, state, rotations)
+    if problem.approach.exists:
+        shares['approach'] = approach_margin(problem, state, rotations[-1, :, 0])
     if problem.has_cones:
-        limits |= _cone_limits(problem, state, goals, plan)
-    return limits
-
-
-def _cone_limits(
-    problem: Problem, state: State, goals: Array, plan: Plan
-) -> dict[str, tuple[float, float]]:
-    """Return the least margins to the cones of a descent, and by how much each may be missed."""
-    tilt, slope = cone_margins(problem, state, goals, plan)
-    limits = {}
-    if problem.tilt:
-        limits['tilt'] = float(tilt.min()), TOLERANCE
-    if problem.glide_slope:
-        limits['glide_slope'] = float(slope.min()), _length_tolerance(problem, state)
-    return limits
+        tilt, slope = cone_margins(problem, state, goals, plan)
+        shares |= {'tilt': tilt} if problem.tilt else {}
+        lengths |= {'glide_slope': slope} if problem.glide_slope else {}
+    if problem.boxes:
+        lengths['obstacle'] = obstacle_margin(problem, plan.positions)
+    if problem.obstacles or state.hazards:
+        lengths |= clearances(problem, state, plan)
+    found = {name: (float(np.min(each)), TOLERANCE) for name, each in shares.items()}
+    return found | {name: (float(np.min(each)), length) for name, each in lengths.items()}
 
 
 def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
@@ -226,11 +212,6 @@ def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tu
     eased = relief(problem, state, goals)
     headings, away = plan.rotations[1:, :, 0], plan.positions[1:] - goals
     return eased.tilt - leaning(problem, headings), eased.slope - strayed(problem, away)
-
-
-def floor_margin(problem: Problem, headings: Array) -> Array:
-    """Return by how much headings R_k e1, shape (N, n), clear the floor, shape (N,)."""
-    return problem.floor.margin(headings)
 
 
 def approach_margin(problem: Problem, state: State, heading: Array) -> float:

@@ -6,7 +6,6 @@ Mathematics: docs/mathematics.md, 7.2.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -54,14 +53,14 @@ def flaw(
 
     The last look before a vehicle gets it: finite, a share of full speed and not below the floor,
     a rate below the limit (without one, below half a turn in a step), a speed that is not changed
-    faster than it may be, and a rotation. In plain floats, for speed.
+    faster than it may be, and a rotation.
 
     A stop that was asked for (``stopping``) is forbidden by no floor and no limit of the change of
     speed, which counts from the ``entry`` share of full speed; None if that is not known.
     """
     fraction = command.speed_fraction
-    rate, rotation = command.body_rate.tolist(), command.rotation.tolist()
-    if not all(map(math.isfinite, (fraction, *rate, *itertools.chain(*rotation)))):
+    rate, rotation = command.body_rate.tolist(), command.rotation
+    if not (all(map(math.isfinite, (fraction, *rate))) and np.isfinite(rotation).all()):
         return 'the command is not finite'
     if not 0.0 <= fraction <= 1.0:
         return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
@@ -75,21 +74,10 @@ def flaw(
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
-    if rotation_error(rotation) > ROTATION_TOLERANCE:
+    error = np.abs(rotation.T @ rotation - np.eye(len(rotation))).max()
+    if error > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
         return 'the commanded rotation is not a rotation'
     return ''
-
-
-def rotation_error(rows: list[list[float]]) -> float:
-    """Return how far a matrix, given as n rows, is from SO(n): products of rows, handedness."""
-    if len(rows) == 2:
-        (a, b), (c, d) = rows
-        return max(abs(a - d), abs(b + c), abs(a * a + b * b - 1.0))
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    # A rotation's last row is the cross product of its first two, which are orthonormal.
-    crossed = abs(b * f - c * e - g), abs(c * d - a * f - h), abs(a * e - b * d - i)
-    lengths = abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0)
-    return max(*crossed, *lengths, abs(a * d + b * e + c * f))
 
 
 def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Command:

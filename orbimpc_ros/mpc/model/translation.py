@@ -8,7 +8,8 @@ every axis of the world it says
 
 with A upper triangular and A_11 = 1: where a vehicle is has no influence on how it moves. w is the
 disturbance, the same at every step: a wind, or an acceleration. Rollouts, maps, the convex
-programs, the check and natural units follow from A, b, c and e.
+programs, the check and natural units follow from A, b, c and e. Proofs have them in fractions, too:
+the models here state no number that a double rounds.
 
 Mathematics: docs/mathematics.md, 1.1.
 """
@@ -54,7 +55,7 @@ class Translation(ABC):
 
     def blow(self, step: float) -> Array:
         """Return e, shape (m,) [s], or [s^2], [s]; by default w acts as a steady thrust would."""
-        return self.push(step, 1.0) + self.follow(step, 1.0)
+        return self.push(step, 1) + self.follow(step, 1)
 
 
 class FirstOrder(Translation):
@@ -92,11 +93,11 @@ class FirstOrderExact(FirstOrder):
 
     def push(self, step: float, forward: float) -> Array:
         """Return (h z / 2)."""
-        return np.array([0.5 * step * forward])
+        return np.array([step * forward / 2])
 
     def follow(self, step: float, forward: float) -> Array:
         """Return (h z / 2)."""
-        return np.array([0.5 * step * forward])
+        return np.array([step * forward / 2])
 
 
 class SecondOrderExact(SecondOrder):
@@ -106,11 +107,11 @@ class SecondOrderExact(SecondOrder):
 
     def push(self, step: float, forward: float) -> Array:
         """Return (h^2 z / 3, h z / 2)."""
-        return np.array([step * step * forward / 3.0, 0.5 * step * forward])
+        return np.array([step * step * forward / 3, step * forward / 2])
 
     def follow(self, step: float, forward: float) -> Array:
         """Return (h^2 z / 6, h z / 2)."""
-        return np.array([step * step * forward / 6.0, 0.5 * step * forward])
+        return np.array([step * step * forward / 6, step * forward / 2])
 
 
 class SecondOrderHeld(SecondOrder):
@@ -124,7 +125,7 @@ class SecondOrderHeld(SecondOrder):
 
     def follow(self, step: float, forward: float) -> Array:
         """Return (h^2 z / 2, h z)."""
-        return np.array([0.5 * step * step * forward, step * forward])
+        return np.array([step * step * forward / 2, step * forward])
 
 
 TRANSLATIONS: dict[int, Translation] = {1: FirstOrder(), 2: SecondOrder()}

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, frozen
+from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, numbers_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import (
@@ -67,7 +67,7 @@ def case_of(mapping: Any) -> Case:
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
     optional = (*EXTRAS, *CONES, *PARTS, 'hazards', 'goal_attitude')
-    known = _fields(mapping, 'case', needed, optional)
+    known = fields_of(mapping, 'case', needed, optional)
     problem = _problem(known)
     state = _state(problem, known['state'], known.get('goal_attitude'))
     hazards = _hazards(problem, known.get('hazards', []))
@@ -75,7 +75,7 @@ def case_of(mapping: Any) -> Case:
 
 
 def _problem(known: Mapping[str, Any]) -> Problem:
-    weights = dict(_fields(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
+    weights = dict(fields_of(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
     scaling = weights.pop('scaling', 'paper')
     plain = {name: known[name] for name in (*MODEL, *EXTRAS, *CONES) if name in known}
     if not isinstance(plain.get('terminal', ''), str):
@@ -95,14 +95,14 @@ def _problem(known: Mapping[str, Any]) -> Problem:
 
 
 def _floor(value: Any) -> Floor:
-    known = _fields(value, 'floor', ('shape',), ('faces', 'fraction'))
+    known = fields_of(value, 'floor', ('shape',), ('faces', 'fraction'))
     needed = Floor(known['shape']).parameters  # which refuses a shape that there is not
-    return Floor(**_fields(known, 'floor', ('shape', *needed), tuple(known)))
+    return Floor(**fields_of(known, 'floor', ('shape', *needed), tuple(known)))
 
 
 def _approach(value: Any) -> Approach:
-    known = _fields(value, 'approach', ('cone',), ('direction',))
-    direction = _numbers(known.get('direction', []), 'approach.direction')
+    known = fields_of(value, 'approach', ('cone',), ('direction',))
+    direction = numbers_of(known.get('direction', []), 'approach.direction')
     return Approach(known['cone'], tuple(direction))
 
 
@@ -114,10 +114,10 @@ def _obstacles(value: Any) -> tuple[Box | Ball, ...]:
 
 def _obstacle(value: Any, culprit: str) -> Box | Ball:
     if isinstance(value, dict) and ('centre' in value or 'radius' in value):
-        ball = _fields(value, culprit, ('centre', 'radius'))
-        return Ball(_numbers(ball['centre'], 'obstacles.centre'), ball['radius'])
-    box = _fields(value, culprit, ('min', 'max'))
-    return Box(_numbers(box['min'], 'obstacles.min'), _numbers(box['max'], 'obstacles.max'))
+        ball = fields_of(value, culprit, ('centre', 'radius'))
+        return Ball(numbers_of(ball['centre'], 'obstacles.centre'), ball['radius'])
+    box = fields_of(value, culprit, ('min', 'max'))
+    return Box(numbers_of(box['min'], 'obstacles.min'), numbers_of(box['max'], 'obstacles.max'))
 
 
 def _hazards(problem: Problem, value: Any) -> tuple[MovingObstacle, ...]:
@@ -130,9 +130,9 @@ def _hazards(problem: Problem, value: Any) -> tuple[MovingObstacle, ...]:
 def _hazard(value: Any, culprit: str) -> MovingObstacle:
     moves = ('times', 'shifts') if isinstance(value, dict) and 'times' in value else ('velocity',)
     kind = ('centre', 'radius') if isinstance(value, dict) and 'centre' in value else ('min', 'max')
-    known = _fields(value, culprit, (*kind, *moves))
+    known = fields_of(value, culprit, (*kind, *moves))
     body = _obstacle({name: known[name] for name in kind}, culprit)
-    given = [_numbers(known[name], f'{culprit}.{name}') for name in moves]
+    given = [numbers_of(known[name], f'{culprit}.{name}') for name in moves]
     if len(given) == 2:
         return MovingObstacle(body, *given)
     return MovingObstacle.drifting(body, frozen(given[0], (body.dimension,), f'{culprit}.velocity'))
@@ -144,50 +144,20 @@ def _state(problem: Problem, value: Any, wanted: Any) -> State:
         *(['velocity'] if problem.inertial else []),
         *(['rotation_rate'] if problem.rotation_order == 2 else []),
     ]
-    known = _fields(value, 'state', ('position', 'rotation'), optional)
-    arrays = {name: _numbers(known[name], f'state.{name}') for name in known}
+    known = fields_of(value, 'state', ('position', 'rotation'), optional)
+    arrays = {name: numbers_of(known[name], f'state.{name}') for name in known}
     # The state takes its dimension from the position: settle that first.
     arrays['position'] = frozen(arrays['position'], (problem.dimension,), 'state.position')
     if wanted is not None:
         n = problem.dimension
-        arrays['wanted'] = frozen(_numbers(wanted, 'goal_attitude'), (n, n), 'goal_attitude')
+        arrays['wanted'] = frozen(numbers_of(wanted, 'goal_attitude'), (n, n), 'goal_attitude')
     return State.at(**arrays)
 
 
 def _goals(problem: Problem, value: Any) -> Array:
     """Return N goals, from N of them or from one that is held."""
     n, horizon = problem.dimension, problem.horizon
-    _numbers(value, 'goal')
+    numbers_of(value, 'goal')
     if value and isinstance(value[0], list):
         return frozen(value, (horizon, n), 'goal')
     return frozen(np.tile(frozen(value, (n,), 'goal'), (horizon, 1)), (horizon, n), 'goal')
-
-
-def _fields(
-    value: Any, culprit: str, needed: Iterable[str], optional: Iterable[str] = ()
-) -> Mapping[str, Any]:
-    """Return ``value`` if it is a mapping that has what is needed and nothing unknown."""
-    allowed = (*needed, *optional)
-    if not isinstance(value, dict):
-        raise BadInput(culprit, value, f'a mapping of {", ".join(allowed)}')
-    for name in value:
-        if name not in allowed:
-            raise BadInput.unknown(f'{culprit} field', str(name), allowed)
-    for name in needed:
-        if name not in value:
-            raise BadInput.stating(f'{culprit} field {name}', 'missing', _needs(tuple(needed)))
-    return value
-
-
-def _needs(names: tuple[str, ...]) -> str:
-    return f'all of {", ".join(names)} are needed' if names[1:] else f'{names[0]} is needed'
-
-
-def _numbers(value: Any, culprit: str) -> Any:
-    """Return ``value`` if it is a list of numbers, or of lists of them; NumPy would take words."""
-    leaves: list[Any] = value if isinstance(value, list) else [None]
-    while leaves and all(isinstance(leaf, list) for leaf in leaves):
-        leaves = [inner for leaf in leaves for inner in leaf]
-    if not all(isinstance(leaf, (int, float)) and not isinstance(leaf, bool) for leaf in leaves):
-        raise BadInput(culprit, value, 'a list of finite numbers')
-    return value

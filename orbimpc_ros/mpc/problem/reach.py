@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
+SURE = 1e-12  # by so much more than can be reached is surely out of reach
 BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
 
 
@@ -135,11 +136,33 @@ def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
 
     At full thrust all the way, no point is farther from the coasting one than this.
     """
-    if problem.terminal != 'constraint':
-        return -np.inf
-    reach = problem.maps.reach[-1]
-    coasted = dynamics.drift(problem, state)[-1] + reach[0] * state.rotation[:, 0]
-    return float(np.linalg.norm(goals[-1] - coasted) - reach[1:].sum())
+    return (
+        float(_beyond(problem, state, goals)[-1]) if problem.terminal == 'constraint' else -np.inf
+    )
+
+
+def _beyond(problem: Problem, state: State, goals: Array) -> Array:
+    """Return how much farther goals are than any headings lead, shape (N,) [m] (7.10b)."""
+    reach = problem.maps.reach
+    coasted = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
+    off = goals - coasted
+    return np.asarray(np.sqrt(np.einsum('kc,kc->k', off, off)) - np.abs(reach[:, 1:]).sum(axis=1))
+
+
+def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.ndarray:
+    """Return at the end of which steps no headings lead to within a radius of the goal, (N,).
+
+    Surely, for all that rounding does.
+
+    Args:
+        problem: how the vehicle moves.
+        state: where it starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        radius: of a catch [m].
+    """
+    sizes = np.abs(state.position).sum() + np.abs(goals).sum(axis=1)
+    rounding = SURE * (problem.length_unit * (1.0 + len(goals) ** 2) + sizes + radius)
+    return np.asarray(_beyond(problem, state, goals) > radius + rounding)
 
 
 def beyond_turning(problem: Problem, state: State) -> float:

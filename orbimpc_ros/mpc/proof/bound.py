@@ -20,7 +20,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.proof.arithmetic import generic, slack, woven
 from orbimpc_ros.mpc.proof.convex import lost, set_hessian
-from orbimpc_ros.mpc.proof.flight import pulled_back, rolled
+from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, slid, towed, with_ends
 from orbimpc_ros.mpc.proof.sets import over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import (
@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.proof.splits import (
     begin,
     part_of,
 )
-from orbimpc_ros.mpc.proof.stated import DECIDED, FIRST, FREE, SEGMENT, WANTED
+from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
 
 # The least of the leaves' bounds, nothing is in any, none, or not all leaves have been seen.

@@ -11,24 +11,30 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof import reading as strict
 from orbimpc_ros.mpc.proof.limits import END, ENDS, STEP, Body, Cone, Limits, limits_of
 from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.stated import UP
-from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, MULTIPLIERS, NOTHING, NOWHERE, ProofTree
-from orbimpc_ros.mpc.proof.verify import exact_bound, rounded_down
+from orbimpc_ros.mpc.proof.tree import (
+    EMPTY,
+    INTEGERS,
+    LEAF,
+    MULTIPLIERS,
+    NOTHING,
+    NOWHERE,
+    ProofTree,
+)
+from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
 
 FORMAT, OLD = 'orbimpc certificate 2', 'orbimpc certificate 1'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
@@ -36,14 +42,10 @@ OF = {'end': END, 'ends': ENDS, 'step': STEP}
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
          'forward', 'terminal', 'max_rate')  # fmt: skip
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
-VECTORS, MAYBE = ('position', 'velocity', 'disturbance'), ('coasted', 'wanted')
-STATE = (*VECTORS, 'rotation', 'rotation_rate', 'attitude', *MAYBE)
+MAYBE = ('coasted', 'wanted')
+STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
 SOUGHT = ('problem', 'state', 'goals', 'radius')
 ARRAYS = ('nodes', 'at', 'point', 'shor', 'press_end', 'press_row', 'press')
-INTEGERS = ('nodes', 'press_end', 'press_row')
-MOST_NODES = 1_000_000
-EACH, TERM = 100, 12  # microseconds that a number of a leaf takes, and a term of a Hessian
-LEAST_WORK, WORK = 2_000_000, 40  # microseconds, and for each character of a document
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,32 +150,38 @@ def verified(document: Any) -> Verdict:
     """Return what a certificate, as JSON has it, comes to in exact arithmetic.
 
     Raises:
-        Refused: it is malformed, or too much work for its length.
+        Refused: it is malformed, or a problem is none that can be stated in fractions.
     """
     if isinstance(document, dict) and document.get('format') == OLD:
         raise Refused(f'format is {OLD!r}, which is read no more: {FORMAT!r} is')
+    try:
+        return _verdict(document)
+    except (BadInput, TypeError, OverflowError) as error:
+        raise Refused(str(error)) from None
+
+
+def _verdict(document: Any) -> Verdict:
     refutes = isinstance(document, dict) and 'refuted' in document
     claim = ('refuted',) if refutes else ('lower_bound', 'tree')
-    strict.fields(
-        document, 'certificate', ('format', 'problem', 'state', 'goals', *claim), ('limits',)
-    )
+    fields_of(document, 'certificate', ('format', 'problem', 'state', 'goals', *claim), ('limits',))
     if document['format'] != FORMAT:
-        raise Refused(f'format is not {FORMAT!r}')
+        raise BadInput('format', document['format'], FORMAT)
     if refutes:
         return _refuting(document)
-    posed, tree = _posed(document), _tree(document['tree'])
-    claimed = strict.number(document['lower_bound'], 'bound')
-    (proved,) = _proved([posed], [tree], document['tree'])
+    tree = _tree(document['tree'])
+    claimed, proved = (
+        number(document['lower_bound'], 'lower_bound'),
+        _proved(_posed(document), tree),
+    )
     holds = claimed <= 0.0 or Fraction(claimed) * (1 - RELATIVE) <= proved
     return Verdict(claimed, proved, _leaves(tree, LEAF), holds)
 
 
 def _refuting(document: Any) -> Verdict:
-    claim = document['refuted']
-    strict.fields(claim, 'refuted', ('trees',), ('radius', 'cone'))
-    trees = [_tree(each) for each in strict.items(claim['trees'], 'trees')]
+    claim = fields_of(document['refuted'], 'refuted', ('trees',), ('radius', 'cone'))
+    trees = [_tree(each) for each in _items(claim['trees'], 'trees')]
     problems = refuted_by(document, len(trees))
-    proved = _proved(problems, trees, claim['trees'])
+    proved = map(_proved, problems, trees)
     whole = next((k for k, each in enumerate(proved) if each < math.inf), len(trees))
     leaves, holds = sum(_leaves(tree, EMPTY) for tree in trees), whole == len(trees)
     if 'radius' not in claim:
@@ -183,39 +191,13 @@ def _refuting(document: Any) -> Verdict:
     return Verdict(ends[0], ends[1], leaves, holds)
 
 
-def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) -> list[float]:
-    """Return what trees prove, unless that is too much work for their length as JSON has them.
-
-    Raises:
-        Refused: it is, or a problem is none that can be stated in fractions.
-    """
-    work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
-    if work > LEAST_WORK + WORK * len(json.dumps(stated)):
-        raise Refused('it takes more work than a document of its length may')
-    try:
-        return [
-            exact_bound(posed.problem, posed.state, posed.goals, tree, *posed[3:])
-            for posed, tree in zip(problems, trees, strict=True)
-        ]
-    except BadInput as error:
-        raise Refused(str(error)) from None
+def _proved(posed: Posed, tree: ProofTree) -> float:
+    exact = Verifier(posed.problem, Fraction)
+    return exact.bound(posed.state, posed.goals, tree, None, posed.limits, posed.radius)
 
 
 def _leaves(tree: ProofTree, kind: int) -> int:
     return int((tree.nodes[:, 0] == kind).sum())
-
-
-def _work(tree: ProofTree, problem: Problem) -> int:
-    """Return how long it takes to go through a tree, at most [us]; whose arrays may not fit."""
-    if tree.shor.ndim != 2 or tree.press_end.shape != tree.shor.shape[:1]:
-        return 0  # it proves nothing
-    rows = tree.nodes[(tree.nodes[:, 0] == LEAF) | (tree.nodes[:, 0] == EMPTY), -1]
-    rows = rows[(rows >= 0) & (rows < len(tree.shor))]  # which leaves may share
-    pressed = np.clip(np.diff(tree.press_end, prepend=0), 0, tree.press.size)
-    numbers = len(rows) * math.prod(tree.point.shape[1:]) + int(pressed[rows].sum())
-    bent = int(np.count_nonzero(np.any(tree.shor[rows] > 0.0, axis=1)))
-    work = EACH * numbers + TERM * (bent + (bent > 0)) * problem.horizon**3 // 6
-    return work + len(tree.nodes) * problem.horizon + TERM * problem.horizon**2
 
 
 # --- what is refuted
@@ -227,22 +209,21 @@ def refuted_by(document: Any, count: int) -> list[Posed]:
     Nothing costs anything there, so that rotations are no more than their axes.
 
     Raises:
-        Refused: it is malformed.
+        BadInput: it is malformed.
     """
     claim, posed = document['refuted'], _posed(document)
     weights = replace(posed.problem.weights, input=0.0, attitude=0.0)
     posed = posed._replace(problem=replace(posed.problem, weights=weights))
     if 'radius' not in claim:
         if 'cone' in claim or count != 1:
-            raise Refused('there is a cone, or not one tree, but nothing to catch')
+            raise BadInput.stating(
+                'refuted', 'a cone, or not one tree', 'there is nothing to catch'
+            )
         return [posed]
-    strict.whole(count, 'the number of trees', 1, posed.problem.horizon)
-    radius = _number(claim['radius'])
-    if radius < 0.0:
-        raise Refused('radius is negative')
-    last = claim.get('cone')
+    whole(count, 'the number of trees', 1, posed.problem.horizon)
+    radius, last = number(claim['radius'], 'refuted.radius', 0.0), claim.get('cone')
     if last is not None:
-        strict.fields(last, 'cone', ('axis', 'angle', 'least'))
+        fields_of(last, 'refuted.cone', ('axis', 'angle', 'least'))
     return [_catch(posed, k, radius, last) for k in range(1, count + 1)]
 
 
@@ -312,118 +293,84 @@ def _posed(document: Any) -> Posed:
     """Return the problem that is stated, the state, goals and limits.
 
     Raises:
-        Refused: it is none.
+        BadInput: it is none.
     """
-    stated = document['problem']
-    strict.fields(stated, 'problem', (*MODEL, 'weights', 'floor'))
-    strict.fields(stated['weights'], 'weights', (*WEIGHTS, 'arrival'))
-    strict.fields(stated['floor'], 'floor', ('shape',), ('faces', 'fraction'))
-    strict.fields(document['state'], 'state', STATE)
+    stated = fields_of(document['problem'], 'problem', (*MODEL, 'weights', 'floor'))
+    weights = dict(fields_of(stated['weights'], 'weights', (*WEIGHTS, 'arrival')))
+    floor = fields_of(stated['floor'], 'floor', ('shape',), ('faces', 'fraction'))
+    more = {'arrival_weight': weights.pop('arrival')}
     known = {name: stated[name] for name in MODEL}
-    weights = {name: stated['weights'][name] for name in WEIGHTS}
-    more = {'arrival_weight': stated['weights']['arrival']}
-    try:
-        floor = Floor(**stated['floor'])
-        problem = Problem(**known, weights=Weights(**weights), floor=floor, **more)
-        goals = _array(document['goals'], 'goals', (problem.horizon, problem.dimension))
-        made = State.at(**_state(document['state'], problem.dimension))
-    except (BadInput, TypeError, OverflowError) as error:
-        raise Refused(str(error)) from None
-    if made.wanted is None and problem.weights.attitude:
-        raise Refused('state.wanted is missing')
-    limits = _limits(document.get('limits', {}), problem)
+    problem = Problem(**known, weights=Weights(**weights), floor=Floor(**floor), **more)
+    n, count = problem.dimension, problem.horizon
+    given = dict(fields_of(document['state'], 'state', STATE))
+    given['position'] = _array(given['position'], 'state.position', (n,))
+    for name in STATE[1:]:
+        if name not in MAYBE or given[name] is not None:
+            numbers_of(given[name], f'state.{name}')
+    state, goals = State.at(**given), _array(document['goals'], 'goals', (count, n))
+    if state.wanted is None and problem.weights.attitude:
+        raise BadInput('state.wanted', None, 'a rotation')
+    limits = _limits(document.get('limits', {}), n, count)
     tilt = next((each.angle for each in limits.cones if each.axis == UP), 0.0)
     if problem.inertial and tilt <= STEEPEST_CAP:  # splits may begin with patches of its cap
         problem = replace(problem, tilt=tilt)
-    return Posed(problem, made, goals, limits)
+    return Posed(problem, state, goals, limits)
 
 
-def _state(stated: Any, n: int) -> dict[str, Any]:
-    """Return what is known of a state: vectors and matrices, some of which may be none."""
-    known: dict[str, Any] = {
-        name: stated[name] for name in STATE if name in MAYBE and stated[name] is None
-    }
-    for name in STATE:
-        if name not in known:
-            shape = (n,) if name in VECTORS else (n, n)
-            known[name] = _array(stated[name], f'state.{name}', shape)
-    return known
-
-
-def _limits(stated: Any, problem: Problem) -> Limits:
-    """Return limits as they are stated.
+def _limits(stated: Any, n: int, count: int) -> Limits:
+    """Return limits as they are stated, in a dimension, over so many steps.
 
     Raises:
-        Refused: they are none.
+        BadInput: they are none.
     """
-    strict.fields(stated, 'limits', (), ('cones', 'glide_slope', 'bodies', 'speeds'))
-    n, count = problem.dimension, problem.horizon
-    cones = tuple(_cone(each, n, count) for each in strict.items(stated.get('cones', []), 'cones'))
-    bodies = strict.items(stated.get('bodies', []), 'bodies')
-    made = Limits(cones=cones, bodies=tuple(_body(each, n, count) for each in bodies))
+    fields_of(stated, 'limits', (), ('cones', 'glide_slope', 'bodies', 'speeds'))
+    cones = tuple(_cone(each, n, count) for each in _items(stated.get('cones', []), 'cones'))
+    bodies = tuple(_body(each, n, count) for each in _items(stated.get('bodies', []), 'bodies'))
+    made = Limits(cones=cones, bodies=bodies)
     if 'glide_slope' in stated:
-        slope = stated['glide_slope']
-        strict.fields(slope, 'glide_slope', ('angle', 'eased'))
-        angle, eased = _number(slope['angle']), _array(slope['eased'], 'eased', (count,))
-        if n != 3 or not 0.0 < angle <= 1.55 or eased.min() < 0.0:
-            raise Refused('glide_slope is none')
+        slope = fields_of(stated['glide_slope'], 'glide_slope', ('angle', 'eased'))
+        angle = number(slope['angle'], 'glide_slope', 0.0, 1.55 * (n == 3), above=True)
+        eased = _array(slope['eased'], 'glide_slope.eased', (count,))
+        number(float(eased.min()), 'glide_slope.eased', 0.0)
         made = made._replace(glide_slope=angle, eased=eased)
     if 'speeds' in stated:
-        strict.fields(stated['speeds'], 'speeds', ('entry', 'change'))
-        entry, change = (_number(stated['speeds'][name]) for name in ('entry', 'change'))
-        if not 0.0 <= entry <= 1.0 or change < 0.0:
-            raise Refused('speeds are none')
-        made = made._replace(entry=entry, change=change)
+        speeds = fields_of(stated['speeds'], 'speeds', ('entry', 'change'))
+        entry = number(speeds['entry'], 'speeds.entry', 0.0, 1.0)
+        made = made._replace(entry=entry, change=number(speeds['change'], 'speeds.change', 0.0))
     return made
 
 
 def _cone(stated: Any, n: int, count: int) -> Cone:
-    strict.fields(stated, 'a cone', ('axis', 'angle', 'least', 'steps'))
-    axis = tuple(_array(stated['axis'], 'axis', (n,)).tolist())
-    angle, least = _number(stated['angle']), _number(stated['least'])
-    if not (1e-6 < math.hypot(*axis) < 1e6 and 0.0 < angle < math.pi / 2 and 0.0 <= least <= 1.0):
-        raise Refused('a cone is none, or wider than half of space')
-    steps = tuple(
-        strict.whole(k, 'steps', 1, count) for k in strict.items(stated['steps'], 'steps')
-    )
-    return Cone(axis, angle, least, steps)
+    fields_of(stated, 'cone', Cone._fields)
+    axis = tuple(_array(stated['axis'], 'cone.axis', (n,)).tolist())
+    number(math.hypot(*axis), 'the size of cone.axis', 1e-6, 1e6)
+    angle = number(stated['angle'], 'cone.angle', 0.0, math.pi / 2, above=True)
+    steps = (whole(k, 'cone.steps', 1, count) for k in _items(stated['steps'], 'cone.steps'))
+    return Cone(axis, angle, number(stated['least'], 'cone.least', 0.0, 1.0), tuple(steps))
 
 
 def _body(stated: Any, n: int, count: int) -> Body:
     ball = isinstance(stated, dict) and 'radius' in stated
     shape = ('centre', 'radius') if ball else ('min', 'max')
-    strict.fields(stated, 'a body', (*shape, 'of'), ('shifts', 'grown'))
-    still = [[0.0] * n] * (count + 1), [0.0] * count
-    shifts = _array(stated.get('shifts', still[0]), 'shifts', (count + 1, n))
-    grown = _array(stated.get('grown', still[1]), 'grown', (count,))
-    of = OF[strict.word(stated['of'], 'of', tuple(OF))]
-    if not ball:
-        low, high = (_array(stated[name], name, (n,)) for name in shape)
-        return Body(low, high, 0.0, of, shifts, grown)
-    centre, radius = _array(stated['centre'], 'centre', (n,)), _number(stated['radius'])
-    if not radius > 0.0:
-        raise Refused('radius is not above 0')
-    return Body(centre, centre, radius, of, shifts, grown)
+    known = fields_of(stated, 'body', (*shape, 'of'), ('shifts', 'grown'))
+    if known['of'] not in OF:
+        raise BadInput.choice('body.of', known['of'], OF)
+    still = {'shifts': np.zeros((count + 1, n)).tolist(), 'grown': [0.0] * count, **known}
+    shifts = _array(still['shifts'], 'body.shifts', (count + 1, n))
+    grown = _array(still['grown'], 'body.grown', (count,))
+    corners = [_array(known[name], f'body.{name}', (n,)) for name in shape[: 1 + (not ball)]]
+    radius = number(known['radius'], 'body.radius', 0.0, above=True) if ball else 0.0
+    return Body(corners[0], corners[-1], radius, OF[known['of']], shifts, grown)
 
 
-def _number(value: Any) -> float:
-    return strict.number(value, 'a limit')
+def _array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
+    return frozen(numbers_of(value, name), shape, name)
 
 
-def _array(value: Any, name: str, shape: tuple[int, ...], kind: type = float) -> Array:
-    """Return nested lists of numbers as an array of a shape, whose first size may be -1 for any."""
-
-    def checked(part: Any, sizes: tuple[int, ...]) -> Any:
-        if not sizes:
-            if kind is int:
-                return strict.whole(part, name, -1, 1 << 40)
-            return strict.number(part, name)
-        within = strict.items(part, name, None if sizes[0] < 0 else sizes[0])
-        return [checked(each, sizes[1:]) for each in within]
-
-    made = checked(value, shape)
-    known = tuple(len(made) if size < 0 else size for size in shape)
-    return np.array(made, np.int64 if kind is int else float).reshape(known)
+def _items(value: Any, name: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise BadInput(name, value, 'a list')
+    return value
 
 
 # --- trees
@@ -442,27 +389,22 @@ def _tree(stated: Any) -> ProofTree:
     """Return a tree; whether its arrays fit the problem is for the verifier to say.
 
     Raises:
-        Refused: it is none.
+        BadInput: it is none.
     """
-    strict.fields(stated, 'tree', ARRAYS, (*MULTIPLIERS, 'meet', 'origins', 'ordered'))
-    if len(strict.items(stated['nodes'], 'nodes')) > MOST_NODES:
-        raise Refused(f'the tree has more than {MOST_NODES} nodes')
-    if stated.get('ordered', True) is not True:
-        raise Refused('ordered is not true')
+    fields_of(stated, 'tree', ARRAYS, (*MULTIPLIERS, 'meet', 'origins', 'ordered'))
+    known = dict(stated)
+    if known.pop('ordered', True) is not True:
+        raise BadInput('tree.ordered', stated['ordered'], 'true')
     found: dict[str, Any] = dict.fromkeys(MULTIPLIERS, NOTHING)
     found |= {'meet': np.zeros((0, 0)), 'origins': NOWHERE}
-    for name, value in stated.items():
-        if name == 'ordered':
-            continue
-        shape = (-1, 5) if name == 'nodes' else _shape(value) or (-1,)
-        found[name] = _array(value, name, shape, int if name in INTEGERS else float)
+    for name, value in known.items():
+        try:
+            made = np.array(numbers_of(value, f'tree.{name}'))
+        except ValueError:
+            raise BadInput(f'tree.{name}', value, 'lists of the same length') from None
+        if name in INTEGERS and made.size and made.dtype != np.int64:
+            raise BadInput(f'tree.{name}', value, 'integers')
+        found[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
+    if found['nodes'].shape[1:] != (5,):
+        raise BadInput('tree.nodes', stated['nodes'], 'rows of 5')
     return ProofTree(**found, ordered='ordered' in stated)
-
-
-def _shape(value: Any) -> tuple[int, ...]:
-    """Return the sizes of nested lists, as their first ones have them; any number of the first."""
-    sizes: list[int] = []
-    while isinstance(value, list) and len(sizes) < 4:
-        sizes.append(len(value) if sizes else -1)
-        value = value[0] if value else None
-    return tuple(sizes)

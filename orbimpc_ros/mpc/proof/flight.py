@@ -8,8 +8,38 @@ Mathematics: docs/mathematics.md, 1.1, and docs/proofs.md.
 
 from __future__ import annotations
 
-from orbimpc_ros.mpc.proof.arithmetic import generic
-from orbimpc_ros.mpc.proof.stated import BLOWN, FIRST, HASTENED, VELOCITY, WIND
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.model.motion import controls
+from orbimpc_ros.mpc.proof.arithmetic import Number, generic
+from orbimpc_ros.mpc.proof.limits import ENDS, STEP
+
+# Rows of what is known of a start, as far as the cost sees their coordinates, shape (8, d).
+VELOCITY, BLOWN, HASTENED, WIND, FIRST, WANTED, DECIDED, TIED = range(8)
+
+
+class Motion(NamedTuple):
+    """A step: s + drift p + push z + follow z' + blow w, keep p + add z + after z' + gust w.
+
+    Attributes:
+        lead: by how much of a velocity the control points next to an end are ahead of it [s].
+        forward: velocity of a heading where there is no inertia [m/s].
+        inertial: 1 where velocities are part of the state, else 0.
+        degree: of the motion within a step.
+    """
+
+    drift: Number
+    keep: Number
+    push: Number
+    add: Number
+    follow: Number
+    after: Number
+    lead: Number
+    forward: Number
+    inertial: int
+    degree: int
 
 
 @generic
@@ -59,3 +89,36 @@ def set_arrival(motion, arrival):
         if i == 1:
             s, p = s + motion.push, p + motion.add
         arrival[0, count - 1 - i], arrival[1, count - 1 - i] = s, p
+
+
+def flown_by(motion: Motion, start: Any, point: Any) -> Any:
+    """Return positions, less s_0, and velocities at the ends of steps, shape (2, N + 1, n).
+
+    Args:
+        motion: a step's.
+        start: shape (8, n).
+        point: headings R_1 e1..R_N e1, shape (N, n).
+    """
+    flown = np.zeros((4, len(point) + 1, point.shape[1]), point.dtype)
+    rolled(motion, start, point, flown)
+    return flown[:2]
+
+
+def controls_of(motion: Motion, flown: Any) -> Any:
+    """Return the control points of steps, shape (N, degree + 1, n).
+
+    Args:
+        motion: a step's.
+        flown: positions and velocities at the ends of steps, shape (2, N + 1, n).
+    """
+    return controls(motion.degree, motion.degree * motion.lead, *flown)
+
+
+@generic
+def control_of(of, k, degree, i):
+    """Return which control point of step k row i is about; -1 if there is no such row."""
+    if of == STEP:
+        return i if i <= degree else -1
+    if of == ENDS and k > 0:
+        return i * degree if i < 2 else -1
+    return degree if i == 0 else -1

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.flight import rolled
-from orbimpc_ros.mpc.proof.places import Places, controls_of
+from orbimpc_ros.mpc.proof.flight import DECIDED, controls_of, flown_by
+from orbimpc_ros.mpc.proof.places import Places
 from orbimpc_ros.mpc.proof.rows import about, side_of
 from orbimpc_ros.mpc.proof.sets import nearest_floor
 from orbimpc_ros.mpc.proof.splits import Region
-from orbimpc_ros.mpc.proof.stated import DECIDED, FREE, SEGMENT, Stated
+from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT, Stated
 from orbimpc_ros.mpc.proof.tree import POINTS, ProofTree, one
 
 ACCURACY = 1e-9  # of solutions, in steps
@@ -68,10 +68,9 @@ class MissedProgram:
     def __init__(self, stated: Stated, unit: float, step: float) -> None:
         self._stated, self._unit, self._step = stated, unit, step
         count, n = stated.root.span.shape[1], stated.n
-        flown, steered = np.zeros((4, count + 1, n)), np.zeros((4, count + 1, count))
-        rolled(stated.motion, stated.start, np.zeros((count, n)), flown)
-        rolled(stated.motion, np.zeros((len(stated.start), count)), np.eye(count), steered)
-        self.flown, self.steered = flown[:2], steered[:2]
+        still = np.zeros((len(stated.start), count))
+        self.flown = flown_by(stated.motion, stated.start[:, :n], np.zeros((count, n)))
+        self.steered = flown_by(stated.motion, still, np.eye(count))
         reach = controls_of(stated.motion, self.steered)
         self.places = Places(stated.bodies, controls_of(stated.motion, self.flown), reach)
         self._z = np.arange(count * n).reshape(count, n)

@@ -11,21 +11,8 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.proof.limits import ENDS, STEP
-from orbimpc_ros.mpc.proof.stated import CONTROLS, Bodies, Motion
+from orbimpc_ros.mpc.proof.stated import Bodies
 from orbimpc_ros.mpc.proof.tree import POINTS
-
-
-def controls_of(motion: Motion, flown: Array) -> Array:
-    """Return the control points of steps, shape (N, degree + 1, ...).
-
-    Args:
-        motion: how vehicles move.
-        flown: positions and velocities at the ends of steps, shape (2, N + 1, ...).
-    """
-    s, p = flown
-    ahead = s[:-1] + motion.lead * p[:-1], s[1:] - motion.lead * p[1:]
-    within = s[:-1], *ahead, s[1:]
-    return np.stack([within[i] for i in CONTROLS[motion.degree]], axis=1)
 
 
 class Places:

@@ -20,9 +20,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.bound import leaf_bound
 from orbimpc_ros.mpc.proof.document import Posed, Refutation, refuted_by
-from orbimpc_ros.mpc.proof.missed import Missed, MissedProgram, Side
+from orbimpc_ros.mpc.proof.missed import MissedProgram, Side
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
-from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.rows import about
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, ICOSAHEDRON, Cut, begin, part_of
 from orbimpc_ros.mpc.proof.stated import FREE, Statement
@@ -80,11 +79,8 @@ def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutatio
     Raises:
         Unproved: for one of them none was found.
     """
-    try:
-        trees = [_tree(each, out_of_time) for each in refuted_by(made.document(), count)]
-    except Refused as error:
-        raise Unproved(f'no certificate: {error}') from None
-    return replace(made, trees=tuple(trees))
+    problems = refuted_by(made.document(), count)
+    return replace(made, trees=tuple(_tree(each, out_of_time) for each in problems))
 
 
 def _tree(posed: Posed, out_of_time: OutOfTime) -> ProofTree:
@@ -95,11 +91,8 @@ def _tree(posed: Posed, out_of_time: OutOfTime) -> ProofTree:
     """
     tree = RefutationSearch(posed, out_of_time).tree()
     if tree is None:
-        what = (
-            f'a catch at step {posed.problem.horizon}'
-            if posed.radius >= 0.0
-            else 'all that there is'
-        )
+        catch = f'a catch at step {posed.problem.horizon}'
+        what = catch if posed.radius >= 0.0 else 'all that there is'
         raise Unproved(f'no certificate: no refutation of {what} was found')
     return tree
 
@@ -132,31 +125,16 @@ class RefutationSearch:
         Raises:
             Unproved: it takes too long.
         """
-        if self.begin():
+        self._add(1)
+        stated, known = self._stated, (self._region.part[0], self._region.span[0])
+        free = self._allowed.is_free
+        if begin(stated.root, stated.sets, free, self._order, *known) == HELD:
             self._poll()
             beyond = self._program.beyond
             held = beyond is not None and self._refutes(0, 0, beyond)
             if not held and not self._refuted(0, 0, ()):
                 return None
         return self._made()
-
-    def begin(self) -> bool:
-        """Begin with all trajectories; return whether anything is left of them."""
-        self._add(1)
-        stated, known = self._stated, (self._region.part[0], self._region.span[0])
-        free = self._allowed.is_free
-        return bool(begin(stated.root, stated.sets, free, self._order, *known) == HELD)
-
-    def answer(self, depth: int, sides: tuple[Side, ...]) -> Missed | None:
-        """Return what is missed at the node that the search is at: see :class:`MissedProgram`."""
-        return self._program.answer(self._region, depth, sides)
-
-    def proved(self, depth: int, leaf: ProofTree) -> float:
-        """Return what a leaf proves of the node that the search is at; -inf of nothing."""
-        *_, leaves, sections = parts_of(self._stated, leaf)
-        known = self._stated, self._region, depth, leaves, sections, 0, True, self._work
-        value, sound = leaf_bound(*known)
-        return float(value) if sound else -math.inf
 
     def _poll(self) -> None:
         if self._out_of_time():
@@ -170,9 +148,10 @@ class RefutationSearch:
 
     def _refutes(self, place: int, depth: int, leaf: ProofTree) -> bool:
         """Return whether a leaf proves that nothing is at a node, which then keeps it."""
-        if len(self._leaves) == self.most:
-            return False
-        if not self.proved(depth, leaf) > 0.0:
+        *_, leaves, sections = parts_of(self._stated, leaf)
+        known = self._stated, self._region, depth, leaves, sections, 0, True, self._work
+        value, sound = leaf_bound(*known)
+        if len(self._leaves) == self.most or not (sound and value > 0.0):
             return False
         self._nodes[place][4] = len(self._leaves)
         self._leaves.append(leaf)
@@ -182,7 +161,7 @@ class RefutationSearch:
         """Return whether nothing is at a node, which then is the root of what proves it."""
         if depth:
             self._poll()
-        missed = self.answer(depth, sides)
+        missed = self._program.answer(self._region, depth, sides)
         if missed is None:
             return False
         if not missed.feasible and self._refutes(place, depth, missed.leaf):

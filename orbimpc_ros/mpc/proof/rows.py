@@ -10,7 +10,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, root, slack
-from orbimpc_ros.mpc.proof.limits import ENDS, STEP
+from orbimpc_ros.mpc.proof.flight import control_of
 from orbimpc_ros.mpc.proof.sets import cross, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
 from orbimpc_ros.mpc.proof.tree import POINTS
@@ -90,16 +90,6 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
         return zero, zero, zero - 1
     off = aside * bodies.margins[1, j, k]
     return least * (radius + grown), off, radius + abs(grown) + off
-
-
-@generic
-def control_of(of, k, degree, i):
-    """Return which control point of step k row i is about; -1 if there is no such row."""
-    if of == STEP:
-        return i if i <= degree else -1
-    if of == ENDS and k > 0:
-        return i * degree if i < 2 else -1
-    return degree if i == 0 else -1
 
 
 @generic

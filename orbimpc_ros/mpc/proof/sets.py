@@ -233,92 +233,6 @@ def over_orbitope(g, matrix):
 
 
 @generic
-def lowest_on(g, cone):
-    """Return where on the rim of a cone of space g . u is least, a unit vector."""
-    along = g[0] * cone[0] + g[1] * cone[1] + g[2] * cone[2]
-    x, y, z = g[0] - along * cone[0], g[1] - along * cone[1], g[2] - along * cone[2]
-    aside = root(x * x + y * y + z * z)
-    share = cone[4] / aside if aside > 0 else 0 * aside
-    return (
-        cone[3] * cone[0] - share * x,
-        cone[3] * cone[1] - share * y,
-        cone[3] * cone[2] - share * z,
-    )
-
-
-@generic
-def in_both(g, cone, corners):
-    """Return the least g . u over unit vectors u in a patch and within an angle of an axis.
-
-    It is inside, on an edge, on the rim, or at one of their vertices: each that may be in both
-    counts. Where no direction is in both, it is as much as any comes to.
-    """
-    size, axis = size_of(g, 3), (cone[0], cone[1], cone[2])
-    off = TOLERANCE * slack(size + 1)
-    whole = in_patch(g, corners)
-    if whole <= TOLERANCE * slack(size) - size and in_cone(g, cone, 3) <= off - size:
-        return -size
-    least, spare = size, 4 * slack(1 + 0 * size)  # of a square root, where edge and rim touch
-    volume = triple(corners[0], corners[1], corners[2])
-    turn = 1 if volume > 0 else -1
-    rim, inside = lowest_on(g, cone), True
-    for i in range(3):
-        p, q = corners[i], corners[(i + 1) % 3]
-        m = (turn * cross(p, q, 0), turn * cross(p, q, 1), turn * cross(p, q, 2))
-        long = root(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
-        m = (m[0] / long, m[1] / long, m[2] / long)
-        inside = inside and m[0] * rim[0] + m[1] * rim[1] + m[2] * rim[2] >= -off
-        height = m[0] * axis[0] + m[1] * axis[1] + m[2] * axis[2]
-        a = (axis[0] - height * m[0], axis[1] - height * m[1], axis[2] - height * m[2])
-        square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
-        far = size_of(p, 3)
-        if (p[0] * axis[0] + p[1] * axis[1] + p[2] * axis[2]) / far >= cone[3] - off:
-            least = min(least, (g[0] * p[0] + g[1] * p[1] + g[2] * p[2]) / far)
-        level = g[0] * m[0] + g[1] * m[1] + g[2] * m[2]
-        w = (level * m[0] - g[0], level * m[1] - g[1], level * m[2] - g[2])
-        steep = root(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-        if steep > 0:
-            u = (w[0] / steep, w[1] / steep, w[2] / steep)
-            tall = u[0] * axis[0] + u[1] * axis[1] + u[2] * axis[2]
-            if tall >= cone[3] - off and between(p, q, u, m, turn, off):
-                least = min(least, -steep)
-        left = square - cone[3] * cone[3]
-        if square > 0 and left >= -off:
-            share = cone[3] / square
-            wide = root(max(0 * left, left) + spare) / square
-            for side in (-1, 1):
-                u = (
-                    share * a[0] + side * wide * cross(m, a, 0),
-                    share * a[1] + side * wide * cross(m, a, 1),
-                    share * a[2] + side * wide * cross(m, a, 2),
-                )
-                if between(p, q, u, m, turn, off):
-                    least = min(least, g[0] * u[0] + g[1] * u[1] + g[2] * u[2])
-    if inside:
-        least = min(least, g[0] * rim[0] + g[1] * rim[1] + g[2] * rim[2])
-    return least
-
-
-@generic
-def between(p, q, u, m, turn, off):
-    """Return whether a direction on the great circle of an edge may be on the edge.
-
-    Args:
-        p: where the edge begins.
-        q: where it ends.
-        u: the direction.
-        m: normal of the great circle.
-        turn: 1 if that is of p x q, or -1.
-        off: by how much it may be outside.
-    """
-    after, before = 0 * off, 0 * off
-    for i in range(3):
-        after = after + cross(p, u, i) * m[i]
-        before = before + cross(u, q, i) * m[i]
-    return turn * after >= -off and turn * before >= -off
-
-
-@generic
 def steepest(sets, known, corners, k, g, n):
     """Return the least g . u over the directions u that step k may have at a node."""
     best, part = -size_of(g, n), known[0][k]
@@ -330,8 +244,6 @@ def steepest(sets, known, corners, k, g, n):
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             best = max(best, in_cone(g, sets.cones[q], n))
-            if n == 3 and part >= 0 and len(sets.faces) == 0:
-                best = max(best, in_both(g, sets.cones[q], corners))
     return best
 
 

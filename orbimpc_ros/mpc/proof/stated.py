@@ -23,7 +23,21 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root, roots
-from orbimpc_ros.mpc.proof.limits import ENDS, STEP, Body, Cone, Limits
+from orbimpc_ros.mpc.proof.flight import (
+    BLOWN,
+    DECIDED,
+    FIRST,
+    HASTENED,
+    TIED,
+    VELOCITY,
+    WANTED,
+    WIND,
+    Motion,
+    control_of,
+    controls_of,
+    flown_by,
+)
+from orbimpc_ros.mpc.proof.limits import STEP, Body, Cone, Limits
 from orbimpc_ros.mpc.proof.tree import POINTS
 
 NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
@@ -35,28 +49,6 @@ FREE, SEGMENT, POINT = range(3)  # what R_1 may be
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 UP = 0.0, 0.0, 1.0
 Rows = Any  # an array of numbers, of floats or of fractions
-
-
-class Motion(NamedTuple):
-    """A step: s + drift p + push z + follow z' + blow w, keep p + add z + after z' + gust w.
-
-    Attributes:
-        lead: by how much of a velocity the control points next to an end are ahead of it [s].
-        forward: velocity of a heading where there is no inertia [m/s].
-        inertial: 1 where velocities are part of the state, else 0.
-        degree: of the motion within a step.
-    """
-
-    drift: Number
-    keep: Number
-    push: Number
-    add: Number
-    follow: Number
-    after: Number
-    lead: Number
-    forward: Number
-    inertial: int
-    degree: int
 
 
 class Costs(NamedTuple):
@@ -73,10 +65,6 @@ class Costs(NamedTuple):
     braked: Number
     turned: Number
     aimed: Number
-
-
-# Rows of what is known of a start, as far as the cost sees their coordinates, shape (8, d).
-VELOCITY, BLOWN, HASTENED, WIND, FIRST, WANTED, DECIDED, TIED = range(8)
 
 
 class Root(NamedTuple):
@@ -220,30 +208,17 @@ class Statement:
         return made
 
     def _moved(self) -> tuple[Motion, tuple[Number, Number]]:
-        problem, number = self.problem, self._number
-        h, z, translation = number(problem.step), number(problem.forward), problem.translation
-        key = problem.translation_order, problem.discretisation
-        known = {
-            (1, 'euler'): (h * z, 0 * h, 0 * h, 0 * h, h, 0 * h),
-            (1, 'exact'): (h * z / 2, 0 * h, h * z / 2, 0 * h, h, 0 * h),
-            (2, 'euler'): (0 * h, h * z, 0 * h, 0 * h, 0 * h, h),
-            (2, 'exact'): (h * h * z / 3, h * z / 2, h * h * z / 6, h * z / 2, h * h / 2, h),
-            (2, 'held'): (0 * h, 0 * h, h * h * z / 2, h * z, h * h / 2, h),
-        }
-        drift = h if translation.inertial else 0 * h
-        keep = number(1 if translation.inertial else 0)
-        if key in known and type(translation).__module__.startswith('orbimpc_ros.'):
-            push, add, follow, after, blow, gust = known[key]
-        elif number is float:
-            once = step_of(translation, problem.step, problem.forward)
-            pairs = (np.append(each, 0.0)[:2] for each in (once.push, once.follow, once.blow))
-            (push, add), (follow, after), (blow, gust) = (map(float, each) for each in pairs)
-            if translation.inertial:
-                drift, keep = map(float, once.transition[:, 1])
-        else:
-            raise BadInput('translation_order', key[0], 'a model that certificates can state')
-        lead, inertial = h / translation.degree, int(translation.inertial)
-        moved = drift, keep, push, add, follow, after, lead, z, inertial, translation.degree
+        problem, number, model = self.problem, self._number, self.problem.translation
+        if number is not float and not type(model).__module__.startswith('orbimpc_ros.'):
+            allowed = 'a model that certificates can state'
+            raise BadInput('translation_order', problem.translation_order, allowed)
+        h, z = number(problem.step), number(problem.forward)
+        once = step_of(model, h, z)
+        pairs = ([*map(number, each), number(0)][:2] for each in once[1:])
+        (push, add), (follow, after), (blow, gust) = pairs
+        drift, keep = map(number, once.transition[:, 1] if model.inertial else (0, 0))
+        lead, inertial = h / model.degree, int(model.inertial)
+        moved = drift, keep, push, add, follow, after, lead, z, inertial, model.degree
         return Motion(*moved), (blow, gust)
 
     def _weighed(self) -> Costs:
@@ -445,7 +420,9 @@ class Statement:
             still = low if body.radius else 0 * low
             moved = (shifts[1:] - shifts[:-1])[:, None]
             for steps in (slice(1), slice(1, count)):
-                along = self._rows(shares(body.of, steps.start or 0, degree)) / degree
+                first = steps.start or 0
+                on_side = [control_of(body.of, first, degree, i) for i in range(POINTS)]
+                along = self._rows([i for i in on_side if i >= 0]) / degree
                 begun = (still + shifts[:-1])[steps, None]
                 centres[j, steps, : len(along)] = begun + moved[steps] * along[:, None]
         if any(each.radius and each.of == STEP for each in bodies):
@@ -458,10 +435,8 @@ class Statement:
         Headings are no longer than 1.
         """
         n, count, m = self.problem.dimension, self.problem.horizon, self._motion.degree + 1
-        still = self._rows(np.zeros((count + 1, n)))
-        still[0] = start[FIRST, :n]
-        known = (start[row, :n] for row in (VELOCITY, BLOWN, HASTENED, WIND))
-        free, (a, b) = self._controls(still, *known), np.triu_indices(m, 1)
+        flown = flown_by(self._motion, start[:, :n], self._rows(np.zeros((count, n))))
+        free, (a, b) = controls_of(self._motion, flown), np.triu_indices(m, 1)
         fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
         spread = self._rows(np.zeros((len(bodies), count)))
         for j, body in enumerate(bodies):
@@ -474,32 +449,10 @@ class Statement:
     @cached_property
     def _apart(self) -> Rows:
         """Return how far apart headings of length 1 take two control points, shape (N, pairs)."""
-        count = self.problem.horizon
-        none, units = self._rows(np.zeros(count)), self._rows(np.eye(count + 1)[:, 1:])
-        reach = self._controls(units, none, none, none, none)
+        units, none = (
+            self._rows(each)
+            for each in (np.eye(self.problem.horizon), np.zeros((8, self.problem.horizon)))
+        )
+        reach = controls_of(self._motion, flown_by(self._motion, none, units))
         a, b = np.triu_indices(self._motion.degree + 1, 1)
         return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
-
-    def _controls(self, z: Rows, velocity: Rows, blown: Rows, hastened: Rows, wind: Rows) -> Rows:
-        """Return the control points of steps, less s_0, shape (N, degree + 1, c)."""
-        move, s, p = self._motion, 0 * velocity, velocity
-        found = []
-        for k in range(len(z) - 1):
-            leave = p if move.inertial else move.forward * z[k] + wind
-            then = s + move.drift * p + move.push * z[k] + move.follow * z[k + 1] + blown
-            p = move.keep * p + move.add * z[k] + move.after * z[k + 1] + hastened
-            arrive = p if move.inertial else move.forward * z[k + 1] + wind
-            within = [s, s + move.lead * leave, then - move.lead * arrive, then]
-            found.append([within[i] for i in CONTROLS[move.degree]])
-            s = then
-        return np.array(found)
-
-
-CONTROLS = {1: (0, 3), 2: (0, 1, 3), 3: (0, 1, 2, 3)}  # of those at most, in steps of a degree
-
-
-def shares(of: int, k: int, degree: int) -> list[int]:
-    """Return which control points of step k, of 0..degree, are on one side of a body."""
-    if of == STEP:
-        return list(range(degree + 1))
-    return [0, degree] if of == ENDS and k > 0 else [degree]

@@ -42,21 +42,29 @@ _depths, _bound = compiled(depths_of), compiled(tree_bound)
 
 
 class Verifier:
-    """Verifies bounds of one problem at each tick.
+    """Verifies bounds of one problem.
 
     Args:
         problem: whose bounds; limits that proofs do not know can only make trajectories dearer.
+        number: ``float``, as at each tick; or ``Fraction``, exactly.
+
+    Raises:
+        BadInput: a problem that cannot be stated in fractions.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self._statement = Statement(problem)
-        self._work = work_of(problem, self._statement.width, float)
-        self._region = region_of(1, 2 * problem.horizon, problem.dimension, float)
-        if COMPILED:  # the first call loads machine code: at start-up, not in a tick
+    def __init__(self, problem: Problem, number: type[float | Fraction] = float) -> None:
+        self._statement, self._exact = Statement(problem, number), number is Fraction
+        self._kind: type = object if self._exact else float
+        self._depths, self._bound = _depths, _bound
+        if self._exact:
+            self._depths, self._bound = depths_of, tree_bound
+        self._work = work_of(problem, self._statement.width, self._kind)
+        self._region = region_of(1, 2 * problem.horizon, problem.dimension, self._kind)
+        if COMPILED and not self._exact:  # it is loaded at start-up, not in a tick
             n, count = problem.dimension, problem.horizon
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
             still = one(np.zeros((count, self._statement.width)), leaf)
-            self._bound(start, np.zeros((count, n)), still, NO_LIMITS)
+            self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
 
     def bound(
         self,
@@ -64,6 +72,8 @@ class Verifier:
         goals: Array,
         tree: ProofTree,
         late: Callable[[], bool] | None = None,
+        limits: Limits | None = None,
+        radius: float = -1.0,
     ) -> float:
         """Return a cost that no trajectory undercuts; -inf if a tree proves none, or none in time.
 
@@ -74,75 +84,35 @@ class Verifier:
             goals: g_1..g_N, shape (N, n) [m].
             tree: in the units of the problem.
             late: whether time is up; a tree is taken in slices of a few milliseconds.
+            limits: beside the problem's own, whose obstacles count only as these have them; by
+                default those from the state.
+            radius: within which s_N is of g_N [m]; negative where it may be anywhere.
         """
-        limits = limits_of(self._statement.problem, state, goals)
-        return self._bound(state, goals, tree, limits, late)
-
-    def _bound(
-        self,
-        state: State,
-        goals: Array,
-        tree: ProofTree,
-        limits: Limits,
-        late: Callable[[], bool] | None = None,
-    ) -> float:
         problem = self._statement.problem
-        stated = self._statement.of(state, goals, limits)
+        if limits is None:
+            limits = limits_of(problem, state, goals)
+        stated = self._statement.of(state, goals, limits, radius)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         depth = np.empty(len(tree.nodes), np.int64)
-        most, choices = _depths(tree.nodes, depth), (2 + len(stated.bodies.of)) * problem.horizon
-        if most < 0 or (most + 1) * choices > MOST:
+        deepest = self._depths(tree.nodes, depth)
+        choices = (2 + len(stated.bodies.of)) * problem.horizon
+        if deepest < 0 or (deepest + 1) * choices > MOST:
             return -math.inf
-        if self._region.part.shape[0] <= most or self._region.part.shape[1] != choices:
-            self._region = region_of(2 * most + 1, choices, problem.dimension, float)
-        parts = *parts_of(stated, tree), depth, self._region, self._work
-        walk, most = walk_of(tree, float), 1 + SLICE // problem.horizon
+        if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
+            self._region = region_of(2 * deepest + 1, choices, problem.dimension, self._kind)
+        walk, most = walk_of(tree, self._kind), 1 + SLICE // problem.horizon
         try:
-            found = _bound(stated, *parts, walk, most)
-            while found[-1] == PAUSED and not (late and late()):
-                found = _bound(stated, *parts, walk, most)
+            parts = parts_of(stated, in_fractions(tree) if self._exact else tree)
+            known = stated, *parts, depth, self._region, self._work, walk, most
+            least, _, what = self._bound(*known)
+            while what == PAUSED and not (late and late()):
+                least, _, what = self._bound(*known)
         except HOSTILE:
             return -math.inf
-        return _verdict(*found)
-
-
-def exact_bound(
-    problem: Problem,
-    state: State,
-    goals: Array,
-    tree: ProofTree,
-    limits: Limits,
-    radius: float = -1.0,
-) -> float:
-    """Return what a tree proves, in fractions: see :meth:`Verifier.bound`; rounded down.
-
-    Args:
-        problem: whose bound; its obstacles count only as the limits have them.
-        state: where trajectories start.
-        goals: g_1..g_N, shape (N, n) [m].
-        tree: in the units of the problem.
-        limits: beside the problem's own.
-        radius: within which s_N is of g_N [m]; negative where it may be anywhere.
-
-    Raises:
-        BadInput: what cannot be stated in fractions.
-    """
-    statement = Statement(problem, Fraction)
-    stated = statement.of(state, goals, limits, radius)
-    if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
-        return -math.inf
-    depth, choices = np.empty(len(tree.nodes), np.int64), len(stated.bodies.of) + 2
-    most, choices = depths_of(tree.nodes, depth), choices * problem.horizon
-    if most < 0 or (most + 1) * choices > MOST:
-        return -math.inf
-    region = region_of(most + 1, choices, problem.dimension, object)
-    work = work_of(problem, statement.width, object)
-    try:
-        parts = *parts_of(stated, in_fractions(tree)), depth, region, work
-        return _verdict(*tree_bound(stated, *parts, walk_of(tree, object), len(tree.nodes)))
-    except HOSTILE:
-        return -math.inf
+        if what == REFUTED:
+            return math.inf
+        return rounded_down(least) if what == PROVED else -math.inf
 
 
 def parts_of(stated: Stated, tree: Any) -> tuple:
@@ -181,12 +151,6 @@ def in_fractions(tree: ProofTree) -> Any:
             made.ravel()[:] = [Fraction(each) for each in value.ravel().tolist()]
             numbers[name] = made
     return tree._replace(**numbers)
-
-
-def _verdict(least: Any, leaves: int, what: int) -> float:
-    if what == REFUTED:
-        return math.inf
-    return rounded_down(least) if what == PROVED else -math.inf
 
 
 def rounded_down(x: Any) -> float:

@@ -32,9 +32,9 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.flight import rolled
+from orbimpc_ros.mpc.proof.flight import DECIDED, controls_of, rolled
 from orbimpc_ros.mpc.proof.limits import limits_of
-from orbimpc_ros.mpc.proof.places import Places, controls_of
+from orbimpc_ros.mpc.proof.places import Places
 from orbimpc_ros.mpc.proof.splits import (
     GONE,
     ICOSAHEDRON,
@@ -45,7 +45,7 @@ from orbimpc_ros.mpc.proof.splits import (
     begin,
     narrowed,
 )
-from orbimpc_ros.mpc.proof.stated import DECIDED, FREE, POINT, SEGMENT, Statement
+from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
