@@ -28,26 +28,7 @@ class RosTime:
 
 
 UNKNOWN = RosTime()
-
-
-class Drift:
-    """Detects jumps of a clock, against a steady one."""
-
-    def __init__(self) -> None:
-        self._offset: tuple[float, float] | None = None
-
-    def jump(self, before: float, clock: float, after: float) -> float:
-        """Return how far the clock has jumped at least since the last look [s].
-
-        Args:
-            before: on the steady clock, just before the other was read [s].
-            clock: what the other showed [s].
-            after: on the steady clock, just after [s].
-        """
-        low, high = clock - after, clock - before
-        last_low, last_high = self._offset or (low, high)
-        self._offset = low, high
-        return max(low - last_high, 0.0) + min(high - last_low, 0.0)
+HELD_UP = 0.05  # [s] between two looks at clocks, which then tell nothing of one another
 
 
 class NodeClock:
@@ -66,7 +47,7 @@ class NodeClock:
     def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
         self._clock, self._step, self._on_jump = node.get_clock(), step, on_jump
         self.simulated = bool(node.get_parameter('use_sim_time').value)
-        self._drift = Drift()
+        self._offset: float | None = None  # from the steady clock to this one [s]
         self._stood: tuple[int, float] | None = None  # what was shown, and since when [ns], [s]
         threshold = JumpThreshold(
             min_forward=Duration(seconds=step),
@@ -107,12 +88,13 @@ class NodeClock:
 
     def look(self) -> None:
         """Look whether the system's clock was set, which nothing else would show."""
-        if self.simulated:
+        before, shown, after = time.monotonic(), self.nanoseconds, time.monotonic()
+        if self.simulated or after - before > HELD_UP:
             return
-        before = time.monotonic()
-        jump = self._drift.jump(before, self.nanoseconds / SECOND, time.monotonic())
-        if jump:
-            self._on_jump(jump)
+        offset, last = shown / SECOND - after, self._offset
+        self._offset = offset
+        if last is not None and abs(offset - last) > HELD_UP:
+            self._on_jump(offset - last)
 
     def _on_simulated_jump(self, jump: TimeJump) -> None:
         if self.nanoseconds != jump.delta.nanoseconds:  # else it starts
