@@ -25,7 +25,6 @@ from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
 from benchmarks.faults.processes import nonsense
-from benchmarks.faults.soak import Soak
 from benchmarks.machine import uncollected
 from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.sim.parameters import SIM
@@ -152,17 +151,6 @@ def test_a_row_is_as_good_as_its_worst_case(outcome, ok):
 
 def test_a_row_without_cases_is_not_ok():
     assert not row().ok
-
-
-def test_a_soak_is_judged_by_memory_gaps_and_stops():
-    ticks = tuple(0.05 * k for k in range(100))
-    assert Soak((100.0, 101.0, 100.5), ticks, 0).ok
-    assert not Soak((100.0, 102.5, 100.5), ticks, 0).ok
-    assert not Soak((100.0,), (*ticks, ticks[-1] + 0.11), 0).ok
-    assert not Soak((100.0,), ticks, 1).ok
-    assert Soak((100.0,), ticks, 0, ('odometry is old',)).ok
-    assert not Soak((100.0,), ticks, 0, ('odometry is old',) * 2).ok
-    assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0))
 
 
 def test_collections_wait_until_a_measurement_is_over():

@@ -34,7 +34,6 @@ REFUSED = {
     f'plot {DUBINS} -o out --namespace /uav7': 'without /uav7/odom',
     f'replay {RETRIEVAL} --tick 26': '--tick is 26; allowed: 0 to 25',
     f'replay {RETRIEVAL} --tick -1': '--tick is -1',
-    f'replay {RETRIEVAL} --tick 1 --update': '--update',
     f'replay {RETRIEVAL} --set weights.input=-1': 'weights.input is -1',
     f'replay {RETRIEVAL} --set wait=1': "--set: unknown parameter 'wait'",
     f'replay {RETRIEVAL} --params nowhere.yaml': 'nowhere.yaml',
@@ -57,8 +56,6 @@ REFUSED = {
     'bench --json /tmp': '--json',
     'faults --only weather': '--only',
     'faults --json /nowhere/rows.json': '--json',
-    'faults --soak 0': '--soak',
-    'faults --soak nan': '--soak',
 }
 VIEWER = {
     'view nowhere': 'nowhere',

@@ -38,6 +38,7 @@ from benchmarks.faults.inputs import ALTERED, STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
 from benchmarks.faults.stimulus import HEALTHY, SLIP, Spoiled, with_field
+from benchmarks.machine import resident
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.ros.parameters.spec import ParameterSpec
@@ -52,6 +53,7 @@ LEAVE = 5.0  # [s] in which a process must have ended
 FAREWELLS = 3  # safe commands at the end
 LATCH = 0.2  # [s] command_timeout
 FLOOD, SETTLED, LATE = 5000.0, 1.0, 5.0  # [Hz], [s] to be discovered, [ms] beyond a period
+SOAK, SOAK_STEP, MEBIBYTE, GROWTH = 1000.0, 0.05, 2.0**20, 2.0  # [Hz], [s], [bytes], [MiB]
 SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy machine
 FLIPS, FLIP, REPORT = 15, 0.1, 2.0  # changes of mode, [s] between them, [s] to be reported
 UNDERWAY = 0.1  # [s] a change of mode may take, and a command that went out before
@@ -203,6 +205,20 @@ def _flood(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
             harness.until_planned()
         late = 1e3 * (np.percentile(np.diff(ticks), 99) - STEP)
         yield Outcome('5 kHz', harness.monitor.broken(begin), max(0.0, float(late)))
+
+
+def _soak(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """A planner at 20 Hz on odometry at 1 kHz for long: its memory does not grow."""
+    with fixtures.harness({'step': SOAK_STEP}) as harness:
+        harness.until_planned()
+        with flooded(harness, SOAK):
+            begin = time.monotonic()
+            harness.until_planned()
+            harness.spin(120.0 if long else 4.0)
+            settled = resident(harness.planner.pid)
+            harness.spin(600.0 if long else 4.0)
+            grown = (resident(harness.planner.pid) - settled) / MEBIBYTE
+        yield Outcome('1 kHz', harness.monitor.broken(begin), max(0.0, grown))
 
 
 # --- ends of the planner
@@ -382,6 +398,7 @@ FAULT_CASES = (
     FaultCase('deadline', 'no time to search: longest solve, or time missed', SLOWEST, _no_time),
     FaultCase('flood', 'odometry at 5 kHz: p99 from tick to tick, beyond the period', LATE, _flood,
               'ms'),
+    FaultCase('soak', 'odometry at 1 kHz for long: growth of memory', GROWTH, _soak, 'MiB'),
     FaultCase('exceptions', 'exceptions in callbacks: safe, then given up', 1.0, _exceptions),
     FaultCase('sigint', 'SIGINT: three safe commands, exit 0', LEAVE, _signalled(signal.SIGINT),
               's'),

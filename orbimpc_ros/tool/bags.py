@@ -43,8 +43,8 @@ NEEDED = "a bag's folder, .mcap or .db3 file is needed"
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
-class Raw(NamedTuple):
-    """A serialised message.
+class Message(NamedTuple):
+    """A message in a bag.
 
     Attributes:
         topic: it came on.
@@ -52,6 +52,7 @@ class Raw(NamedTuple):
         stamp: under which it was recorded [ns].
         sent: when it was sent; the stamp if that is not known [ns].
         data: in CDR.
+        content: decoded; None where only bytes are read.
     """
 
     topic: str
@@ -59,16 +60,7 @@ class Raw(NamedTuple):
     stamp: int
     sent: int
     data: bytes
-
-
-class Message(NamedTuple):
-    """A decoded message: a :class:`Raw` with its content instead of its bytes."""
-
-    topic: str
-    type: str
-    stamp: int
-    sent: int
-    content: Any
+    content: Any = None
 
 
 # --- the content of messages, from bags and from DDS alike
@@ -124,7 +116,7 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
         if not names or each.topic.rpartition('/')[2] in names:
             with _reading(path):
                 content = store().deserialize_cdr(each.data, each.type)
-            yield Message(*each[:-1], content)
+            yield each._replace(content=content)
 
 
 def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
@@ -147,7 +139,7 @@ def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[
     return [(name, content) for before, _, name, content in parted if before == namespace]
 
 
-def raw(path: Path) -> list[Raw]:
+def raw(path: Path) -> list[Message]:
     """Return the messages on the topics that we know, in the order of their stamps, as bytes.
 
     A bag whose recorder was killed is read up to its last complete chunk, and a line reports that.
@@ -156,7 +148,7 @@ def raw(path: Path) -> list[Raw]:
         BadInput: missing, damaged, too large, of another version, or not a bag.
     """
     files, closed = _files(path)
-    found, size = list[Raw](), 0
+    found, size = list[Message](), 0
     with _reading(path):
         for each in _of_mcap(files, closed) if _is_mcap(path, files) else _of_rosbags(path):
             size += len(each.data)
@@ -179,11 +171,9 @@ def notes(path: Path) -> dict[str, str]:
     with _reading(path):
         if _is_mcap(path, files):
             with _mcap(files[0], closed) as reader:
-                for record in reader.iter_metadata():
-                    if record.name == NOTES:
-                        return record.metadata
-        found = _information(path).get('custom_data') or {}
-        return {str(name): str(text) for name, text in found.items()}
+                found = (each for each in reader.iter_metadata() if each.name == NOTES)
+                return next((each.metadata for each in found), {})
+    return {}
 
 
 @contextmanager
@@ -233,21 +223,21 @@ def _is_mcap(path: Path, files: Sequence[Path]) -> bool:
     return files[0].suffix == '.mcap' and mode.lower() == 'none'
 
 
-def _of_rosbags(path: Path) -> Iterator[Raw]:
+def _of_rosbags(path: Path) -> Iterator[Message]:
     with Reader(path) as reader:
         wanted = [each for each in reader.connections if topics.known(each.topic, each.msgtype)]
         for each, stamp, data in reader.messages(wanted) if wanted else ():
-            yield Raw(each.topic, each.msgtype, stamp, stamp, bytes(data))
+            yield Message(each.topic, each.msgtype, stamp, stamp, bytes(data))
 
 
-def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Raw]:
+def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Message]:
     """Yield the known messages of MCAP files in the order in which they were written."""
     for file in files:
         with _mcap(file, closed) as reader:
             for schema, channel, each in reader.iter_messages(log_time_order=False):
                 if schema is not None and topics.known(channel.topic, schema.name):
                     sent = each.publish_time or each.log_time
-                    yield Raw(channel.topic, schema.name, each.log_time, sent, each.data)
+                    yield Message(channel.topic, schema.name, each.log_time, sent, each.data)
 
 
 @contextmanager
@@ -265,6 +255,17 @@ def _mcap(file: Path, closed: bool) -> Iterator[NonSeekingReader]:
 # --- writing
 
 
+def serialised(message: Any, kind: str) -> bytes:
+    """Return a ROS message in CDR, the same bytes every time.
+
+    The middleware leaves in the padding whatever was in memory.
+    """
+    from rclpy.serialization import serialize_message
+
+    raw = serialize_message(message)
+    return bytes(store().serialize_cdr(store().deserialize_cdr(raw, kind), kind))
+
+
 class BagWriter:
     """Writes a new MCAP bag, which ``ros2 bag`` reads.
 
@@ -276,7 +277,7 @@ class BagWriter:
 
     def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
-        self.folder, self._topics, self._notes = folder, listed, dict(notes)
+        self.folder, self._topics = folder, listed
         self._counts = dict.fromkeys((topic.name for topic in listed), 0)
         self._first, self._last = LATEST, 0
         self._stream = (folder / f'{folder.name}.mcap').open('wb')
@@ -284,8 +285,7 @@ class BagWriter:
             self._stream, WRITTEN_CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._writer.start(profile='ros2', library='orbimpc_ros')
-        # Also here: metadata.yaml is written only when the bag is closed.
-        self._writer.add_metadata(NOTES, self._notes)
+        self._writer.add_metadata(NOTES, dict(notes))
         self._channels = {topic.name: self._channel(topic) for topic in listed}
 
     def _channel(self, topic: Topic) -> int:
@@ -340,7 +340,6 @@ class BagWriter:
             'compression_mode': '',
             'relative_file_paths': [file],
             'files': [{'path': file, **span}],
-            'custom_data': self._notes or None,
             'ros_distro': 'jazzy',
         }
 

@@ -1,16 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc verify``: lower bounds proved again, in exact arithmetic.
 
-A file's certificate is verified as it is. A bag's ticks are solved again, for the problem that each
-of them was about; that the bound which was published then holds is certified now. So are the claims
-that nothing is feasible, and that nothing catches the goal before a time.
+A file's certificate is verified as it is, and so are those that a bag holds. A bag's ticks are
+solved again, for the problem that each of them was about; that the bound which was published then
+holds is certified now. So are the claims that nothing is feasible, and that nothing catches the
+goal before a time.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
-import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -24,7 +24,6 @@ from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import document, reading
@@ -68,20 +67,6 @@ class TickVerdict(NamedTuple):
         name = '' if self.tick is None else f'{self.tick:>6}  '
         claimed, proved = (f'{_shown(each):<24}' for each in (self.claimed, self.proved))
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
-
-
-class Recorded(NamedTuple):
-    """The certificates that a planner published.
-
-    Attributes:
-        bounds: by the bounds that they claim.
-        refutations: by what they are of, as text: all that they state, and how many trees.
-        refused: why messages are no certificates.
-    """
-
-    bounds: dict[float, Any]
-    refutations: dict[str, Any]
-    refused: tuple[str, ...] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -146,70 +131,54 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
 def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
     from orbimpc_ros.tool.replay.report import ticks_of  # needs ROS, which a file does not
 
-    recorded = _recorded(path, args.namespace)
-    for words in recorded.refused:
-        yield TickVerdict(None, COST, outcome=FAILS, words=f'{FAILS}: a message is {words}')
+    if args.tick is None:
+        yield from _published(path, args.namespace)
     for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
         if number == 0:
             gc.freeze()  # each full collection would look through all that was imported
         if args.tick in (None, number):
-            yield _tick(number, each, recorded, args)
-            yield from _catch(number, each, recorded, args)
+            yield _tick(number, each, args)
+            yield from _catch(number, each, args)
         if args.tick == number:
             return
 
 
-def _recorded(path: Path, namespace: str) -> Recorded:
-    """Return the certificates that a planner published."""
-    found, refused = Recorded({}, {}), []
+def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
+    """Verify the certificates that a planner published, each as it is."""
     for each in bags.read(path, {'certificate'}):
-        if each.topic != f'{namespace}/certificate':
-            continue
-        try:
-            known = reading.parsed(bytes(each.content.data))
-            if known['format'] == document.OLD:
-                continue  # what it was about is proved again
-            if 'refuted' in known:
-                found.refutations[_claim(known)] = known
-            else:
-                found.bounds[float(known['lower_bound'])] = known
-        except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-            refused.append(f'no certificate: {error}')
-    return found._replace(refused=tuple(refused))
+        if each.topic == f'{namespace}/certificate':
+            try:
+                known = reading.parsed(bytes(each.content.data))
+                if not (isinstance(known, dict) and known.get('format') == document.OLD):
+                    yield _verified(None, known)
+            except reading.Refused as error:
+                yield TickVerdict(None, COST, outcome=FAILS, words=f'{FAILS}: {error}')
 
 
-def _claim(known: dict[str, Any], trees: int | None = None) -> str:
-    """Return what a refutation is of, as text; with another number of trees on demand."""
-    count = len(known['refuted']['trees']) if trees is None else trees
-    bare = {**known, 'refuted': {**known['refuted'], 'trees': count}}
-    return json.dumps(bare, sort_keys=True)
-
-
-def _tick(
-    number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
-) -> TickVerdict:
+def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
-    if each.recorded.answer.status == Status.INFEASIBLE:
-        return _infeasible(number, each.decision, recorded, args)
-    claimed, tick, plan = each.recorded.answer.lower_bound, each.decision, each.decision.plan
-    row = TickVerdict(number, COST, claimed)
-    if claimed is None or not claimed > 0.0:
+    then, tick, plan = each.recorded.answer, each.decision, each.decision.plan
+    if then.status == Status.INFEASIBLE:
+        row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
+        if sought is None:
+            return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
+        return _certified(row, args, lambda: refutation_of(sought))
+    row = TickVerdict(number, COST, then.lower_bound)
+    if then.lower_bound is None or not then.lower_bound > 0.0:
         return row
     if plan is None:
         return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
+    if not _is_about(then.earliest_catch, tick):
+        words = 'no certificate: it was about another catch, or none, when its time was up'
+        return row._replace(outcome=NONE, words=words)
+    if then.lower_bound > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
+        words = f'{FAILS}: a trajectory costs {plan.objective!r}'
+        return row._replace(outcome=FAILS, words=words)
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
-    posed, cost = Case(tick.problem, tick.state, tick.goals), plan.objective
-    known = recorded.bounds.get(claimed)
-    if not _is_about(each.recorded.answer.earliest_catch, tick):
-        return _of_the_tracked(row, known, tick)
-    if claimed > cost + TOLERANCE * (cost + plan.proof.cost_unit):
-        words = f'{FAILS}: a trajectory costs {cost!r}'
-        return row._replace(outcome=FAILS, words=words)
-    if known is not None and _is_of(known, posed):
-        return _as_published(row, known)
-    proof = replace(plan.proof, lower_bound=claimed)
+    posed = Case(tick.problem, tick.state, tick.goals)
+    proof = replace(plan.proof, lower_bound=then.lower_bound)
     return _certified(row, args, lambda: certificate_of(*posed, proof))
 
 
@@ -223,37 +192,7 @@ def _is_about(earliest: float | None, tick: Decision) -> bool:
     return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
 
 
-def _of_the_tracked(row: TickVerdict, known: Any, tick: Decision) -> TickVerdict:
-    """Return what becomes of a bound that is not about the catch that is flown now.
-
-    What was published with it proves it, where that is of the problem that is flown without any.
-    """
-    assert tick.catch is not None
-    assert tick.state is not None
-    sought = tick.catch.sought
-    problem = replace(sought.problem, approach=Approach())
-    if known is not None and _is_of(known, Case(problem, tick.state, sought.goals)):
-        return _as_published(row, known)
-    words = 'no certificate: it was about another catch, or none, when its time was up'
-    return row._replace(outcome=NONE, words=words)
-
-
-def _infeasible(
-    number: int, tick: Decision, recorded: Recorded, args: argparse.Namespace
-) -> TickVerdict:
-    """Certify that nothing was feasible on a tick, of the problem that its inputs pose."""
-    row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
-    if sought is None:
-        return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
-    known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), 1))
-    if known is not None:
-        return _as_published(row, known)
-    return _certified(row, args, lambda: refutation_of(sought))
-
-
-def _catch(
-    number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
-) -> Iterator[TickVerdict]:
+def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterator[TickVerdict]:
     """Certify before which time no trajectory catches the goal, where a tick claims one."""
     claimed, catch = each.recorded.answer.catch_bound, each.decision.catch
     if claimed is None or not math.isfinite(claimed):
@@ -268,19 +207,7 @@ def _catch(
         words = f'{FAILS}: a plan catches it at {catch.time!r}'
         yield row._replace(outcome=FAILS, words=words)
     elif count:
-        known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), count))
-        if known is not None:
-            yield _as_published(row, known)
-        else:
-            yield _certified(row, args, lambda: catches_refuted(sought, count))
-
-
-def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
-    """Return what becomes of a claim whose certificate was published with it."""
-    try:
-        return _verified(row.tick, known)
-    except reading.Refused as error:
-        return row._replace(outcome=FAILS, words=f'{FAILS}: {error}')
+        yield _certified(row, args, lambda: catches_refuted(sought, count))
 
 
 def _certified(

@@ -110,6 +110,8 @@ class SpatialSearch:
         if not settled and not request.hurried:
             return self._general.solve(request._replace(guess=None))
         found = self._found(settled)
+        if request.late:  # to tell of its tree may take as long as to search it
+            return found
         known = self._space, self._choices, self._tree, len(self._problem.boxes)
         return replace(found, proof=SideProof(*known).proof())
 

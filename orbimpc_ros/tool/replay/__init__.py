@@ -19,9 +19,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--tick', type=int, metavar='K', help='show this tick alone, recorded and replayed'
     )
     add_namespace(parser)
-    parser.add_argument(
-        '--update', action='store_true', help="accept: replace the bag's outputs by the new ones"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

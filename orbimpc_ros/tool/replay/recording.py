@@ -144,19 +144,12 @@ class RecordedTick:
     Attributes:
         stamp: of the odometry that it answers [ns].
         sent: when its first message was sent, by the clock of the inputs [ns].
-        messages: by topic.
-        answer: what they hold.
+        answer: what its messages hold.
     """
 
     stamp: int
     sent: int
-    messages: Messages
     answer: Published
-
-    @property
-    def solve_time_ms(self) -> float:
-        """Return what the tick took, as far as is known [ms]."""
-        return self.answer.solve_time_ms or 0.0
 
 
 @dataclass(frozen=True)
@@ -176,14 +169,14 @@ class Recording:
     answers: tuple[RecordedTick, ...]
 
     @property
-    def simulated(self) -> bool:
-        """Return whether somebody published simulated time."""
-        return self.received < len(self.inputs)
-
-    @property
     def received(self) -> int:
         """Return how many messages the planner was sent, besides the time."""
         return sum(each.topic != CLOCK for each in self.inputs)
+
+    @property
+    def simulated(self) -> bool:
+        """Return whether somebody published simulated time."""
+        return self.received < len(self.inputs)
 
 
 def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) -> Recording:
@@ -255,7 +248,7 @@ def _answers(own: Mapping[str, list[Message]]) -> Iterator[RecordedTick]:
         before: Messages = {}
         for sent, contents in _grouped(sorted(sent_messages, key=lambda each: each[0])):
             if any(repr(before.get(topic)) != repr(each) for topic, each in contents.items()):
-                yield RecordedTick(stamp, sent, contents, published(contents))
+                yield RecordedTick(stamp, sent, published(contents))
             before = contents
 
 

@@ -4,28 +4,21 @@
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
-
-from rclpy.serialization import serialize_message
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PlannerSettings, planner_settings
-from orbimpc_ros.tool import bags, settings
-from orbimpc_ros.tool.bags import BagWriter, Raw, store
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.offline import resolved
 from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown
-from orbimpc_ros.tool.replay.recording import OUTPUTS, Recording, published, recording_of
-from orbimpc_ros.tool.replay.resolving import ReplayedTick, coverage, replayed
+from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
+from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
 from orbimpc_ros.tool.settings import Values
 from orbimpc_ros.tool.summary import lines
-from orbimpc_ros.tool.topics import TYPES, topics_of
 
 LINES = 20  # differences printed one by one
 SAME, DIFFERENT = 0, 1
@@ -39,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     if args.tick is not None:
         return _show(recording, planner, values, args)
     answers = list(_replayed(recording, planner, values))
-    found, whole = compared(answers, planner), coverage(recording, planner)
+    found = compared(answers, planner)
     refused = sum(len(each.refusals) for each in answers)
     counts = Counter(each.quantity for each in found)
     differences = [each for each in found if each.differs]
@@ -51,20 +44,11 @@ def run(args: argparse.Namespace) -> int:
     rows = {
         'replayed': f'{len(answers)} ticks of {recording.path} in {elapsed:.2f} s',
         'inputs': f'{recording.received}, {refused} refused',
-        'unanswered': str(whole),
         'compared': ', '.join(f'{n} {quantity}' for quantity, n in counts.items()),
         'differences': _summary(differences),
     }
     print(lines(rows))
-    if args.update:
-        accept(recording, answers, values)
-        print(f'accepted      {recording.path}')
-        return SAME
-    # In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
-    # answers only the last before each tick.
-    waited = recording.simulated and planner.trigger == 'odom'
-    lacking = whole.unanswered > (0 if waited else math.inf)
-    return DIFFERENT if differences or lacking or whole.orphans else SAME
+    return DIFFERENT if differences else SAME
 
 
 def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[ReplayedTick]:
@@ -117,8 +101,6 @@ def _show(
     recording: Recording, planner: PlannerSettings, values: Values, args: argparse.Namespace
 ) -> int:
     """Print one tick, recorded and replayed side by side; return the exit code."""
-    if args.update:
-        raise BadInput.stating('--update', 'given with --tick', 'give one of the two')
     number, count = args.tick, len(recording.answers)
     if not 0 <= number < count:
         raise BadInput('--tick', number, f'0 to {count - 1}')
@@ -137,58 +119,3 @@ def _show(
     for refusal in answers[-1].refusals:
         print(refusal)
     return DIFFERENT if any(each.differs for each in found) else SAME
-
-
-# --- accepting
-
-
-def accept(recording: Recording, answers: Sequence[ReplayedTick], values: Values) -> None:
-    """Replace a bag of our recorder by one with new outputs, once that is complete.
-
-    Args:
-        recording: what the bag held.
-        answers: the new ones.
-        values: of every parameter; noted in the bag.
-
-    Raises:
-        BadInput: the bag is not one of our recorder's.
-    """
-    path, space = recording.path, recording.namespace
-    if not path.is_dir() or path.is_symlink() or 'parameters' not in bags.notes(path):
-        raise BadInput.stating(str(path), 'not a bag of orbimpc', 'the folder of one is needed')
-    held, notes = bags.raw(path), bags.notes(path)
-    if values != settings.of_bag(path, space):
-        if space:
-            given = 'other parameters are given'
-            raise BadInput.stating('--update', given, 'a fleet keeps its own')
-        notes['parameters'] = settings.text(values)
-    kept = [each for each in held if each.topic not in {f'{space}/{name}' for name in OUTPUTS}]
-    # What was not recorded, such as markers, stays out.
-    wanted = {each.topic for each in held}
-    fresh = [each for each in _serialised(space, answers) if each.topic in wanted]
-    shared = {topic.name for topic in topics_of(())}
-    spaces = {each.topic.rpartition('/')[0] for each in kept if each.topic not in shared}
-    topics = topics_of(sorted(spaces | {space}))
-    with TemporaryDirectory(prefix=f'.{path.name}-', dir=path.parent) as place:
-        new = Path(place) / 'new' / path.name
-        with BagWriter(new, topics, notes) as writer:
-            for each in sorted([*kept, *fresh], key=lambda each: each.stamp):
-                writer.write(each.topic, each.stamp, each.data, each.sent)
-        path.rename(Path(place) / 'old')
-        new.rename(path)
-
-
-def _serialised(space: str, answers: Sequence[ReplayedTick]) -> Iterator[Raw]:
-    for each in answers:
-        for name, message in each.messages.items():
-            then, kind = each.recorded, TYPES[name]
-            yield Raw(f'{space}/{name}', kind, then.stamp, then.sent, serialised(message, kind))
-
-
-def serialised(message: Any, kind: str) -> bytes:
-    """Return a ROS message in CDR, the same bytes every time.
-
-    The middleware leaves in the padding whatever was in memory.
-    """
-    types = store()
-    return bytes(types.serialize_cdr(types.deserialize_cdr(serialize_message(message), kind), kind))

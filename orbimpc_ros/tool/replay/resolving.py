@@ -75,7 +75,7 @@ def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     if planner.stamp != recorded.stamp:
         refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
         return planner.be_safe(recorded.stamp, refused)
-    return planner.plan(recorded.sent / SECOND, answer.advanced or 0.0, recorded.solve_time_ms)
+    return planner.plan(recorded.sent / SECOND, answer.advanced or 0.0, answer.solve_time_ms or 0.0)
 
 
 class Feed:
@@ -160,7 +160,7 @@ def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     The stamps on a tick are those of the messages that it was made of. Where it has none, the times
     of sending decide, up to what a message takes on its way.
     """
-    begun = recorded.sent - round(1e6 * recorded.solve_time_ms)
+    begun = recorded.sent - round(1e6 * (recorded.answer.solve_time_ms or 0.0))
     measured = _last(sent, 'odom', recorded.stamp)
     # By a clock of stamps no time passes: what was sent before odometry came in time.
     known = begun if measured < 0 else max(begun, sent[measured].sent)
@@ -181,55 +181,3 @@ def _last(sent: Sequence[Input], topic: str, stamp: int) -> int:
     """Return the last index under which a topic has a stamp; -1 for none."""
     found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)
-
-
-# --- what a recording lacks
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """How much of a recording is whole.
-
-    Attributes:
-        asked: odometry messages that a planner at each odometry has to answer.
-        unanswered: those of them that have no answer.
-        orphans: planned answers whose odometry is not there.
-    """
-
-    asked: int
-    unanswered: int
-    orphans: int
-
-    def __str__(self) -> str:
-        without = f'{self.unanswered} of {self.asked} odometry messages'
-        return f'{without}; {self.orphans} answers without their odometry'
-
-
-def coverage(recording: Recording, settings: PlannerSettings) -> Coverage:
-    """Return how much of a recording is whole, by the stamps of odometry that answers carry on."""
-    answered = {each.stamp for each in recording.answers}
-    asked = list(_asked(recording, settings))
-    known = {each.stamp for each in recording.inputs if each.topic == 'odom'}
-    orphans = [e for e in recording.answers if e.answer.planned and e.stamp not in known]
-    return Coverage(len(asked), sum(stamp not in answered for stamp in asked), len(orphans))
-
-
-def _asked(recording: Recording, settings: PlannerSettings) -> Iterator[int]:
-    """Yield the stamps of odometry that is acceptable, newer than any before, and has a goal.
-
-    Of several under one time of ``/clock`` the last alone: it has overtaken the others.
-    """
-    newest, goal, due = -1, False, None
-    for each in recording.inputs:
-        moves_on = each.topic == CLOCK or not recording.simulated
-        if moves_on and due is not None:
-            yield due
-            due = None
-        if not acceptable(each, settings):
-            continue
-        goal = goal or each.topic != 'odom'
-        if each.topic == 'odom' and each.stamp > newest:
-            newest = each.stamp
-            due = newest if goal else None
-    if due is not None:
-        yield due
