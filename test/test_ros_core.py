@@ -28,8 +28,8 @@ from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import NodeClock, RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.lifecycle import NodeClock
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.planner.core import Core, Timing, planner_of
 from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, condition
