@@ -53,7 +53,7 @@ BENT_FROM, SWINGS_FROM = 5, 6  # sightings
 BELIEVED = 3  # sightings off the forecast, one after another, that are a new motion
 GATE = 6.0  # standard deviations beyond which a sighting is off the forecast
 AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may have
-SELDOM = 0.4  # [s] between sightings; if less, every other one is looked at for a new course
+SELDOM, YOUNG = 0.4, 16  # [s], sightings: later and sooner every other one waits for the next
 LOST = 60.0  # [s] unseen for longer, a goal may do anything
 FAR = 1e7  # [m] what is farther away than that is another goal
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
@@ -212,9 +212,7 @@ class Bank:
             self._begin(np.array([time]), position[None], UNKNOWN)
         elif self._expected(time, position):
             self._apart = []
-            self._append(time, position)
-            often = time - self._last < SELDOM and len(self._times) % 2
-            if not often and self._changed():
+            if self._append(time, position, time - self._last) and self._changed():
                 self._reconsider()
             if len(self._times) == MEMORY:
                 self._shorten()
@@ -257,21 +255,27 @@ class Bank:
         self._epoch, self._origin = float(times[0]), seen[0].copy()
         self._times, self._seen = np.zeros(0), np.zeros((0, self._n))
         self._rates, self._dampings = np.zeros((2, len(NAMES)))
-        self._history: list[tuple[float, Noise]] = []  # evidence after each sighting, and noise
+        self._history: dict[int, tuple[float, Noise]] = {}  # evidence and noise, by sightings
         self._searched, self._apart = 0, []
         for time, position in zip(times, seen, strict=True):
             self._append(float(time), position)
 
-    def _append(self, time: float, position: Array) -> None:
-        """Add a sighting, and fit all families anew."""
+    def _append(self, time: float, position: Array, waited: float = math.inf) -> bool:
+        """Add a sighting after a wait [s]; return whether all families were fitted anew.
+
+        Of many sightings soon one after another every other one waits for the next.
+        """
         self._note_speed(time, position)
         self._times = np.append(self._times, time - self._epoch)
         self._seen = np.vstack([self._seen, position - self._origin])
+        if waited < SELDOM and len(self._times) > YOUNG and len(self._times) % 2:
+            return False
         self._move()
         self._fit()
         if len(self._times) >= self._searched + max(1, self._searched // 8):
             self._search()
         self._conclude()
+        return True
 
     def _note_speed(self, time: float, position: Array) -> None:
         """Note how fast the goal has moved lately, over half a second or the last two sightings."""
@@ -301,7 +305,7 @@ class Bank:
         by, offset = self._times[-KEPT], self._seen[-KEPT]
         self._times, self._seen = self._times[-KEPT:] - by, self._seen[-KEPT:] - offset
         self._epoch, self._origin = self._epoch + float(by), self._origin + offset
-        self._history, self._searched = [], MEMORY
+        self._history, self._searched = {}, MEMORY
         self._fit()
         self._conclude()
 
@@ -321,8 +325,10 @@ class Bank:
         best = evidence.max()
         shares = np.exp(evidence - best)
         self._shares = shares / shares.sum()
-        self._history.append((best + math.log(shares.sum()), self._learnt()))
-        self._history = self._history[-LENGTHS[-1] - 1 :]
+        count = len(self._times)
+        self._history[count] = best + math.log(shares.sum()), self._learnt()
+        self._history.pop(count - int(LENGTHS[-1]) - 1, None)
+        self._history.pop(count - int(LENGTHS[-1]) - 2, None)
 
     def _move(self) -> None:
         """Take a Gauss-Newton step of each frequency, shortened to where linearity ends."""
@@ -377,13 +383,14 @@ class Bank:
 
     def _changed(self) -> int:
         """Return how many sightings a new motion has, if one is likely; otherwise 0."""
-        lengths = LENGTHS[len(self._history) > LENGTHS]
+        count = len(self._times)
+        lengths = np.array([each for each in LENGTHS if count - each in self._history])
         if not len(lengths):
             return 0
-        before = [self._history[-1 - length] for length in lengths]
+        before = [self._history[count - length] for length in lengths]
         anew = self._anew(lengths, Noise(*np.array([noise for _, noise in before]).T))
         gain = np.array([evidence for evidence, _ in before]) + anew
-        if gain.max() + RARE <= self._history[-1][0]:
+        if gain.max() + RARE <= self._history[count][0]:
             return 0
         return int(lengths[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
@@ -408,8 +415,7 @@ class Bank:
         for _ in range(STEPS):
             self._move()
             self._fit()
-        self._history.pop()
         self._conclude()
         if new := self._changed():
             times, seen = self._times[-new:] + self._epoch, self._seen[-new:] + self._origin
-            self._begin(times, seen, self._history[-1 - new][1])
+            self._begin(times, seen, self._history[len(self._times) - new][1])
