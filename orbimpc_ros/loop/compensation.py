@@ -544,7 +544,7 @@ class Estimator:
 
 
 class Start(NamedTuple):
-    """Where a plan starts; the fields but the first and the last are those of a decision."""
+    """Where a plan starts; the fields but the first and the last two are those of a decision."""
 
     odometry: Odometry  # what to plan from
     advanced: float  # [s]
@@ -552,6 +552,7 @@ class Start(NamedTuple):
     disturbance: Array | None  # shape (n,)
     innovation: float | None
     limited: str  # that the estimate was limited, in words; empty if not
+    odd: str  # that the speed is not one that the model knows, in words; empty if it is
 
 
 class Compensator:
@@ -637,7 +638,8 @@ class Compensator:
         led = self.response.lead(self._problem)
         moved = odometry.time - measured.time - led
         innovation = None if self._estimator is None else self._estimator.innovation
-        return Start(odometry, moved, led, self.disturbance, innovation, limited)
+        odd = self.odd_speed(odometry)
+        return Start(odometry, moved, led, self.disturbance, innovation, limited, odd)
 
     def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""

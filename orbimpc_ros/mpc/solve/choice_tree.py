@@ -23,8 +23,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.cost import length_weights
-from orbimpc_ros.mpc.model.dynamics import translation_rollout
+from orbimpc_ros.mpc.model.dynamics import length_weights, translation_rollout
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import slope_sides
 from orbimpc_ros.mpc.proof.tree import (

@@ -15,8 +15,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import Cell
-from orbimpc_ros.mpc.model.dynamics import translation_rollout
-from orbimpc_ros.mpc.model.trajectory import Trajectory
+from orbimpc_ros.mpc.model.dynamics import Trajectory, translation_rollout
 from orbimpc_ros.mpc.solve.disjunction import Disjunction
 from orbimpc_ros.mpc.solve.incumbent import Incumbent
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed

@@ -10,7 +10,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import margin
-from orbimpc_ros.mpc.model.trajectory import Trajectory
+from orbimpc_ros.mpc.model.dynamics import Trajectory
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.posed import Posed
 

@@ -13,7 +13,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, shortfall

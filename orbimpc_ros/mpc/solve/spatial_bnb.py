@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.kernels.half_spaces import (
 from orbimpc_ros.mpc.kernels.penalty_terms import scratch
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
-from orbimpc_ros.mpc.model.cost import (
+from orbimpc_ros.mpc.model.dynamics import (
     attitude_weight,
     input_weight,
     position_weights,

@@ -201,6 +201,7 @@ class Core:
         """
         begun, taking = self._clock(), 0.0 if self._simulated else self.timing.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
+        heard = self.inputs.heard
         if fresh:
             snapshot = replace(snapshot, odometry_age=0.0)
         deadline = math.inf if self._unlimited else self.settings.deadline
@@ -223,7 +224,7 @@ class Core:
             self.outdated = self.unsafe(now + took, later)
         self.timing.took(took, self.settings.deadline, self.settings.period)
         solved = decision.cause is not Cause.GOAL
-        return Report(decision, 1e3 * took if solved else 0.0, **self.inputs.heard)
+        return Report(decision, 1e3 * took if solved else 0.0, **heard)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:
         """Return the last report with proofs of what it states, until its deadline.
