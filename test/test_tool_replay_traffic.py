@@ -86,9 +86,9 @@ def test_the_commands_are_those_that_were_given(late):
     for again, clearance in zip(ticks, clearances, strict=True):
         now, then = published(again.messages), again.recorded.answer
         assert again.refusals == ()
-        assert now.traffic_stamps == then.traffic_stamps
-        assert (now.speed, now.status) == (then.speed, then.status)
-        np.testing.assert_array_equal(now.body_rate, then.body_rate)
+        assert now['traffic_stamps'] == then['traffic_stamps']
+        assert (now['speed'], now['status']) == (then['speed'], then['status'])
+        np.testing.assert_array_equal(now['body_rate'], then['body_rate'])
         found = fields(again.messages['tick'])['clearance']
         assert found == pytest.approx(clearance, nan_ok=True)
 

@@ -17,8 +17,7 @@ import yaml
 
 from benchmarks.baselines import BASELINES
 from orbimpc_ros.tool.study.draws import Draws, draws_of
-from orbimpc_ros.tool.study.flights import WAYPOINT, Job, Row
-from orbimpc_ros.tool.study.results import each_flown, workers
+from orbimpc_ros.tool.study.flights import WAYPOINT, Job, Row, each_flown, workers
 
 SEED = 1000  # of all flights that tune; those that count have others
 CANDIDATES, FLIGHTS = 8, 4

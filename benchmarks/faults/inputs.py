@@ -15,7 +15,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy
 
 from benchmarks.faults import stimulus
-from benchmarks.faults.harness import PATIENCE, STEP, Harness
+from benchmarks.faults.harness import STEP, Harness
 from benchmarks.faults.injection import MIDWAY, RUNNING, SOLVING, START, Fault, fault_case
 from benchmarks.faults.monitor import Monitor, complaint
 from benchmarks.faults.stimulus import HUGE, Spoiled, Spoiler, shifted, with_field
@@ -26,7 +26,6 @@ from orbimpc_ros.ros.process import qos
 STALE = 0.3  # [s] odom_timeout: 1.5 steps
 LADDER = FALLBACK_TICKS * STEP  # [s] that a shifted plan may be flown
 LOST = 0.4 + LADDER  # [s] goal_timeout of the harness, and the last plan after it
-TIMEOUT = 0.2  # [s] transform_timeout
 HEALTH = 1.2  # [s] in which counts are reported
 REPORT = 1.0  # [s] in which a mismatch must be reported
 MEET = 0.6  # [s] that discovery may take
@@ -105,29 +104,6 @@ def _garbage() -> list[Fault]:
     return [
         _odometry('no odometry message', stimulus.garbled),
         _goal('no goal message', stimulus.garbled),
-    ]
-
-
-def _transforms() -> list[Fault]:
-    """Return goals in another frame with bad transforms from there: as if there were no goals."""
-
-    def uncounted(name: str) -> Callable[[Harness, float], str]:
-        def flaw(harness: Harness, _since: float) -> str:
-            harness.spin(PATIENCE, lambda: harness.monitor.counted(f'{name} transform'))
-            counted = harness.monitor.counted(f'{name} transform')
-            return '' if counted else f'no {name} transform counted'
-
-        return flaw
-
-    ahead = shifted(10.0, 10.5)  # extrapolated until their time has come
-    spoiled = [
-        ('missing', Spoiled(goal=with_field('header.frame_id', 'nowhere')), LOST, MIDWAY),
-        ('stale', Spoiled(transform=stimulus.lost), LOST + TIMEOUT, MIDWAY),
-        ('extrapolated', Spoiled(transform=ahead), LOST, START),
-    ]
-    return [
-        Fault(name, _spoils(each), wait=wait, flaw=uncounted(name), times=(when,))
-        for name, each, wait, when in spoiled
     ]
 
 
@@ -216,7 +192,6 @@ def _sources() -> list[Fault]:
     ]  # fmt: skip
 
 
-ALTERED = 'benchmarks.faults.altered'
 FAULT_CASES = (
     fault_case('odometry', 'stale odometry', lambda: [_odometry('no odometry', stimulus.lost)],
                RUNNING),
@@ -229,8 +204,6 @@ FAULT_CASES = (
                (START, MIDWAY, SOLVING)),
     fault_case('frozen', 'clock frozen: safe after odom_timeout', _frozen, simulated=True),
     fault_case('jumps', 'clock jumps or is reset', _jumps, (MIDWAY, MIDWAY), simulated=True),
-    fault_case('transforms', 'transforms missing, stale, extrapolated', _transforms,
-               (MIDWAY, MIDWAY), parameters={'tf': True}, module=ALTERED),
     fault_case('twist', 'velocities in the wrong frame: reported', _velocities, allowed=TURNED,
                unit='s', parameters={}),
     fault_case('leaps', 'goal teleports, out of reach: refused and reported', _leaps,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
@@ -21,7 +21,6 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 
 FRAMES = Frames('odom', 'base_link')
-GOALS = 'map'  # the frame of goals where there are transforms
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
@@ -51,18 +50,12 @@ def goal_at(seconds: float, stamp: int) -> PoseStamped:
     return messages.goal_message(Stamp(stamp, FRAMES), np.array([swing, RADIUS]))
 
 
-def transform_at(stamp: int) -> TransformStamped:
-    """Return that the goals' own frame, if they have one, coincides with the world's."""
-    return TransformStamped(header=messages.header(stamp, GOALS), child_frame_id=FRAMES.world)
-
-
 @dataclass(frozen=True)
 class Spoiled:
-    """Changes of odometry, goals and transforms on their way; None leaves them as they are."""
+    """Changes of odometry and goals on their way; None leaves them as they are."""
 
     odometry: Spoiler | None = None
     goal: Spoiler | None = None
-    transform: Spoiler | None = None
 
 
 HEALTHY = Spoiled()

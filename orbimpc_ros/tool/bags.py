@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Bags as rosbag2 has them: MCAP read and written with checksums, SQLite and compressed ones read.
+"""Bags as rosbag2 has them: MCAP read and written with checksums, SQLite read.
 
 MCAP goes through the ``mcap`` library, which has the time of sending of each message, verifies
-checksums and reads a file whose recorder was killed; all else goes through ``rosbags``.
+checksums and reads a file whose recorder was killed; SQLite goes through ``rosbags``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
-from orbimpc_ros.tool import files, topics
+from orbimpc_ros.tool import topics
 from orbimpc_ros.tool.files import opened
 from orbimpc_ros.tool.topics import Topic
 
@@ -40,6 +40,7 @@ LARGEST_CONTENT = 1 << 28  # [bytes] of the messages that are read
 LATEST = 2**63  # [ns]: stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
+SUFFIXES = ('.mcap', '.db3')
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
@@ -150,7 +151,7 @@ def raw(path: Path) -> list[Message]:
     files, closed = _files(path)
     found, size = list[Message](), 0
     with _reading(path):
-        for each in _of_mcap(files, closed) if _is_mcap(path, files) else _of_rosbags(path):
+        for each in _of_mcap(files, closed) if _is_mcap(files) else _of_rosbags(path):
             size += len(each.data)
             if size > LARGEST_CONTENT:
                 raise BadInput.stating(str(path), f'{size} bytes of messages', ALLOWED)
@@ -168,12 +169,12 @@ def notes(path: Path) -> dict[str, str]:
         BadInput: no bag, or damaged.
     """
     files, closed = _files(path)
-    with _reading(path):
-        if _is_mcap(path, files):
-            with _mcap(files[0], closed) as reader:
-                found = (each for each in reader.iter_metadata() if each.name == NOTES)
-                return next((each.metadata for each in found), {})
-    return {}
+    if not _is_mcap(files):
+        return {}
+    with _reading(path), _mcap(files[0], closed) as reader:
+        found = (each for each in reader.iter_metadata() if each.name == NOTES)
+        return next((each.metadata for each in found), {})
+    return {}  # it ended before its notes
 
 
 @contextmanager
@@ -189,16 +190,13 @@ def _reading(path: Path) -> Iterator[None]:
 
 def _files(path: Path) -> tuple[list[Path], bool]:
     """Return a bag's files, and whether its recorder came to close it."""
-    if not path.is_dir():
-        if path.suffix not in ('.mcap', '.db3'):
-            raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
+    if path.is_dir():
+        files = sorted(path.glob('*.mcap')) or sorted(path.glob('*.db3'))
+        closed = (path / METADATA).exists()
+    elif path.suffix in SUFFIXES:
         files, closed = [path], path.suffix == '.db3' or (path.parent / METADATA).exists()
-    elif (path / METADATA).exists():
-        with _reading(path / METADATA):
-            names = _information(path)['relative_file_paths']
-            files, closed = [path / Path(name).name for name in names], True
     else:
-        files, closed = sorted([*path.glob('*.mcap'), *path.glob('*.db3')]), False
+        raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
     if not files:
         raise BadInput.stating(str(path), 'without a file of messages', NEEDED)
     for file in files:
@@ -207,20 +205,8 @@ def _files(path: Path) -> tuple[list[Path], bool]:
     return files, closed
 
 
-def _information(path: Path) -> dict[str, Any]:
-    """Return what the metadata of a bag hold; nothing without any."""
-    if not (path.is_dir() and (path / METADATA).exists()):
-        return {}
-    found = files.read(str(path / METADATA), LATEST)['rosbag2_bagfile_information']
-    if not 1 <= found['version'] <= METADATA_VERSION:
-        raise BadInput(f'{path}: version', found['version'], f'1 to {METADATA_VERSION}')
-    return cast(dict[str, Any], found)
-
-
-def _is_mcap(path: Path, files: Sequence[Path]) -> bool:
-    """Return whether a bag is of MCAP, and not compressed outside of that by rosbag2."""
-    mode = _information(path).get('compression_mode') or 'none'
-    return files[0].suffix == '.mcap' and mode.lower() == 'none'
+def _is_mcap(files: Sequence[Path]) -> bool:
+    return files[0].suffix == '.mcap'
 
 
 def _of_rosbags(path: Path) -> Iterator[Message]:
