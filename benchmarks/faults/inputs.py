@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -84,22 +83,6 @@ def _unset() -> list[Fault]:
     return [_odometry('stamps not set', with_field('header.stamp', Time()), times=RUNNING)]
 
 
-def _mixed() -> list[Fault]:
-    """Return old messages and doubles among good ones: counted, and planned on all the same."""
-
-    def uncounted(harness: Harness, _since: float) -> str:
-        harness.spin(HEALTH)
-        pairs = itertools.product(('odom', 'goal'), ('duplicate', 'reordered'))
-        lacking = [': '.join(pair) for pair in pairs if not harness.monitor.counted(*pair)]
-        return f'not counted: {", ".join(lacking)}' if lacking else ''
-
-    spoiled = Spoiled(stimulus.interleaved(), stimulus.interleaved())
-    return [
-        Fault('old among new', _spoils(spoiled), allowed=5.0, strict=False, event=None,
-              flaw=uncounted, times=(MIDWAY,))
-    ]  # fmt: skip
-
-
 def _garbage() -> list[Fault]:
     return [
         _odometry('no odometry message', stimulus.garbled),
@@ -128,15 +111,6 @@ def _jumps() -> list[Fault]:
         return begin
 
     return [Fault(name, jumping(by), strict=False, times=RUNNING) for name, by in jumps.items()]
-
-
-def _leaps() -> list[Fault]:
-    """Return goals that are elsewhere in every message: refused or clamped, and reported."""
-    return [
-        Fault(f'goal leaps {distance:g} m', _spoils(Spoiled(goal=stimulus.leaping(distance))),
-              strict=False, event=complaint('goal'), times=RUNNING)
-        for distance in (1e6, 30.0, 1e3)
-    ]  # fmt: skip
 
 
 def _infeasible() -> list[Fault]:
@@ -198,7 +172,6 @@ FAULT_CASES = (
     fault_case('goal', 'stale goal', lambda: [_goal('no goal', stimulus.lost)]),
     fault_case('stamps', 'future, repeated, malformed stamps', _stamps, RUNNING),
     fault_case('unset', 'stamps that are not set, after good ones', _unset),
-    fault_case('mixed', 'duplicates and older stamps among good ones', _mixed),
     fault_case('garbage', 'bytes that are no message', _garbage),
     fault_case('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents,
                (START, MIDWAY, SOLVING)),
@@ -206,8 +179,6 @@ FAULT_CASES = (
     fault_case('jumps', 'clock jumps or is reset', _jumps, (MIDWAY, MIDWAY), simulated=True),
     fault_case('twist', 'velocities in the wrong frame: reported', _velocities, allowed=TURNED,
                unit='s', parameters={}),
-    fault_case('leaps', 'goal teleports, out of reach: refused and reported', _leaps,
-               allowed=1.2 / STEP),
     fault_case('infeasible', 'no plan: shifted plan, then safe', _infeasible),
     fault_case('qos', 'a quality of service that does not match: reported', _mismatch,
                allowed=REPORT, unit='s'),

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows on whole processes: deadlines, modes, floods, exceptions, signals, restarts."""
+"""Rows on whole processes: deadlines, floods, exceptions, signals, restarts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from benchmarks.faults.harness import (
     Place,
     Session,
 )
-from benchmarks.faults.injection import AFTER, MIDWAY, SEEDS, SLOW, until_due
+from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
 from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
@@ -49,8 +48,6 @@ LATCH = 0.2  # [s] command_timeout
 FLOOD, SETTLED, LATE = 5000.0, 1.0, 5.0  # [Hz], [s] to be discovered, [ms] beyond a period
 SOAK, SOAK_STEP, MEBIBYTE, GROWTH = 1000.0, 0.05, 2.0**20, 2.0  # [Hz], [s], [bytes], [MiB]
 SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy machine
-FLIPS, FLIP, REPORT = 15, 0.1, 2.0  # changes of mode, [s] between them, [s] to be reported
-UNDERWAY = 0.1  # [s] a change of mode may take, and a command that went out before
 
 
 # --- no time
@@ -78,31 +75,6 @@ def _slowest(harness: Harness, since: float) -> float:
     gap = max(later.at - tick.at for tick, later in itertools.pairwise(ticks))
     slowest = 1e-3 * max(float(tick.values['solve_time_ms']) for tick in ticks)
     return max(slowest / STEP, gap / STEP - 1.0)
-
-
-def _modes(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """A mode that flips ten times a second: silent in the other one, and reported."""
-    for seed in SEEDS if long else SEEDS[:1]:
-        with fixtures.harness({'gated': True}, seed=seed) as harness:
-            mode = harness.node.create_publisher(Bool, 'engaged', qos())
-            harness.until(partial(_subscribed, mode), 'a subscriber of the mode')
-            mode.publish(Bool(data=True))
-            harness.until_planned()
-            begin = time.monotonic()
-            for flip in range(FLIPS):
-                mode.publish(Bool(data=bool(flip % 2)))
-                harness.spin(FLIP)
-            reported = harness.until_first(complaint('the mode has changed'), begin) - begin
-            silent = time.monotonic() + UNDERWAY
-            harness.spin(UNDERWAY + AFTER * STEP)
-            spoken = sum(each.at > silent for each in harness.monitor.commands)
-            mode.publish(Bool(data=True))
-            harness.until_planned()
-            yield Outcome('at 10 Hz', spoken + harness.monitor.broken(), reported)
-
-
-def _subscribed(publisher: Any) -> bool:
-    return bool(publisher.get_subscription_count() > 0)
 
 
 # --- floods
@@ -326,7 +298,6 @@ def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 FAULT_CASES = (
-    FaultCase('mode', 'a mode that flips at 10 Hz: reported, else silent', REPORT, _modes, 's'),
     FaultCase('deadline', 'no time to search: longest solve, or time missed', SLOWEST, _no_time),
     FaultCase('flood', 'odometry at 5 kHz: p99 from tick to tick, beyond the period', LATE, _flood,
               'ms'),

@@ -112,20 +112,6 @@ def repeated() -> Spoiler:
     return spoil
 
 
-def interleaved() -> Spoiler:
-    """Return a mixture of good messages, older ones, and the last good one again."""
-    sent: list[Any] = []
-
-    def spoil(message: Any, draw: random.Random) -> list[Any]:
-        sent.append(message)
-        turn = len(sent) % 4
-        if turn == 0:
-            return shifted(-2.0, -0.2)(message, draw)
-        return [copy.deepcopy(sent[-2])] if turn == 2 else [message]
-
-    return spoil
-
-
 def scaled_quaternion(path: str) -> Spoiler:
     """Return a change of a quaternion to zero, or by 1 % in length."""
 
@@ -134,18 +120,6 @@ def scaled_quaternion(path: str) -> Spoiler:
         factor = draw.choice((0.0, 1.01, 0.99, 1e200))
         for name in 'xyzw':
             setattr(pose.orientation, name, factor * getattr(pose.orientation, name))
-        return [message]
-
-    return spoil
-
-
-def leaping(distance: float) -> Spoiler:
-    """Return a shift of goals by a distance [m] in random directions."""
-
-    def spoil(message: Any, draw: random.Random) -> list[Any]:
-        angle = draw.uniform(0.0, 2.0 * math.pi)
-        message.pose.position.x += distance * math.cos(angle)
-        message.pose.position.y += distance * math.sin(angle)
         return [message]
 
     return spoil

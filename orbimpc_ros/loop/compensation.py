@@ -693,9 +693,10 @@ class Compensator:
     ) -> State:
         """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
 
-        At translation order 1 sigma_0 is the measured share of full speed, but for one case: where
-        ``max_rate`` limits changes of speed, from what was commanded. A vehicle in a dead band, in
-        a drift or uphill would never be told more than a step from the speed that it has.
+        At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate``
+        the one that commands have led to: a gust is no change of speed that a plan has to make up
+        for, and a vehicle in a dead band would never be told more than a step from the speed that
+        it has.
 
         Args:
             odometry: there.
@@ -705,12 +706,14 @@ class Compensator:
             hazards: what moves.
         """
         problem, coming, velocity = self._problem, self.coming, None
-        applied = None if coming is None else coming.speed_fraction
+        applied = 0.0 if coming is None else coming.speed_fraction
         if problem.inertial:
-            fraction = applied or 0.0
-            velocity = odometry.attitude @ odometry.body_velocity
-        elif applied is not None and problem.max_rate and not problem.turns_are_angles:
             fraction = applied
+            velocity = odometry.attitude @ odometry.body_velocity
+        elif coming is not None and problem.max_rate:
+            fraction = applied
+            if problem.turns_are_angles:
+                fraction = self.history.applied(odometry.time, self.response.speed)
         else:
             speed = airspeed(odometry, self.disturbance, self._velocity_source)
             fraction = min(1.0, max(0.0, speed / problem.forward))

@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -58,7 +58,6 @@ class Job:
         index: of the flight.
         values: of all parameters, drawn ones included.
         margin: by how much larger than they are bodies in the traffic are reported [m].
-        tuned: numbers of a baseline; by default those found for the study.
     """
 
     study: str
@@ -66,7 +65,6 @@ class Job:
     index: int
     values: dict[str, Any]
     margin: float = 0.0
-    tuned: Mapping[str, float] | None = None
 
 
 def flown(job: Job) -> Row:
@@ -109,7 +107,7 @@ def flown(job: Job) -> Row:
 def _pilot(job: Job, given: PlannerSettings) -> Planner:
     """Return the controller of a flight, reset."""
     if job.controller != OURS:
-        made: Planner = baselines().baseline_named(job.controller, given, job.study, job.tuned)
+        made: Planner = baselines().baseline_named(job.controller, given, job.study)
         return made
     key = repr(given)
     if key not in _made:

@@ -1,0 +1,300 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Lines and orbits in wind and gusts: this planner beside what wings follow paths with today.
+
+All fly the same airframes, through the same inner loops, at the same airspeed and rate, and know
+the mean wind. ``python -m benchmarks.paths --flights 5`` prints a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from benchmarks.baselines.baseline import wrapped
+from benchmarks.baselines.followers import (
+    GRAVITY,
+    Circle,
+    Flying,
+    Line,
+    angle_of,
+    field,
+    l1,
+    npfg,
+)
+from orbimpc_ros.loop.goal.route import Route
+from orbimpc_ros.loop.planner import Snapshot
+from orbimpc_ros.loop.state import Odometry, WindReport
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.spec import completed
+from orbimpc_ros.ros.planner.core import planner_of
+
+WINDS = (0.0, 0.3, 0.6, 0.9, 1.2)  # of the airspeed
+PERIOD = 0.2  # [s] between commands
+MET, ALONG = 3.0, math.radians(20.0)  # [m] from the path, and the course off it: then it is met
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """A wing.
+
+    Attributes:
+        airspeed: commanded [m/s].
+        bank: largest commanded [rad].
+        stall: airspeed [m/s].
+        radius: of its orbit [m].
+        aside: how far from the path it starts, at most [m].
+        seconds: of a flight.
+        gust: standard deviation along each axis [m/s].
+        tuned: the followers' numbers: NPFG's and L1's periods [s], the vector field's gain [1/m].
+        planner: parameters.
+    """
+
+    airspeed: float
+    bank: float
+    stall: float
+    radius: float
+    aside: float
+    seconds: float
+    gust: float
+    tuned: dict[str, float]
+    planner: dict[str, object]
+
+    @property
+    def max_rate(self) -> float:
+        """Return the rate of a coordinated turn [rad/s]."""
+        return GRAVITY * math.tan(self.bank) / self.airspeed
+
+
+COMMON: dict[str, object] = {
+    'dimension': 2,
+    'floor.shape': 'circle',
+    'discretisation': 'exact',
+    'weights.scaling': 'time',
+    'velocity_source': 'air',
+    'sideslip': True,
+    'disturbance': 'estimated',
+    'gap_tolerance': 0.001,
+    'plan_period': PERIOD,
+    'deadline': 0.1,
+}
+AIRFRAMES = {
+    'c172x': Airframe(
+        airspeed=45.0,
+        bank=math.radians(25.0),
+        stall=27.6,
+        radius=900.0,
+        aside=300.0,
+        seconds=120.0,
+        gust=1.0,
+        tuned={'npfg': 28.0, 'l1': 35.0, 'field': 0.01},
+        planner={'step': 1.0, 'horizon': 12, 'response.rate': 2.0, 'response.speed': 2.0},
+    ),
+    'unmanned': Airframe(
+        airspeed=18.0,
+        bank=math.radians(35.0),
+        stall=11.0,
+        radius=120.0,
+        aside=80.0,
+        seconds=90.0,
+        gust=1.0,
+        tuned={'npfg': 6.0, 'l1': 10.0, 'field': 0.03},
+        planner={'step': 0.5, 'horizon': 12, 'response.rate': 0.4, 'response.speed': 1.0},
+    ),
+}
+
+
+class Unmanned:
+    """A wing of 18 m/s: a roll loop of second order (4 rad/s, damped by 0.7), gusts of Dryden's."""
+
+    def __init__(self, frame: Airframe, position: Array, heading: float, wind: Array, seed: int):
+        self._frame, self._wind = frame, wind
+        self._rng = np.random.default_rng(seed)
+        self.position, self._heading, self._speed = np.array(position), heading, frame.airspeed
+        self._bank = self._rolling = 0.0
+        self._gust = frame.gust * self._rng.normal(size=2)
+
+    @property
+    def air(self) -> Array:
+        """Return the velocity of the air [m/s]."""
+        return self._wind + self._gust
+
+    def run(self, speed: float, turn: float, tick: float = 0.01) -> Iterator[Flying]:
+        """Yield the motions while it flies for a period."""
+        for _ in range(round(PERIOD / tick)):
+            wanted = math.atan(turn * self._speed / GRAVITY)
+            self._rolling += tick * (16.0 * (wanted - self._bank) - 5.6 * self._rolling)
+            self._bank += tick * self._rolling
+            self._heading += tick * GRAVITY * math.tan(self._bank) / self._speed
+            self._speed += tick * (speed - self._speed)
+            fade = math.exp(-tick * self._speed / 200.0)
+            noise = self._frame.gust * math.sqrt(1.0 - fade**2)
+            self._gust = fade * self._gust + noise * self._rng.normal(size=2)
+            motion = self.motion()
+            self.position = self.position + tick * motion.over_ground
+            yield motion
+
+    def motion(self) -> Flying:
+        """Return how it flies now; a gust is in the ground's velocity at once."""
+        through = self._speed * np.array([math.cos(self._heading), math.sin(self._heading)])
+        return Flying(self.position, through + self.air, through, self._wind)
+
+    @property
+    def turning(self) -> float:
+        """Return its rate of turn [rad/s]."""
+        return GRAVITY * math.tan(self._bank) / self._speed
+
+
+class Cessna:
+    """JSBSim's c172x, on its own roll autopilot and altitude hold."""
+
+    def __init__(self, frame: Airframe, position: Array, heading: float, wind: Array, seed: int):
+        from orbimpc_ros.sim.engines import Start
+        from orbimpc_ros.sim.engines.cessna import Cessna as Engine
+
+        axis = np.array([math.cos(heading), math.sin(heading)])
+        turned = np.array([[axis[0], -axis[1]], [axis[1], axis[0]]])
+        velocity, rest = frame.airspeed * axis + wind, np.zeros(2)
+        known = position, velocity, turned, np.zeros(1), frame.airspeed
+        self._engine = Engine(Start(*known, wind, frame.gust, seed, rest, rest))
+        self._wind = wind
+
+    def run(self, speed: float, turn: float) -> Iterator[Flying]:
+        """Yield the motions while it flies for a period."""
+        for each in self._engine.run(PERIOD, speed, np.array([turn])):
+            yield self._flying(each)
+
+    def motion(self) -> Flying:
+        """Return how it flies now."""
+        return self._flying(self._engine.motion())
+
+    def _flying(self, motion) -> Flying:
+        through = (motion.velocity - motion.air)[:2]
+        return Flying(motion.position[:2], motion.velocity[:2], through, self._wind)
+
+    @property
+    def turning(self) -> float:
+        """Return its rate of turn [rad/s]."""
+        return float(self._engine.motion().facts['turn'])
+
+
+FLOWN: dict[str, type[Cessna | Unmanned]] = {'c172x': Cessna, 'unmanned': Unmanned}
+
+
+def ours(frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, float]]:
+    """Return this package's planner as a follower."""
+    least = 0.85
+    own = {'forward': frame.airspeed, 'max_rate': frame.max_rate, 'floor.fraction': least}
+    settings = planner_settings(completed(PLANNER, COMMON | own | frame.planner))
+    planner, route = planner_of(settings)[1], Route(path.points(30_000.0))
+
+    def follow(time: float, wing: Flying, turning: float) -> tuple[float, float]:
+        angle, speed = angle_of(wing.through_air), float(np.linalg.norm(wing.through_air))
+        cos, sin = math.cos(angle), math.sin(angle)
+        turned = np.array([[cos, -sin], [sin, cos]])
+        through, rate = np.array([speed, 0.0]), np.array([turning])
+        measured = Odometry(time, np.array(wing.position), turned, through, rate)
+        told = WindReport(time, np.array(wing.wind), 0.2)
+        decision = planner.step(Snapshot(measured, route, wind=told), time)
+        planner.sent(decision.command, time)
+        return decision.command.speed_fraction, float(decision.command.body_rate[0])
+
+    return follow
+
+
+def rival(name: str, frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, float]]:
+    """Return a follower of :mod:`benchmarks.baselines.followers`."""
+    law = {'npfg': npfg, 'l1': l1, 'field': field}[name]
+
+    def follow(_time: float, wing: Flying, _turning: float) -> tuple[float, float]:
+        turn = law(path.seen(wing.position), wing, frame.tuned[name])
+        return 1.0, max(-frame.max_rate, min(frame.max_rate, turn))
+
+    return follow
+
+
+def flight(airframe: str, shape: str, wind: float, name: str, seed: int) -> dict[str, float]:
+    """Fly and return what came of it: errors after the first meeting [m], when that was [s]."""
+    frame, rng = AIRFRAMES[airframe], np.random.default_rng(seed)
+    angle, blown, off = rng.uniform(-math.pi, math.pi, size=3)
+    aside = rng.uniform(0.5, 1.0) * frame.aside * rng.choice([-1.0, 1.0])
+    path = Line(angle) if shape == 'line' else Circle(frame.radius)
+    normal = np.array([-math.sin(angle), math.cos(angle)])
+    start = aside * normal if shape == 'line' else (frame.radius + aside) * normal
+    speed = wind * frame.airspeed
+    known = start, off, speed * np.array([math.cos(blown), math.sin(blown)]), seed
+    vehicle = FLOWN[airframe](frame, *known)
+    follow = ours(frame, path) if name == 'ours' else rival(name, frame, path)
+    touched, met, errors, least, time = math.nan, math.nan, [], frame.airspeed, 0.0
+    while time < frame.seconds:
+        fraction, turn = follow(time, vehicle.motion(), vehicle.turning)
+        for motion in vehicle.run(fraction * frame.airspeed, turn):
+            track = path.seen(motion.position)
+            error, off = abs(track.error), angle_of(track.tangent) - angle_of(motion.over_ground)
+            if math.isnan(touched) and error <= MET:
+                touched = time
+            least = min(least, float(np.linalg.norm(motion.through_air)))
+            if math.isnan(met) and error <= MET and abs(wrapped(off)) <= ALONG:
+                met = time
+            if not math.isnan(met):
+                errors.append(error)
+        time += PERIOD
+    return {
+        'touched': touched,
+        'met': met,
+        'mean': float(np.mean(errors)) if errors else math.nan,
+        'p95': float(np.percentile(errors, 95)) if errors else math.nan,
+        'stalls': float(least < frame.stall),
+        'away': abs(path.seen(vehicle.motion().position).error),
+    }
+
+
+NAMES = ('ours', 'npfg', 'l1', 'field')
+
+
+def main() -> int:
+    """Print a table: a row for each airframe, path, wind and follower."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--flights', type=int, default=5)
+    parser.add_argument('--first', type=int, default=1000, help='seed of the first flight')
+    parser.add_argument('--airframes', nargs='*', default=list(AIRFRAMES))
+    parser.add_argument('--shapes', nargs='*', default=['line', 'orbit'])
+    parser.add_argument('--winds', nargs='*', type=float, default=list(WINDS))
+    parser.add_argument('--names', nargs='*', default=list(NAMES))
+    given = parser.parse_args()
+    seeds = range(given.first, given.first + given.flights)
+    print(
+        'airframe path wind follower | met of, touched met [s] | mean p95 [m] | stalls | away [m]'
+    )
+    with ProcessPoolExecutor(max_workers=1) as pool:
+        for airframe in given.airframes:
+            for shape in given.shapes:
+                for wind in given.winds:
+                    for name in given.names:
+                        fly = partial(flight, airframe, shape, wind, name)
+                        rows = list(pool.map(fly, seeds))
+                        _show(f'{airframe} {shape} {wind:g} {name}', rows)
+    return 0
+
+
+def _show(what: str, rows: list[dict[str, float]]) -> None:
+    table = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+    met = np.isfinite(table['met'])
+    touched, times, mean, p95 = (
+        float(np.mean(table[key][met])) if met.any() else math.nan
+        for key in ('touched', 'met', 'mean', 'p95')
+    )
+    away = float(np.mean(table['away']))
+    shown = f'{met.sum()}/{len(rows)} {touched:6.1f} {times:6.1f} | {mean:6.2f} {p95:6.2f}'
+    print(f'{what:28} | {shown} | {int(table["stalls"].sum())} | {away:7.1f}', flush=True)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
