@@ -187,7 +187,7 @@ def test_a_long_watch_needs_no_more_memory_and_loses_nothing(family):
     assert max(len(each) for each in vars(bank).values() if hasattr(each, '__len__')) <= MEMORY
     ahead = times[-1] + np.arange(0.0, 4.0)
     np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-    assert bank.model == {'turn': 'swing'}.get(family, family)
+    assert bank.model == family
 
 
 @pytest.mark.parametrize('seed', range(8))

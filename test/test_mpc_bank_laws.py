@@ -21,7 +21,7 @@ def test_every_family_is_recovered_exactly_without_noise(family, n):
         times, seen = sighted(motion, rng)
         bank, ahead = shown(times, seen), times[-1] + np.arange(0.0, AHEAD + 0.1, 0.5)
         np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-        assert bank.model == {'turn': 'swing'}.get(family, family)
+        assert bank.model == family
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -23,11 +23,12 @@ import numpy as np
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import skew
 
 COLUMNS, FREE = 7, 5  # the first of which have coefficients of their own
 ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
-NAMES = ('still', 'velocity', 'acceleration', 'swing', 'carrier', 'damped')
-STILL, VELOCITY, ACCELERATION, SWING, CARRIER, DAMPED = range(len(NAMES))
+NAMES = ('still', 'velocity', 'acceleration', 'swing', 'carrier', 'damped', 'turn')
+STILL, VELOCITY, ACCELERATION, SWING, CARRIER, DAMPED, TURN = range(len(NAMES))
 EVERY = np.arange(len(NAMES))
 OSCILLATING = EVERY >= SWING  # with a frequency to be found
 DIAGONAL = np.arange(FREE)
@@ -35,8 +36,8 @@ BASIS = np.zeros((len(NAMES), FREE), dtype=bool)
 BASIS[:, ONE] = True
 BASIS[[VELOCITY, ACCELERATION, CARRIER], LINEAR] = True
 BASIS[ACCELERATION, SQUARE] = True
-BASIS[SWING:, COSINE:] = True
-ODDS = np.array([-5.0, 0.0, -5.0, -9.0, -10.0, -10.0])  # logarithms, before any sighting
+BASIS[SWING:TURN, COSINE:] = True
+ODDS = np.array([-5.0, 0.0, -5.0, -6.0, -7.0, -7.0, -3.0])  # logarithms, before any sighting
 PLACE, SPEED, THRUST = 3.0, 5.0, 1.0  # prior deviations [m], [m/s], half an acceleration [m/s^2]
 SIZE, PUSH = 5.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
 PULSE = 1.0  # of angular frequency and damping [1/s]
@@ -61,7 +62,7 @@ BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a frequency is sought el
 STEPS = 4  # of Gauss-Newton on a closer look
 SPEED_OVER = 0.5  # [s]
 LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])  # sightings of a new motion
-TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
+TIE = 1.0  # lengths whose evidence is that close are as likely; the longest tells most
 RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
 NEW_ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
 _log_gamma = np.frompyfunc(math.lgamma, 1, 1)
@@ -83,13 +84,13 @@ class Fits(NamedTuple):
     """B fits: the leading axis of all."""
 
     coefficients: Array  # with the step, shape (B, 7, n)
-    step: Array  # of angular frequency and damping, shape (B, 2) [1/s]
+    step: Array  # of angular frequency and damping first, shape (B, K) [1/s]
     misfit: Array  # sum of squares left, with what the priors add, shape (B,) [m^2]
     noise: Array  # variance that sightings seem to have, shape (B,) [m^2]
     evidence: Array  # logarithm, shape (B,)
     inverse: Array  # of the normal equations, shape (B, 5, 5)
-    directions: Array  # of frequency and damping beside all others, shape (B, 2, 7, n)
-    covariance: Array  # of those two, shape (B, 2, 2)
+    directions: Array  # of what is not linear, beside what is, shape (B, K, 7, n)
+    covariance: Array  # of the step, shape (B, K, K)
 
     def spread(self, rows: Array) -> Array:
         """Return the sum of squares of the spread at ``rows``, (B, 7), per unit of noise, (B,)."""
@@ -130,10 +131,15 @@ def summed(rates: Array, dampings: Array, times: Array, seen: Array) -> Sums:
     return Sums(turned @ x, turned @ seen, np.sum(seen * seen) * every, len(times) * every)
 
 
-def fitted(family: np.ndarray, rates: Array, sums: Sums, noise: Noise) -> Fits:
-    """Fit families, shape (B,), at angular frequencies, shape (B,) [rad/s]."""
+def fitted(family: np.ndarray, rates: Array, sums: Sums, noise: Noise, circle: Array) -> Fits:
+    """Fit families, shape (B,), at angular frequencies, shape (B,) [rad/s].
+
+    ``circle`` has the coefficients of cosine and sine about which turns are fitted, shape (2, n).
+    """
     gram, moments, square, count = sums
-    n, used = moments.shape[2], BASIS[family]
+    n, used, turns = moments.shape[2], BASIS[family], family == TURN
+    base = np.zeros_like(moments)
+    base[turns, COSINE : SINE + 1] = circle
     share, scale = noise
     known = np.broadcast_to(scale / share, family.shape)[:, None]
     width = np.empty(used.shape)
@@ -146,32 +152,60 @@ def fitted(family: np.ndarray, rates: Array, sums: Sums, noise: Noise) -> Fits:
     normal[:, DIAGONAL, DIAGONAL] += precision
     normal[:, ONE, ONE] = gram[:, ONE, ONE] + TINY * known[:, 0]
     inverse = np.linalg.inv(normal)
+    left = moments - gram @ base
+    square = square - np.sum(base * (moments + left), axis=(1, 2))
     theta = np.zeros_like(moments)
-    theta[:, :FREE] = inverse @ (moments[:, :FREE] * used[:, :, None])
-    residual = moments - gram @ theta
-    # Frequency and damping, beside what the linear coefficients make up for.
-    toward = np.zeros((len(family), 2, COLUMNS, n))
-    swings, fades = OSCILLATING[family, None], (family == DAMPED)[:, None]
-    a, b = theta[:, COSINE], theta[:, SINE]
-    toward[:, 0, T_COSINE], toward[:, 0, T_SINE] = swings * b, swings * -a
-    toward[:, 1, T_COSINE], toward[:, 1, T_SINE] = fades * -a, fades * -b
+    theta[:, :FREE] = inverse @ (left[:, :FREE] * used[:, :, None])
+    square = square - np.sum(theta * left, axis=(1, 2))
+    theta += base
+    toward, price = _directions(family, theta, known, rates)
     pushed = gram[:, None] @ toward
     toward[:, :, :FREE] -= inverse[:, None] @ (pushed[:, :, :FREE] * used[:, None, :, None])
-    price = np.where(np.hstack([swings, fades]), known / PULSE**2, 1.0)
-    flat = toward.reshape(len(family), 2, -1)
-    curved = flat @ np.swapaxes(pushed.reshape(flat.shape), 1, 2)
-    curved[:, [0, 1], [0, 1]] += price
-    covariance = np.linalg.inv(curved)
-    slope = (flat @ residual.reshape(len(family), -1, 1))[:, :, 0]
-    step = (covariance @ slope[:, :, None])[:, :, 0]
-    gain = np.sum(step * slope, axis=1)
-    misfit = np.maximum(square - np.sum(theta * moments, axis=(1, 2)) - gain, 0.0)
+    flat = toward.reshape(*toward.shape[:2], -1)
+    covariance = np.linalg.inv(
+        flat @ np.swapaxes(pushed.reshape(flat.shape), 1, 2) + price[:, None] * np.eye(len(price.T))
+    )
+    slope = flat @ (moments - gram @ theta).reshape(len(family), -1, 1)
+    step = (covariance @ slope)[:, :, 0]
+    misfit = np.maximum(square - np.sum(step * slope[:, :, 0], axis=1), 0.0)
     spread = n * (np.log(precision).sum(axis=1) + np.linalg.slogdet(inverse)[1])
     spread += np.log(price).sum(axis=1) + np.linalg.slogdet(covariance)[1]
     evidence = 0.5 * spread + _data_evidence(misfit, 0.5 * n * count, noise)
     noises = (scale + 0.5 * misfit) / (share + 0.5 * n * count)
     theta += (step[:, None] @ flat)[:, 0].reshape(theta.shape)
     return Fits(theta, step, misfit, noises, evidence, inverse, toward, covariance)
+
+
+def _directions(
+    family: np.ndarray, theta: Array, known: Array, rates: Array
+) -> tuple[Array, Array]:
+    """Return where coefficients move that are not free, (B, K, 7, n), and prior precisions, (B, K).
+
+    By angular frequency and damping; of a turn also by its size and its attitude, in metres of the
+    rim, so that a circle of no size does not pass for a still goal.
+    """
+    n = theta.shape[2]
+    kinds = np.zeros((len(family), 3 + n * (n - 1) // 2), dtype=bool)
+    kinds[:, 0], kinds[:, 1] = OSCILLATING[family], family == DAMPED
+    kinds[:, 2:] = (family == TURN)[:, None]
+    price = np.where(kinds, known / PULSE**2, 1.0)
+    price[:, 2:] = np.where(kinds[:, 2:], known * (rates[:, None] / SPEED) ** 2, 1.0)
+    toward = np.zeros((*kinds.shape, COLUMNS, n))
+    a, b = theta[:, COSINE], theta[:, SINE]
+    toward[:, 0, T_COSINE], toward[:, 0, T_SINE] = b, -a
+    toward[:, 1, T_COSINE], toward[:, 1, T_SINE] = -a, -b
+    pair = theta[:, COSINE : SINE + 1]
+    pair = pair / np.maximum(np.linalg.norm(a, axis=1), TINY)[:, None, None]
+    toward[:, 2, COSINE : SINE + 1] = pair
+    for i, axis in enumerate(np.eye(kinds.shape[1] - 3)):
+        toward[:, 3 + i, COSINE : SINE + 1] = pair @ skew(axis).T
+    return toward * kinds[:, :, None, None], price
+
+
+def circle_of(pair: Array) -> Array:
+    """Return the circle nearest to an ellipse's coefficients of cosine and sine, shape (2, n)."""
+    u, sizes, v = np.linalg.svd(pair, full_matrices=False)
+    return np.asarray(sizes.mean() * u @ v)
 
 
 def _data_evidence(misfit: Array, half: Array, noise: Noise) -> Array:
@@ -255,6 +289,7 @@ class Bank:
         self._epoch, self._origin = float(times[0]), seen[0].copy()
         self._times, self._seen = np.zeros(0), np.zeros((0, self._n))
         self._rates, self._dampings = np.zeros((2, len(NAMES)))
+        self._circle: Array = np.zeros((2, self._n))  # about which a turn is fitted
         self._history: dict[int, tuple[float, Noise]] = {}  # evidence and noise, by sightings
         self._searched, self._apart = 0, []
         for time, position in zip(times, seen, strict=True):
@@ -307,6 +342,7 @@ class Bank:
         self._epoch, self._origin = self._epoch + float(by), self._origin + offset
         self._history, self._searched = {}, MEMORY
         self._fit()
+        self._search()
         self._conclude()
 
     # --- fits
@@ -314,7 +350,7 @@ class Bank:
     def _fit(self) -> None:
         """Fit all families to all sightings, at their frequencies."""
         sums = summed(self._rates, self._dampings, self._times, self._seen)
-        self._fits = fitted(EVERY, self._rates, sums, self._noise)
+        self._fits = fitted(EVERY, self._rates, sums, self._noise, self._circle)
 
     def _conclude(self) -> None:
         """Weigh the families."""
@@ -334,11 +370,12 @@ class Bank:
         """Take a Gauss-Newton step of each frequency, shortened to where linearity ends."""
         if len(self._times) < SWINGS_FROM:
             return
-        step = self._fits.step
+        step = self._fits.step[:, :2]
         step = step / np.maximum(1.0, self._times[-1] * np.abs(step).max(axis=1, keepdims=True))
         moved = np.clip(self._rates + step[:, 0], SLOWEST, FASTEST)
         self._rates = np.where(self._rates > 0.0, moved, 0.0)
         self._dampings = np.clip(self._dampings + step[:, 1], 0.0, MOST_DAMPED)
+        self._circle = circle_of(self._fits.coefficients[TURN, COSINE : SINE + 1])
 
     def _search(self) -> None:
         """Look for better frequencies on the grid."""
@@ -353,15 +390,20 @@ class Bank:
         grid = np.concatenate([SLOW[resolved > SLOW], even[1:]]) if len(even) else SLOW[:1]
         sums = summed(grid, np.zeros_like(grid), times, seen)
         for family in (SWING, CARRIER):
-            tried = fitted(np.full(len(grid), family), grid, sums, self._noise)
+            tried = fitted(np.full(len(grid), family), grid, sums, self._noise, self._circle)
             best = int(np.argmin(tried.misfit))
             ours = self._fits.misfit[family] * len(times) / count
             if not self._rates[family] or tried.misfit[best] < BETTER * ours:
                 self._rates[family] = grid[best]
         self._fit()
-        misfit = self._fits.misfit
-        if not self._rates[DAMPED] or misfit[DAMPED] > WORSE * misfit[SWING]:
-            self._rates[DAMPED], self._dampings[DAMPED] = self._rates[SWING], 0.0
+        misfit, better = self._fits.misfit, False
+        for family in (DAMPED, TURN):
+            if not self._rates[family] or misfit[family] > WORSE * misfit[SWING]:
+                self._rates[family], self._dampings[family] = self._rates[SWING], 0.0
+                better = True
+                if family == TURN:
+                    self._circle = circle_of(self._fits.coefficients[SWING, COSINE : SINE + 1])
+        if better:
             self._fit()
 
     def _learnt(self) -> Noise:
@@ -371,6 +413,7 @@ class Bank:
         """
         best = int(np.argmax(self._shares))
         taken = self._n * BASIS[best].sum() + OSCILLATING[best] + (best == DAMPED)
+        taken += (1 + self._n * (self._n - 1) // 2) * (best == TURN)
         left = 0.5 * float(len(self._times) * self._n - taken)
         if left <= 0.0:
             return self._noise
@@ -406,7 +449,7 @@ class Bank:
             np.tile(EVERY[:3], len(lengths)),
             Noise(*np.repeat(np.array(noise), 3, axis=1)),
         )
-        found = fitted(family, np.zeros(len(family)), sums, noise).evidence
+        found = fitted(family, np.zeros(len(family)), sums, noise, self._circle).evidence
         return np.asarray(np.logaddexp.reduce(found.reshape(-1, 3) + NEW_ODDS, axis=1))
 
     def _reconsider(self) -> None:
