@@ -396,15 +396,13 @@ class Bank:
             if not self._rates[family] or tried.misfit[best] < BETTER * ours:
                 self._rates[family] = grid[best]
         self._fit()
-        misfit, better = self._fits.misfit, False
-        for family in (DAMPED, TURN):
-            if not self._rates[family] or misfit[family] > WORSE * misfit[SWING]:
-                self._rates[family], self._dampings[family] = self._rates[SWING], 0.0
-                better = True
-                if family == TURN:
-                    self._circle = circle_of(self._fits.coefficients[SWING, COSINE : SINE + 1])
-        if better:
-            self._fit()
+        misfit, swing = self._fits.misfit, self._fits.coefficients[SWING, COSINE : SINE + 1]
+        worse = (self._rates == 0.0) | (misfit > WORSE * misfit[SWING])
+        worse &= (EVERY >= DAMPED) & swing.any()  # a circle of no size is no turn
+        self._rates[worse], self._dampings[worse] = self._rates[SWING], 0.0
+        if worse[TURN]:
+            self._circle = circle_of(swing)
+        self._fit()
 
     def _learnt(self) -> Noise:
         """Return what the likeliest family has taught of the noise, to be recalled later.
