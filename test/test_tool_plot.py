@@ -225,7 +225,7 @@ def test_ticks_without_a_plan_leave_holes_not_zeros(caught):
         for k, (time, fields) in enumerate(caught.ticks)
     )
     flown = replace(caught, ticks=holes)
-    times, gaps = figures.series(flown, 'gap')
+    times, gaps = flown.series('gap')
     assert len(times) == len(gaps) == (len(holes) + 1) // 2
     planned, fallen = panels(flown)['Time of each tick [ms]'].get_lines()[:2]
     assert len(planned.get_xdata()) == 2 * len(fallen.get_xdata())

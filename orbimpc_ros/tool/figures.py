@@ -280,10 +280,7 @@ def applied(history: History) -> Line:
 
 def planning(history: History) -> list[Panel]:
     """Return the charts of what planning took and proved."""
-
-    def line(name: str, wanted: str = '') -> Line:
-        return series(history, name, wanted)
-
+    line = history.series
     tolerance = history.values['gap_tolerance']
     below = {f'optimal below {tolerance:g}': tolerance}
     spent = {'planned': line('solve_time_ms'), 'fell back': line('solve_time_ms', 'fallback')}
@@ -298,21 +295,3 @@ def planning(history: History) -> list[Panel]:
     if len(catches['none before'][0]):
         found.append(Panel('Time to the catch', 's', catches, steps=True))
     return found
-
-
-def series(history: History, name: str, wanted: str = '') -> Line:
-    """Return times [s] and values of a field of the ticks that have it as a finite number.
-
-    Args:
-        history: of the flight.
-        name: of the field.
-        wanted: another field, which must not be empty.
-    """
-    found = [
-        (time - history.times[0], float(fields[name]))
-        for time, fields in history.ticks
-        if isinstance(fields.get(name), (int, float)) and math.isfinite(fields[name])
-        if not wanted or fields.get(wanted)
-    ]
-    times, values = np.reshape(found, (-1, 2)).T
-    return times, values

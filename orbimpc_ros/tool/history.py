@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -62,7 +63,7 @@ class History:
         ropes: where the rope was at these times, shape (M, 3) [m].
         plans: in order of time.
         forces: times [s] and forces [N] of the topic ``cmd_thrust``.
-        ticks: times [s] and fields of the topic ``tick``.
+        ticks: times [s] and fields of the topic ``tick``, as long as there is odometry.
         captured: whether the simulator reported the job as done.
         values: parameters of the run, by name.
         truth: the last fields of the topic ``truth``, which a vehicle in continuous time has.
@@ -155,6 +156,22 @@ class History:
             points[-1] = self.capture.vehicle
         return points
 
+    def series(self, name: str, wanted: str = '') -> tuple[Array, Array]:
+        """Return times [s] and values of a field of the ticks that have it as a finite number.
+
+        Args:
+            name: of the field.
+            wanted: another field, which must not be empty.
+        """
+        found = [
+            (time - self.times[0], float(fields[name]))
+            for time, fields in self.ticks
+            if isinstance(fields.get(name), (int, float)) and math.isfinite(fields[name])
+            if not wanted or fields.get(wanted)
+        ]
+        times, values = np.reshape(found, (-1, 2)).T
+        return times, values
+
 
 def of_bag(path: Path, namespace: str = '') -> History:
     """Return the history in a bag.
@@ -189,7 +206,9 @@ def of_bag(path: Path, namespace: str = '') -> History:
         ropes=_at(times, sighted),
         plans=tuple(Planned(time, np.array(points)) for time, points in plans),
         forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
-        ticks=tuple((seconds(m), fields(m)) for m in found['tick'] if m.status),
+        ticks=tuple(
+            (seconds(m), fields(m)) for m in found['tick'] if m.status and seconds(m) <= times[-1]
+        ),
         captured=any(m.data for m in found['captured']),
         values=values,
         truth=next((fields(m) for m in reversed(found['truth']) if m.status), {}),

@@ -1,17 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc solve``: one problem from a file, one plan, as a table or as JSON."""
+"""``orbimpc solve``: one problem from a file, one plan as JSON."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
-import sys
 import time
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
@@ -34,11 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=('nearest', 'thrust_aligned'),
         default='thrust_aligned',
         help='how rotations are made of points of the orbitope (default: %(default)s)',
-    )
-    parser.add_argument(
-        '--json',
-        action='store_true',
-        help='print JSON with all digits, as where the output is no terminal',
     )
     parser.add_argument(
         '--time-limit',
@@ -79,9 +71,7 @@ def run(args: argparse.Namespace) -> int:
         _refute(case, args.certificate, error, late)
         raise
     elapsed = time.perf_counter() - begin
-    found = answer(case, plan, 1e3 * elapsed)
-    as_json = args.json or not sys.stdout.isatty()
-    print(json.dumps(found, indent=1, allow_nan=False) if as_json else table(case, plan, found))
+    print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
     if args.certificate:
         Path(args.certificate).write_text(certificate_of(*case, plan.proof).text() + '\n')
     return 0
@@ -123,38 +113,6 @@ def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
             'rotation': command.rotation.tolist(),
         },
     }
-
-
-def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
-    """Return a plan for people: how good it is, what to do now, and a line for each step."""
-    problem, bound, command = case.problem, found['lower_bound'], found['command']
-    least = 'unknown' if bound is None else f'{bound:.6g}'
-    turn = ', '.join(f'{math.degrees(each):.1f}' for each in command['body_rate'])
-    full = 'speed' if problem.translation_order == 1 else 'thrust'
-    axes = 'xyz'[: problem.dimension]
-    headings = ['heading [deg]'] if problem.dimension == 2 else [f'forward {each}' for each in axes]
-    heads = ['time [s]', *(f'{axis} [m]' for axis in axes), full, *headings]
-    lines = [
-        f'status      {plan.status}, gap {_percent(found["gap"])}',
-        f'cost        {plan.objective:.6g}, at least {least}',
-        f'solved in   {found["solve_time_ms"]:.1f} ms, {plan.nodes} nodes',
-        f'command     {command["speed_fraction"]:.3f} of full {full}, turn at {turn} deg/s',
-        '',
-        ''.join(f'{head:>{max(9, len(head) + 1)}}' for head in heads).rstrip(),
-    ]
-    rows = zip(plan.positions, plan.speed_fraction, plan.projected, strict=True)
-    for k, (position, share, rotation) in enumerate(rows):
-        ahead = rotation[:, 0]
-        if problem.dimension == 2:
-            ahead = np.degrees(np.arctan2(ahead[1:], ahead[:1]))
-        numbers = [k * problem.step, *position, share, *ahead]
-        widths = (max(9, len(head) + 1) for head in heads)
-        lines.append(''.join(f'{n:{w}.3f}' for n, w in zip(numbers, widths, strict=True)))
-    return '\n'.join(lines)
-
-
-def _percent(gap: float | None) -> str:
-    return 'unknown' if gap is None else f'{100.0 * gap:.2g} %' if gap >= 1e-6 else '0 %'
 
 
 def _finite(value: float) -> float | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -31,8 +30,7 @@ def text(history: History) -> str:
 def of_fleet(flown: Mapping[str, History]) -> str:
     """Return the summary of a fleet's flights by namespace, a line for each and some for all."""
     rows = {
-        name.strip('/'): f'{_end(each)}; {len(_answers(each))} ticks'
-        for name, each in flown.items()
+        name.strip('/'): f'{_end(each)}; {len(each.ticks)} ticks' for name, each in flown.items()
     }
     done = sum(each.captured for each in flown.values())
     rows[_job(next(iter(flown.values())))] = f'{done} of {len(flown)}'
@@ -94,7 +92,10 @@ def _contacts(history: History) -> dict[str, str]:
 
 
 def _ticks(flown: Sequence[History]) -> dict[str, str]:
-    times, gaps = _numbers(flown, 'solve_time_ms'), _numbers(flown, 'gap')
+    times, gaps = (
+        np.concatenate([each.series(name)[1] for each in flown])
+        for name in ('solve_time_ms', 'gap')
+    )
     spent = 'unknown'
     if times.size:
         p50, p99 = np.percentile(times, (50, 99))
@@ -102,20 +103,8 @@ def _ticks(flown: Sequence[History]) -> dict[str, str]:
     # The last command is not flown.
     commanded = [tick for each in flown for time, tick in each.ticks if time < each.times[-1]]
     return {
-        'ticks': str(sum(len(_answers(each)) for each in flown)),
+        'ticks': str(sum(len(each.ticks) for each in flown)),
         'solve time': spent,
         'worst gap': f'{gaps.max():.1e}' if gaps.size else 'unknown',
         'fallbacks': str(sum(bool(tick.get('fallback')) for tick in commanded)),
     }
-
-
-def _answers(history: History) -> list[dict[str, Any]]:
-    """Return the fields of the ticks that answered odometry, not of those after it has ended."""
-    return [fields for time, fields in history.ticks if time <= history.times[-1]]
-
-
-def _numbers(flown: Sequence[History], name: str) -> np.ndarray:
-    """Return the finite values of a field, over all ticks that have it."""
-    values = [fields.get(name) for history in flown for fields in _answers(history)]
-    numbers = np.array([v for v in values if isinstance(v, (int, float))], dtype=float)
-    return numbers[np.isfinite(numbers)]

@@ -10,7 +10,6 @@ from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
-from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 
@@ -26,7 +25,6 @@ def the_rest() -> None:
     HullRiccati(Problem(), 1e-6)
     SO3Multipliers(Problem(dimension=3), beside=True)
     PlaceProgram(Problem())
-    Scout(Problem())
 
 
 PARTS = (round_floors, the_rest) if COMPILED else ()

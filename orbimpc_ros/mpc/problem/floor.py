@@ -19,7 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.cells import Cell, round_cells
+from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.outline import Lines, edges, sphere
 
@@ -77,10 +77,7 @@ class Floor:
         return SHAPES[self.shape].radius(self)
 
     def cells(self, dimension: int) -> tuple[Cell, ...]:
-        """Return half-spaces such that each allowed v is in one of them; none without a floor.
-
-        All of a flat cell is allowed; the cells of a round floor are there to be cut finer.
-        """
+        """Return the half-spaces whose union is all that is allowed; none of a round floor."""
         return SHAPES[self.shape].cells(self, dimension)
 
     def margin(self, axes: Array) -> Array:
@@ -235,8 +232,11 @@ class Circle(Shape):
         return floor.fraction
 
     def cells(self, floor: Floor, dimension: int) -> tuple[Cell, ...]:
-        """Return the half-spaces beyond arcs, or patches of the sphere, that cover it."""
-        return round_cells(dimension, floor.fraction)
+        """Return none: it is round."""
+        return ()
+
+    def validate(self, floor: Floor, dimension: int) -> None:
+        """Refuse nothing: full speed satisfies it."""
 
     def margin(self, floor: Floor, axes: Array) -> Array:
         """Return |v| - fraction."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.cells import Cell
 
 MAX_HAZARDS = 64
 RESERVE_STEPS = 4  # by then all of a reserve counts, and what was seen once is seen again
@@ -46,13 +45,6 @@ class Box(ByContent):
     def scaled(self, factor: float) -> Box:
         """Return the box in units in which lengths are ``factor`` times as large."""
         return Box(self.minimum * factor, self.maximum * factor)
-
-    def cells(self) -> tuple[Cell, ...]:
-        """Return the half-spaces beyond its faces: outside is in at least one of them."""
-        axes = np.eye(self.dimension)
-        below = (Cell(-axis, -low) for axis, low in zip(axes, self.minimum, strict=True))
-        above = (Cell(axis, high) for axis, high in zip(axes, self.maximum, strict=True))
-        return (*below, *above)
 
     def clearances(self, points: Array) -> Array:
         """Return how far points, shape (K, n), are beyond each face, shape (K, 2 n) [m]."""

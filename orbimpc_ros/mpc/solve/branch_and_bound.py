@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Leaves, Node
 from orbimpc_ros.mpc.solve.regions import Held, Known, Regions
-from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.relaxation import Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
@@ -113,13 +113,13 @@ class BranchAndBound:
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, proof=relaxed.proof)
+        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
         # What was solved to the end needs no second look, which costs a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         accurate = arrives if solved else is_accurate
         if not accurate(self.problem, goals, trajectory):
             return Found(None, np.inf, relaxed.bound, 1)
-        return found if found.proof is not None else replace(found, proof=self._root(request))
+        return replace(found, proof=self._root(request))
 
     def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
@@ -190,7 +190,7 @@ class _Run:
         self._tolerance, self._guided = tolerance, guided
         self._best = Incumbent(posed, tolerance)
         self._dives = Dives(posed, self._best, passing=guided)
-        self._root: Relaxation | None = None
+        self._root = -np.inf  # its bound
         self._closed = np.inf
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
         self._open = [self._nodes[0]]
@@ -225,10 +225,9 @@ class _Run:
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return what proves a bound: the tree, or its root where that is as good."""
-        root = self._root
-        if root is not None and root.bound >= lower - self._tolerance * abs(lower) and root.proof:
-            return root.proof
-        return self._leaves.tree(self._nodes)
+        enough = self._root >= lower - self._tolerance * abs(lower)
+        found = self._leaves.tree(self._nodes, 1) if enough else None
+        return found or self._leaves.tree(self._nodes)
 
     @property
     def _limit(self) -> float:
@@ -250,8 +249,8 @@ class _Run:
             if posed.solved == 1:
                 raise Infeasible(NOTHING, self._leaves.tree(self._nodes)) from None
             return
-        if self._root is None:
-            self._root = relaxed
+        if node.above is None:
+            self._root = relaxed.bound
         node.better = relaxed.bound >= node.bound
         node.bound = max(node.bound, relaxed.bound)
         self._note(node, rows)

@@ -13,7 +13,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.request import Request
 
 
@@ -64,13 +63,11 @@ class Relaxation:
         bound: no trajectory of this relaxation costs less; -inf if nothing was proved.
         own: what the multipliers that belong to ``x`` prove, where others prove more; -inf where
             ``x`` is too inaccurate for a parabola to begin there, but good enough to branch on.
-        proof: of the bound, where it needs no choices; None where it is not known.
     """
 
     x: Array | None
     bound: float
     own: float | None = None
-    proof: ProofTree | None = None
 
     @property
     def dual_value(self) -> float:

@@ -1,28 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A first way among what is round or moves, for a search to start from.
 
+Vehicles are flown by a few headings at every step, and of the places reached the most promising are
+kept, one for each cell of a grid of positions and velocities. What a place promises is its cost so
+far, and what is left of it where nothing is in the way. Whatever comes out is a start for a search,
+and proves nothing.
+
 Mathematics: docs/mathematics.md, 4.11.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.scout import (
-    ANYWHERE,
-    CHANGING,
-    TURNING,
-    Craft,
-    World,
-    advance,
-    begun,
-    flood,
-    traced,
-)
 from orbimpc_ros.mpc.model.dynamics import input_weight, position_weights, velocity_weight
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
@@ -35,7 +29,27 @@ STEERED = (1.0, 2 / 3, 1 / 3, 0.01)  # speeds; who stands still has no heading t
 TURNS = (0.0, -1.0, 1.0, -0.5, 0.5)  # of the widest
 WITHIN = 1.0 - 1e-6
 CELL = 0.25  # of a step's length, and of a step's change of speed
-GRID = 48
+LARGEST = 1.5  # squared, of a heading that is brought back to full speed
+STILL = 1e-9  # a heading no longer has no direction
+FACTOR = 1_000_003  # of a number for each cell
+
+
+class Reached(NamedTuple):
+    """Places that are kept, B of them.
+
+    Attributes:
+        y: positions and velocities, shape (B, 2, n).
+        z: headings there, shape (B, n).
+        units: directions of these, or of the last ones that had any, shape (B, n).
+        costs: so far, shape (B,).
+        origins: which of the places before each was come to from, shape (B,).
+    """
+
+    y: Array
+    z: Array
+    units: Array
+    costs: Array
+    origins: np.ndarray
 
 
 class Scout:
@@ -50,21 +64,16 @@ class Scout:
     def __init__(self, problem: Problem, *, steered: bool = False) -> None:
         self._problem, n = problem, problem.dimension
         self._widest = WITHIN * problem.chord if steered else np.inf
-        self._kind, self._moves = (
-            (TURNING, _turns(problem, STEERED)) if steered else _moves(problem)
-        )
+        self._follow = _turned(problem, STEERED) if steered else _moves(problem)
         self._weights = position_weights(problem)
-        if self.useful:  # the first call compiles, or loads what was compiled before
-            start = State.at(np.zeros(n), np.eye(n))
-            still = np.zeros((1, problem.horizon + 1, n)) + 1e3
-            self._scouted(
-                start, np.ones((problem.horizon, n)), still, np.ones((1, problem.horizon))
-            )
-
-    @property
-    def useful(self) -> bool:
-        """Return whether there is a scout for a problem, and it is fast on this machine."""
-        return COMPILED and self._problem.rotation_order == 1 and len(self._moves) > 0
+        once = step_of(problem.translation, problem.step, problem.forward)
+        m = len(once.push)
+        self._transition, self._blow = np.zeros((2, 2)), np.zeros(2)
+        self._push, self._steer = np.zeros(2), np.zeros(2)
+        self._transition[:m, :m], self._blow[:m] = once.transition, once.blow
+        self._push[:m], self._steer[:m] = once.push, once.follow
+        swift = CELL * problem.step * problem.forward if problem.inertial else 1e9
+        self._cells = np.repeat([CELL * problem.length_unit * (1 + (n == 3)), swift], n)
 
     def way(
         self,
@@ -74,105 +83,166 @@ class Scout:
         out_of_time: Callable[[], bool] | None = None,
     ) -> Array | None:
         """Return headings R_1 e1..R_N e1, shape (N, n); None if no way was found in time."""
-        if not self.useful:
+        if self._problem.rotation_order == 2 or self._follow is None:
             return None
         pairs = [_ball(body) for body in traffic.bodies]
         centres = np.array([centre for centre, _ in pairs])[:, None] + traffic.shifts
         radii = np.array([radius for _, radius in pairs])[:, None] + traffic.grown
-        return self._scouted(state, goals, centres, np.maximum(radii, 0.0), out_of_time)
-
-    def _scouted(
-        self,
-        state: State,
-        goals: Array,
-        centres: Array,
-        radii: Array,
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Array | None:
-        problem, n = self._problem, self._problem.dimension
-        start = np.array([state.position, state.velocity])
-        vehicle, world = self._vehicle(state), self._world(state, goals, centres, radii)
-        cell = CELL * problem.length_unit
-        swift = CELL * problem.step * problem.forward if problem.inertial else 1e9
-        known = start, state.rotation[:, 0], state.attitude[:, 0]
-        trail = begun(*known, problem.horizon, BEAM)
-        for k in range(problem.horizon):
+        start = np.array([[state.position, state.velocity]])
+        known = start, state.rotation[None, :, 0], state.attitude[None, :, 0]
+        trail = [Reached(*known, np.zeros(1), np.zeros(1, int))]
+        blown = np.outer(self._blow, state.disturbance)
+        for k in range(self._problem.horizon):
             late = out_of_time is not None and out_of_time()
-            if late or not advance(vehicle, world, k, trail, cell * (1 + (n == 3)), swift):
+            begin, end, size = centres[:, k], centres[:, k + 1], np.maximum(radii[:, k], 0.0)
+            step = None if late else self._flown(k, trail[-1], goals, blown, (begin, end, size))
+            if step is None:
                 return None
-        return traced(trail)
+            trail.append(step)
+        return _traced(trail)
 
-    def _vehicle(self, state: State) -> Craft:
-        problem = self._problem
-        once = step_of(problem.translation, problem.step, problem.forward)
-        m, blown = len(once.push), np.zeros((2, problem.dimension))
-        transition, push, follow = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
-        transition[:m, :m], push[:m], follow[:m] = once.transition, once.push, once.follow
-        blown[:m] = np.outer(once.blow, state.disturbance)
-        least = problem.least_speed
-        known = transition, push, follow, blown
-        return Craft(*known, self._kind, self._moves, least, self._widest, problem.inertial)
+    def _flown(
+        self, k: int, at: Reached, goals: Array, blown: Array, balls: tuple[Array, Array, Array]
+    ) -> Reached | None:
+        """Fly every move from every place; return the most promising, None where none is clear.
 
-    def _world(self, state: State, goals: Array, centres: Array, radii: Array) -> World:
-        field, corner, spacing = self._field(state, goals, centres, radii)
-        return World(
-            np.ascontiguousarray(centres),
-            np.ascontiguousarray(radii),
-            np.array(goals),
-            self._weights.astype(float),
-            input_weight(self._problem) / self._problem.step**2,
-            velocity_weight(self._problem),
-            field,
-            corner,
-            spacing,
-        )
+        Args:
+            k: steps so far.
+            at: places to fly from.
+            goals: shape (N, n).
+            blown: what the disturbance adds in a step, shape (2, n).
+            balls: where they are before and after the step, and their radii: (J, n), (J, n), (J,).
+        """
+        assert self._follow is not None
+        after, allowed = self._follow(at)
+        changed = ((after - at.z[:, None]) ** 2).sum(axis=-1)
+        coasted = self._transition @ at.y + blown
+        pushed = coasted + self._push[:, None] * at.z[:, None]
+        places = pushed[:, None] + self._steer[:, None] * after[:, :, None]
+        allowed = allowed & (changed <= self._widest**2)
+        allowed &= ~_hits(at.y[:, 0], places[:, :, 0], balls)
+        origins, moves = np.nonzero(allowed)
+        if not len(origins):
+            return None
+        y, z = places[origins, moves], after[origins, moves]
+        costs = at.costs[origins] + self._weights[k] * ((y[:, 0] - goals[k]) ** 2).sum(axis=-1)
+        turning = input_weight(self._problem) / self._problem.step**2
+        costs += turning * changed[origins, moves]
+        if k + 1 == len(goals):
+            costs += velocity_weight(self._problem) * (y[:, 1] ** 2).sum(axis=-1)
+        onward = self._transition @ y + blown + (self._push + self._steer)[:, None] * z[:, None]
+        kept = self._kept(costs + self._left(k + 1, onward, goals[-1]), onward)
+        sizes = np.linalg.norm(z[kept], axis=1)[:, None]
+        units = np.where(sizes > STILL, z[kept] / np.maximum(sizes, STILL), at.units[origins[kept]])
+        return Reached(y[kept], z[kept], units, costs[kept], origins[kept])
 
-    def _field(
-        self, state: State, goals: Array, centres: Array, radii: Array
-    ) -> tuple[Array, Array, float]:
-        """Return how far the last goal is, around what stands still; in the plane only."""
-        still = np.ptp(centres, axis=1).max(axis=1) == 0.0
-        if self._problem.dimension == 3 or not still.any():
-            return np.zeros((0, 0)), np.zeros(self._problem.dimension), 1.0
-        ends = np.array([state.position, goals[-1], *centres[still, 0]])
-        low, high = ends.min(axis=0), ends.max(axis=0)
-        room = 2.0 * radii[still].max() + self._problem.length_unit
-        low, size = low - room, float((high - low).max()) + 2.0 * room
-        spacing = size / (GRID - 1)
-        places = low + spacing * np.moveaxis(np.indices((GRID, GRID)), 0, -1)
-        apart = np.linalg.norm(places[:, :, None] - centres[still, 0], axis=-1)
-        free = (apart > radii[still].max(axis=1)).all(axis=-1)
-        goal = np.rint((goals[-1] - low) / spacing).astype(np.int64)
-        return flood(free, goal, spacing), low, spacing
+    def _left(self, k: int, onward: Array, goal: Array) -> Array:
+        """Return about what steps k and later cost, gone straight to a goal, shape (M,).
+
+        Args:
+            k: first of these steps.
+            onward: positions and velocities in another step, shape (M, 2, n).
+            goal: shape (n,).
+        """
+        ahead, weights = np.arange(len(self._weights) - k), self._weights[k:]
+        braking = self._push[1] + self._steer[1] if self._problem.inertial else 0.0
+        halt = onward[:, 0]  # where a vehicle comes to rest if it brakes at once
+        if braking:
+            speeds = np.linalg.norm(onward[:, 1], axis=1, keepdims=True)
+            halt = halt + speeds / (2.0 * braking) * onward[:, 1]
+        away = np.linalg.norm(halt - goal, axis=1)[:, None]
+        if not braking:
+            left = np.maximum(0.0, away - ahead * (self._push[0] + self._steer[0]))
+        else:
+            half = np.sqrt(away / braking)  # when it turns to brake
+            late = 0.5 * braking * np.maximum(0.0, 2.0 * half - ahead) ** 2
+            left = np.where(ahead <= half, away - 0.5 * braking * ahead**2, late)
+        return left**2 @ weights
+
+    def _kept(self, promises: Array, onward: Array) -> np.ndarray:
+        """Return the most promising of places, one of each cell of where they lead, shape (B,)."""
+        order = np.argsort(promises, kind='stable')
+        cells = np.floor(onward.reshape(len(onward), -1) / self._cells)[order].astype(np.int64)
+        keys = np.zeros(len(order), np.int64)
+        for column in cells.T:
+            keys = keys * FACTOR + column
+        return order[np.sort(np.unique(keys, return_index=True)[1])[:BEAM]]
+
+
+def _hits(begin: Array, ends: Array, balls: tuple[Array, Array, Array]) -> np.ndarray:
+    """Return whether straight ways hit balls that move evenly, shape (B, A).
+
+    Args:
+        begin: of the ways, shape (B, n).
+        ends: of them, shape (B, A, n).
+        balls: where they are before and after, and their radii: (J, n), (J, n), (J,).
+    """
+    before, after, radii = balls
+    a = (begin[:, None] - before)[:, None]
+    d = ends[:, :, None] - after - a
+    along, squared = (a * d).sum(axis=-1), (d * d).sum(axis=-1)
+    share = np.clip(-along / np.maximum(squared, np.finfo(float).tiny), 0.0, 1.0)
+    near = (a * a).sum(axis=-1) + share * (2.0 * along + share * squared)
+    return np.asarray((near < radii**2).any(axis=-1))
+
+
+def _traced(trail: Sequence[Reached]) -> Array:
+    """Return the headings R_1 e1..R_N e1, shape (N, n), of the best way to any of the places."""
+    at, found = int(np.argmin(trail[-1].costs)), list[Array]()
+    for reached in trail[:0:-1]:
+        found.append(reached.z[at])
+        at = int(reached.origins[at])
+    return np.array(found[::-1])
 
 
 def _ball(body: Box | Ball) -> tuple[Array, float]:
     """Return centre and radius of a ball around a body."""
     if isinstance(body, Box):
-        return 0.5 * (body.minimum + body.maximum), float(
-            np.linalg.norm(0.5 * (body.maximum - body.minimum))
-        )
+        size = float(np.linalg.norm(0.5 * (body.maximum - body.minimum)))
+        return 0.5 * (body.minimum + body.maximum), size
     return body.centre, body.radius
 
 
-def _moves(problem: Problem) -> tuple[int, Array]:
-    """Return which headings follow a heading, and as which moves; none where that is not known."""
-    least = problem.floor.circling(problem.dimension) if problem.floor.exists else 0.0
+# --- which headings can follow a heading: these, shape (B, A, n), as far as they are allowed
+
+Follow = Callable[[Reached], tuple[Array, np.ndarray]]
+
+
+def _moves(problem: Problem) -> Follow | None:
+    """Return which headings follow a heading; None where that is not known."""
+    n = problem.dimension
+    least = problem.floor.circling(n) if problem.floor.exists else 0.0
     speeds = [least + share * (1.0 - least) for share in SPEEDS]
     if problem.turns_are_angles:
-        if problem.dimension == 3:
-            return TURNING, np.zeros((0, 2))
-        return TURNING, _turns(problem, speeds)
-    units = directions(problem.dimension)
+        return _turned(problem, speeds) if n == 2 else None
+    units, still = directions(n), np.zeros((1, n))
     if problem.max_rate:
         changes = [share * WITHIN * problem.chord * units for share in (1.0, 0.5)]
-        return CHANGING, np.vstack([np.zeros((1, problem.dimension)), *changes])
-    every = [speed * units for speed in speeds]
-    still = [] if least else [np.zeros((1, problem.dimension))]
-    return ANYWHERE, np.vstack([*every, *still])
+        return _changed(np.vstack([still, *changes]))
+    every = np.vstack([*(speed * units for speed in speeds), *([] if least else [still])])
+    return lambda at: (np.repeat(every[None], len(at.z), axis=0), np.ones((1, 1), bool))
 
 
-def _turns(problem: Problem, speeds: Sequence[float]) -> Array:
-    """Return the angles of turns, and speeds, as rows, shape (A, 2)."""
-    widest = WITHIN * problem.widest_turn
-    return np.array([[turn * widest, speed] for speed in speeds for turn in TURNS])
+def _changed(moves: Array) -> Follow:
+    """Return that headings change by moves, shape (A, n), and are no longer than 1."""
+
+    def follow(at: Reached) -> tuple[Array, np.ndarray]:
+        after = at.z[:, None] + moves
+        sizes = np.linalg.norm(after, axis=-1)
+        return after / np.maximum(sizes, 1.0)[:, :, None], sizes**2 <= LARGEST
+
+    return follow
+
+
+def _turned(problem: Problem, speeds: Sequence[float]) -> Follow:
+    """Return that headings of the plane turn by shares of the widest angle, to some speeds."""
+    angles = WITHIN * problem.widest_turn * np.tile(TURNS, len(speeds))
+    fast = np.repeat(speeds, len(TURNS))
+    along, aside = fast * np.cos(angles), fast * np.sin(angles)
+
+    def follow(at: Reached) -> tuple[Array, np.ndarray]:
+        across = np.column_stack([-at.units[:, 1], at.units[:, 0]])
+        after = along[:, None] * at.units[:, None] + aside[:, None] * across[:, None]
+        return after, np.ones((1, 1), bool)
+
+    return follow

@@ -32,7 +32,6 @@ from orbimpc_ros.mpc.model.dynamics import (
 )
 from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
@@ -215,9 +214,7 @@ class SO3Multipliers:
                 raise Infeasible('no headings in their balls are beyond the half-spaces')
             if status == SETTLED:
                 self._put_down(rows)
-                tree = None if rows else self._proof(request)
-                proved = self._proved(bound)
-                return Relaxation(self._rotations(progress.x), proved, proof=tree)
+                return Relaxation(self._rotations(progress.x), self._proved(bound))
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
@@ -283,18 +280,6 @@ class SO3Multipliers:
     def _place(self, row: Row) -> int:
         """Return the place of the heading that a half-space is put on, < 0 if that is given."""
         return row.place - self._given + self._coasting
-
-    def _proof(self, request: Request) -> ProofTree:
-        """Return the last solve's bound as a proof: its Lagrangian's tangent where it is least.
-
-        What an arrival pulls at is what is left of the slopes there.
-        """
-        point, multipliers = self._lowest(), dict[str, Array]()
-        if self._pulls is not None:
-            multipliers['pull'] = self._pull(request, point)
-        if len(self._ways):
-            multipliers['share'] = -length_weights(self.problem)[1:, None] * self._ways
-        return one(point, np.zeros(len(point)), **multipliers)
 
     def _lowest(self) -> Array:
         """Return where the last Lagrangian is least, shape (N, 9)."""
