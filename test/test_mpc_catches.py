@@ -15,7 +15,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem
 from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.proof.document import verified

@@ -8,13 +8,13 @@ import pytest
 from problems import ORDERS
 from stepping import Stepped
 
-from orbimpc_ros.loop.compensation import state_of
+from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.goal.forecast import Hold, forecast_named
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
 from orbimpc_ros.loop.planner import FALLBACK_TICKS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.command import Command, command_of
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -31,6 +31,12 @@ def odometry(position=(0.0, 0.0), attitude=None, speed=1.0, rate=None, time=0.0)
         np.eye(n)[0] * speed,
         np.zeros(1 if n == 2 else 3) if rate is None else np.array(rate),
     )
+
+
+def state_of(problem, measured, applied):
+    compensator, n = Compensator(problem), problem.dimension
+    compensator.history.add(Command(applied, np.zeros(1 if n == 2 else 3), np.eye(n)))
+    return compensator.state(measured)
 
 
 def test_state_is_the_attitude_scaled_by_the_speed_fraction():

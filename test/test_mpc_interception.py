@@ -31,8 +31,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.model.dynamics import drift
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import drift, trajectory_of
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,

@@ -11,7 +11,7 @@ from problems import ORDERS, disturbed, goals, weights
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.scaling import weighed

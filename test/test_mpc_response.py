@@ -28,19 +28,16 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
     rate = rng.normal(size=rates)
     start = at_rest(dimension, 0.4, 0.7, plant)
     start = replace(start, rate=0.5 * rate)
-    settled = Response(lag, lag).settled(
-        Problem(dimension, forward=2.0, discretisation='exact'), measured(0.0, start)
-    )
+    problem = Problem(dimension, forward=2.0, discretisation='exact')
+    settled = Compensator(problem, Response(lag, lag)).start(measured(0.0, start)).odometry
     assert settled.time == lag
     end = flown(plant, start, 0.7, rate, LONG, 0.002)
     ideal = replace(start, position=settled.position, attitude=settled.attitude)
     there = flown(Craft(2.0), ideal, 0.7, rate, LONG - lag, 0.002)
     np.testing.assert_allclose(end.attitude, there.attitude, atol=1e-4)
     steady = flown(plant, replace(start, rate=rate), 0.7, rate, lag, 0.0005)
-    settled = Response(lag, lag).settled(
-        Problem(dimension, forward=2.0, discretisation='exact'),
-        measured(0.0, replace(start, rate=rate)),
-    )
+    seen = measured(0.0, replace(start, rate=rate))
+    settled = Compensator(problem, Response(lag, lag)).start(seen).odometry
     np.testing.assert_allclose(settled.position, steady.position, atol=1e-4)
 
 
@@ -50,9 +47,10 @@ def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
     plant = Craft(3.0, True, *lags, blown=np.array([0.2, -0.4]))
     start = Motion(np.array([1.0, 2.0]), np.array([0.5, -0.3]), np.eye(2), np.zeros(1), 0.9)
     problem = Problem(translation_order=2, forward=3.0, discretisation='exact')
-    settled = Response(*lags).settled(
-        problem, measured(0.0, start), (0.9 if lags[0] else 0.3, 0.3), plant.blown
-    )
+    compensator = Compensator(problem, Response(*lags), plant.blown)
+    for share, at in ((0.9, -LONG), (0.3, 0.0)):
+        compensator.history.add(Command(share, np.zeros(1), np.eye(2)), at)
+    settled = compensator.start(measured(0.0, start)).odometry
     end = flown(plant, start, 0.3, np.zeros(1), LONG, 0.002)
     ideal = Motion(
         settled.position, settled.attitude @ settled.body_velocity, np.eye(2), np.zeros(1), 0.3

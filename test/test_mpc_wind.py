@@ -10,7 +10,7 @@ from flying import fly
 from scenarios import model_of
 from stepping import Stepped
 
-from orbimpc_ros.loop.compensation import Interval, advanced, odd_speed, state_of
+from orbimpc_ros.loop.compensation import Compensator, Interval, advanced
 from orbimpc_ros.loop.fallback import decided, safe_command
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.state import Odometry
@@ -24,6 +24,10 @@ from orbimpc_ros.sim.world import Rope, Scenario
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
 WEIGHT = np.array([0.0, 0.0, -9.81])
+
+
+def known(problem, wind=None, source='ground'):
+    return Compensator(problem, given=wind, velocity_source=source)
 
 
 def windy(rng, n, order=1, **changes):
@@ -41,10 +45,11 @@ def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
     rng = np.random.default_rng([seed, n])
     model, vehicle = windy(rng, n, velocity_source=source)
     problem, wind = Problem(n, forward=2.0), model.blown
-    state = state_of(problem, measured(vehicle, source), 0.0, wind, source)
+    compensator, seen = known(problem, wind, source), measured(vehicle, source)
+    state = compensator.state(seen)
     np.testing.assert_allclose(state.rotation, vehicle.fraction * vehicle.attitude, atol=1e-12)
     np.testing.assert_allclose(state.disturbance, wind)
-    assert odd_speed(problem, measured(vehicle, source), wind, source) == ''
+    assert compensator.odd_speed(seen) == ''
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -55,7 +60,7 @@ def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
         still = np.zeros(1 if n == 2 else 3)
         seen = Odometry(0.0, np.zeros(n), attitude, 20.0 * rng.normal(size=n), still)
         for source in ('ground', 'air'):
-            state = state_of(Problem(n, forward=5.0), seen, 0.0, wind, source)
+            state = known(Problem(n, forward=5.0), wind, source).state(seen)
             share = float(np.linalg.norm(state.rotation[:, 0]))
             assert 0.0 <= share <= 1.0 + 1e-12
             np.testing.assert_allclose(state.rotation, share * attitude, atol=1e-12)
@@ -63,9 +68,10 @@ def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
 
 def test_an_odd_speed_is_one_through_the_air():
     seen = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.5, 0.0]), np.zeros(1))
-    assert 'measured a forward speed of 1.5 m/s' in odd_speed(Problem(), seen)
-    assert odd_speed(Problem(), seen, np.array([0.7, 0.0])) == ''
-    assert 'of 1.5 m/s' in odd_speed(Problem(), seen, np.array([0.7, 0.0]), 'air')
+    along = np.array([0.7, 0.0])
+    assert 'measured a forward speed of 1.5 m/s' in known(Problem()).odd_speed(seen)
+    assert known(Problem(), along).odd_speed(seen) == ''
+    assert 'of 1.5 m/s' in known(Problem(), along, 'air').odd_speed(seen)
 
 
 @pytest.mark.parametrize('source', ['ground', 'air'])

@@ -12,8 +12,7 @@ from stepping import targets
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
 
 START = 1_700_000_000  # [s]

@@ -3,7 +3,9 @@
 
 import itertools
 import random
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,8 +28,8 @@ from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import Drift, RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.lifecycle import NodeClock
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.planner.core import Core, Timing, planner_of
 from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, condition
@@ -493,19 +495,23 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
 
 
 @pytest.mark.parametrize('by', [5.0, -5.0])
-def test_a_clock_that_is_set_is_told(by):
-    drift, offset = Drift(), 1e6
+def test_a_clock_that_is_set_is_told(by, monkeypatch):
+    """While it is slewed meanwhile, and a pause between two looks at clocks is no jump."""
+    told, steady, offset = [], 0.0, 1e6
+
+    def slowly():
+        nonlocal steady
+        steady += 0.3 if round(steady) == 3 else 0.0
+        return steady
+
+    node = NodeClock.__new__(NodeClock)
+    shown = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=(steady + offset) * SECOND))
+    node._clock, node.simulated, node._offset, node._on_jump = shown, False, None, told.append
+    monkeypatch.setattr(time, 'monotonic', slowly)
     for k in range(10):
-        offset += by if k == 5 else 1e-6  # and slewed meanwhile
-        jump = drift.jump(k, k + offset, k + 1e-4)
-        assert jump == pytest.approx(by if k == 5 else 0.0, abs=1e-3)
-
-
-def test_a_pause_between_two_looks_at_clocks_is_no_jump():
-    drift = Drift()
-    assert drift.jump(0.0, 100.0, 0.0) == 0.0
-    assert drift.jump(1.0, 101.8, 2.0) == 0.0  # read somewhere in between
-    assert drift.jump(3.0, 103.0, 3.0) == 0.0
+        steady, offset = float(k), offset + (by if k == 5 else 1e-6)
+        node.look()
+    np.testing.assert_allclose(told, [by], atol=1e-3)
 
 
 def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected():

@@ -15,8 +15,7 @@ pytest.importorskip('rclpy')
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.planner.outputs import obeyed
 from orbimpc_ros.sim.commands import Orders

@@ -13,8 +13,7 @@ from planners import FRAMES, settings
 from stepping import stale_goal, targets
 
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 

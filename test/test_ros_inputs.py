@@ -10,8 +10,7 @@ from planners import goal, odometry, settings, stamp
 from stepping import stale_goal, stale_odometry, targets
 
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.messages import SECOND, RosTime
 from orbimpc_ros.ros.planner.inputs import Inputs
 
 NOW = 1_700_000_000 * SECOND  # [ns]

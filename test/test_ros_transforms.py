@@ -22,8 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inverse, matrix, stated
 from orbimpc_ros.tool.bags import BagWriter

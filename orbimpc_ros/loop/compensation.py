@@ -68,76 +68,6 @@ def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'gro
     return speed - float(wind @ odometry.attitude[:, 0])
 
 
-def state_of(
-    problem: Problem,
-    odometry: Odometry,
-    applied: float | None,
-    disturbance: Array | None = None,
-    velocity_source: str = 'ground',
-    reached: float | None = None,
-    wanted: Array | None = None,
-    hazards: tuple[MovingObstacle, ...] = (),
-) -> State:
-    """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
-
-    At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate`` the
-    one that commands have led to: a gust is no change of speed that a plan has to make up for, and
-    a vehicle in a dead band would never be told more than a step from the speed that it has.
-
-    Args:
-        problem: gives the orders, the step and the full speed.
-        odometry: the measurement.
-        applied: the share of thrust or speed that commands have led to, in [0, 1]; None before
-            the first one.
-        disturbance: a wind or an acceleration, shape (n,); None for none.
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        reached: the share of full speed that changes of speed count from, where they are limited;
-            None before the first command: from the measured one.
-        wanted: the rotation wanted at the end, shape (n, n); None for any.
-        hazards: what moves.
-    """
-    if problem.inertial:
-        fraction = applied or 0.0
-        velocity = odometry.attitude @ odometry.body_velocity
-    else:
-        speed = airspeed(odometry, disturbance, velocity_source)
-        fraction = min(1.0, max(0.0, speed / problem.forward))
-        velocity = None
-        if applied is not None and problem.max_rate:
-            fraction = applied
-    coasted = None
-    if problem.rotation_order == 2:
-        coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
-    return State.at(
-        position=odometry.position,
-        rotation=fraction * odometry.attitude,
-        velocity=velocity,
-        attitude=odometry.attitude,
-        coasted=coasted,
-        disturbance=disturbance,
-        commanded=reached,
-        wanted=wanted,
-        hazards=hazards,
-    )
-
-
-def odd_speed(
-    problem: Problem,
-    odometry: Odometry,
-    disturbance: Array | None = None,
-    velocity_source: str = 'ground',
-) -> str:
-    """Return that the measured speed is not one that the model knows, in words; else empty.
-
-    Such a speed counts as the nearest that it does: none, or full speed.
-    """
-    speed, full = airspeed(odometry, disturbance, velocity_source), problem.forward
-    if problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
-        return ''
-    taken = full if speed > 0.0 else 0.0
-    return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'
-
-
 class Interval(NamedTuple):
     """An interval of time with one command in force, or None where none is known."""
 
@@ -242,7 +172,7 @@ def advanced(
     flies an arc, integrated exactly. As in the discrete model, a commanded rate applies at once at
     rotation order 1; everything else of a command is taken over when the next command comes, and
     until then the vehicle goes on as it was measured. Speeds through the air turn with the body,
-    the wind does not. Arguments are those of :func:`state_of`.
+    the wind, shape (n,), does not; ``velocity_source`` is what odometry measures.
     """
     if not intervals:
         return odometry
@@ -335,37 +265,6 @@ class Response:
         """
         known = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
         return max(0.0, self.rate - known)
-
-    def settled(
-        self,
-        problem: Problem,
-        odometry: Odometry,
-        thrust: tuple[float, float] = (0.0, 0.0),
-        disturbance: Array | None = None,
-        velocity_source: str = 'ground',
-    ) -> Odometry:
-        """Return where a vehicle without lags would have to be to fly the same, a lag later.
-
-        At translation order 2, ``thrust`` are the shares of full thrust applied now and commanded.
-        What a thrust that settles from f to c leaves is a speed of z tau (f - c), whenever it is
-        looked at; the turn that is left over turns the axis of it meanwhile. The other arguments
-        are those of :func:`state_of`.
-        """
-        time = self.lead(problem)
-        if not problem.inertial:
-            coming = [Interval(time, None, None)] if time > 0.0 else []
-            return advanced(problem, odometry, coming, disturbance, velocity_source)
-        applied, commanded = thrust
-        pushed = problem.forward * (odometry.attitude @ exp(0.5 * time * odometry.body_rate))[:, 0]
-        left = self.speed * (applied - commanded) * pushed
-        push = commanded * pushed + (0.0 if disturbance is None else disturbance)
-        velocity = odometry.attitude @ odometry.body_velocity + left
-        position = odometry.position + time * velocity + 0.5 * time * time * push
-        position = position - self.speed * left
-        velocity = velocity + time * push
-        attitude = odometry.attitude @ exp(time * odometry.body_rate)
-        body = attitude.T @ velocity
-        return Odometry(odometry.time + time, position, attitude, body, odometry.body_rate)
 
 
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
@@ -520,12 +419,20 @@ class Estimator:
         self._reported = wind.time
         variance = wind.variance if wind.variance > 0.0 else UNSTATED
         variance *= max(1.0, ALIKE / since) / self._problem.forward**2
-        gain = self._covariance[:, 2] / (self._covariance[2, 2] + variance)
         missed = wind.velocity - given - self._estimate[2]
-        self._estimate = self._estimate + np.outer(gain, missed)
-        left = np.eye(3) - np.outer(gain, [0.0, 0.0, 1.0])
-        spread = left @ self._covariance @ left.T
-        self._covariance = spread + variance * np.outer(gain, gain)
+        self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
+
+    def _learn(self, rows: Array, missed: Array, variances: Array) -> None:
+        """Correct the state by what ``rows`` of it, shape (M, 3), were measured to be beyond it.
+
+        ``variances``, shape (M,), are those of the measurements; ``missed`` has shape (M, n).
+        """
+        spread = rows @ self._covariance @ rows.T + np.diag(variances)
+        gain = self._covariance @ rows.T @ np.linalg.inv(spread)
+        self._estimate = self._estimate + gain @ missed
+        left = np.eye(3) - gain @ rows
+        # Joseph's form: symmetric and positive whatever is rounded.
+        self._covariance = left @ self._covariance @ left.T + gain * variances @ gain.T
 
     def limit(self, given: Array) -> str:
         """Keep the whole disturbance within what the vehicle can work against; return if it is."""
@@ -631,17 +538,13 @@ class Estimator:
         self.refused, kept = 0, math.exp(-time / RECENT)
         latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
         self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
-        gain = self._covariance[:, :count] @ np.linalg.inv(spread)
-        self._estimate = self._estimate + gain @ missed
-        left = np.eye(len(gain)) - gain @ np.eye(count, len(gain))
-        # Joseph's form: symmetric and positive whatever is rounded.
-        self._covariance = left @ self._covariance @ left.T + gain * self._measured @ gain.T
+        self._learn(np.eye(count, 3), missed, np.array(self._measured))
         if np.abs(self._leaning).max() > SHIFT:
             self._doubt()
 
 
 class Start(NamedTuple):
-    """Where a plan starts; the fields but the first and the last are those of a decision."""
+    """Where a plan starts; the fields but the first and the last two are those of a decision."""
 
     odometry: Odometry  # what to plan from
     advanced: float  # [s]
@@ -649,6 +552,7 @@ class Start(NamedTuple):
     disturbance: Array | None  # shape (n,)
     innovation: float | None
     limited: str  # that the estimate was limited, in words; empty if not
+    odd: str  # that the speed is not one that the model knows, in words; empty if it is
 
 
 class Compensator:
@@ -734,7 +638,8 @@ class Compensator:
         led = self.response.lead(self._problem)
         moved = odometry.time - measured.time - led
         innovation = None if self._estimator is None else self._estimator.innovation
-        return Start(odometry, moved, led, self.disturbance, innovation, limited)
+        odd = self.odd_speed(odometry)
+        return Start(odometry, moved, led, self.disturbance, innovation, limited, odd)
 
     def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""
@@ -748,16 +653,34 @@ class Compensator:
         self.disturbance = given + self._estimator.disturbance
         return limited
 
-    def _settled(self, odometry: Odometry) -> Odometry:
-        """Return the measurement, moved on by what the vehicle's lags leave."""
-        if not self.response.lags:
-            return odometry
-        applied = self.history.applied(odometry.time, self.response.speed)
-        coming = self.coming
-        thrust = applied, 0.0 if coming is None else coming.speed_fraction
-        known = self.disturbance, self._velocity_source
-        settled = self.response.settled(self._problem, odometry, thrust, *known)
-        if self._problem.rotation_order == 1 or coming is None:
+    def _settled(self, measured: Odometry) -> Odometry:
+        """Return where a vehicle without lags would have to be to fly the same, a lag later.
+
+        What a thrust that settles from f to c leaves is a speed of z tau (f - c), whenever it is
+        looked at; the turn that is left over turns the axis of it meanwhile.
+        """
+        problem, response, coming = self._problem, self.response, self.coming
+        if not response.lags:
+            return measured
+        time, rate = response.lead(problem), measured.body_rate
+        if not problem.inertial:
+            intervals = [Interval(time, None, None)] if time > 0.0 else []
+            settled = advanced(
+                problem, measured, intervals, self.disturbance, self._velocity_source
+            )
+        else:
+            applied = self.history.applied(measured.time, response.speed)
+            commanded = 0.0 if coming is None else coming.speed_fraction
+            pushed = problem.forward * (measured.attitude @ exp(0.5 * time * rate))[:, 0]
+            left = response.speed * (applied - commanded) * pushed
+            push = commanded * pushed + (0.0 if self.disturbance is None else self.disturbance)
+            velocity = measured.attitude @ measured.body_velocity + left
+            position = measured.position + time * velocity + 0.5 * time * time * push
+            attitude = measured.attitude @ exp(time * rate)
+            body = attitude.T @ (velocity + time * push)
+            place = position - response.speed * left
+            settled = Odometry(measured.time + time, place, attitude, body, rate)
+        if problem.rotation_order == 1 or coming is None:
             return settled
         return replace(settled, body_rate=coming.body_rate)
 
@@ -768,16 +691,58 @@ class Compensator:
         wanted: Array | None = None,
         hazards: tuple[MovingObstacle, ...] = (),
     ) -> State:
-        """Return the state of a plan that starts there: see :func:`state_of`."""
-        applied = None if self.coming is None else self.coming.speed_fraction
-        if applied is not None and self._problem.turns_are_angles and not self._problem.inertial:
-            applied = self.history.applied(odometry.time, self.response.speed)
-        known = applied, self.disturbance, self._velocity_source
-        return state_of(self._problem, odometry, *known, reached, wanted, hazards)
+        """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
+
+        At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate``
+        the one that commands have led to: a gust is no change of speed that a plan has to make up
+        for, and a vehicle in a dead band would never be told more than a step from the speed that
+        it has.
+
+        Args:
+            odometry: there.
+            reached: the share of full speed that changes of speed count from, where they are
+                limited; None before the first command: from the measured one.
+            wanted: the rotation wanted at the end, shape (n, n); None for any.
+            hazards: what moves.
+        """
+        problem, coming, velocity = self._problem, self.coming, None
+        applied = 0.0 if coming is None else coming.speed_fraction
+        if problem.inertial:
+            fraction = applied
+            velocity = odometry.attitude @ odometry.body_velocity
+        elif coming is not None and problem.max_rate:
+            fraction = applied
+            if problem.turns_are_angles:
+                fraction = self.history.applied(odometry.time, self.response.speed)
+        else:
+            speed = airspeed(odometry, self.disturbance, self._velocity_source)
+            fraction = min(1.0, max(0.0, speed / problem.forward))
+        coasted = None
+        if problem.rotation_order == 2:
+            coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
+        return State.at(
+            position=odometry.position,
+            rotation=fraction * odometry.attitude,
+            velocity=velocity,
+            attitude=odometry.attitude,
+            coasted=coasted,
+            disturbance=self.disturbance,
+            commanded=reached,
+            wanted=wanted,
+            hazards=hazards,
+        )
 
     def odd_speed(self, odometry: Odometry) -> str:
-        """Return that the measured speed is not one that the model knows, in words."""
-        return odd_speed(self._problem, odometry, self.disturbance, self._velocity_source)
+        """Return that the measured speed is not one that the model knows, in words; else empty.
+
+        Such a speed counts as the nearest that it does: none, or full speed.
+        """
+        full = self._problem.forward
+        speed = airspeed(odometry, self.disturbance, self._velocity_source)
+        if self._problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
+            return ''
+        taken = full if speed > 0.0 else 0.0
+        return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'
 
     def held_back(self, problem: Problem, plan: Plan, command: Command) -> Command:
         """Return what to send now of a plan's first command, which becomes due.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import Compensator, Response
+from orbimpc_ros.loop.compensation import Compensator, Response, Start
 from orbimpc_ros.loop.fallback import (
     cheapest_clear,
     clear_instead,
@@ -361,7 +361,7 @@ class Planner:
         if lost:
             decision = self._hold(start.odometry, hazards, lost)
         else:
-            decision = self._planned(snapshot, start.odometry, hazards, late)
+            decision = self._planned(snapshot, start, hazards, late)
         self._memory.previous = decision.plan
         return replace(
             decision,
@@ -405,12 +405,12 @@ class Planner:
     def _planned(
         self,
         snapshot: Snapshot,
-        odometry: Odometry,
+        start: Start,
         hazards: tuple[MovingObstacle, ...],
         late: Late | None,
     ) -> Decision:
         """Return the decision for a goal that is known."""
-        memory, given = self._memory, snapshot.goal
+        memory, given, odometry = self._memory, snapshot.goal, start.odometry
         assert given is not None
         motion = None if isinstance(given, np.ndarray) else given
         if isinstance(motion, Route):
@@ -438,14 +438,14 @@ class Planner:
         else:
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        odd = self._compensator.odd_speed(odometry)
-        reason = Reason(Cause.NONE, joined(words, held, shortened, odd))
+        reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
-        memory.fallbacks, memory.planned, memory.since = 0, plan.horizon, 0.0
+        memory.fallbacks, memory.since = 0, 0.0
         memory.arriving, memory.aim = True, goals[-1]
         decision = self._following(task, plan, status, reason)
+        memory.planned = plan.horizon
         return replace(decision, catch=catch) if catch and decision.plan else decision
 
     def _paced(self, route: Route, odometry: Odometry) -> Paced:
@@ -634,14 +634,15 @@ class Planner:
             problem = replace(problem, max_rate=self._max_rate)
         command = command_of(problem, task.state, plan)
         entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
-        wrong = joined(*command_violations(problem, plan, command, entry))
+        wrong = command_violations(problem, plan, command, entry)
         if not wrong:
             if self._lags:
                 command = self._compensator.held_back(problem, plan, command)
             if last_look := flaw(problem, command, entry=entry):
-                wrong = f'not sent: {last_look}'
+                wrong = [f'not sent: {last_look}']
         if wrong:
-            return self._safe(task.state, Status.FAILED, Reason(Cause.COMMAND, wrong))
+            reason = Reason(Cause.COMMAND, '; '.join(wrong))
+            return self._safe(task.state, Status.FAILED, reason)
         if problem.max_acceleration:
             memory.reached = entry
         known = task.problem, task.goals, reason.cause

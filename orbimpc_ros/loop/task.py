@@ -109,8 +109,10 @@ class Solvers:
 
     def posed(self, task: Task, solver: Solver, previous: Plan | None) -> Task:
         """Return a task with its solver, and with the previous plan's rest where that helps it."""
-        helps = solver.takes_guess(task.state)
-        guess = task.shifted(previous, self.projection) if helps else None
+        guess = None
+        if previous is not None and solver.takes_guess(task.state):
+            known = task.problem, task.state, task.goals, previous, task.knots
+            guess = shifted(*known, projection=self.projection)
         return replace(task, solver=solver, guess=guess)
 
     def expect_hazards(self) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import project_all
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.tree import ProofTree

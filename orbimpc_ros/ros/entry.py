@@ -8,10 +8,13 @@ it takes ROS, which may be missing.
 from __future__ import annotations
 
 import gc
+import math
 import os
 import signal
 import sys
 import textwrap
+import time
+from collections.abc import Callable
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -38,6 +41,8 @@ TOPICS = {
     'sim': 'Flies a vehicle by the commands on cmd_vel and cmd_thrust, and publishes odom, goal '
     'and captured.',
 }
+COMPILING = 'compiling machine code, only once'
+PAUSE = 5.0  # [s] between two lines of progress
 USAGE = """\
 usage: {name} [--ros-args ARGUMENT...]
 
@@ -124,3 +129,33 @@ def in_a_line(error: ModuleNotFoundError) -> str:
     if package in ROS:
         hint = f'install ROS 2, or {install.command_for_extra("ros")}'
     return f'{package} is missing: {hint}'
+
+
+def report_compilation(report: Callable[[str], None]) -> None:
+    """From now on report the progress whenever machine code has to be compiled.
+
+    Args:
+        report: called with a line every few seconds.
+    """
+    from orbimpc_ros.mpc.kernels import LISTENERS  # whoever only reads the log needs no compiler
+
+    begun = reported = -math.inf
+    count = 0
+
+    def on_function() -> None:
+        nonlocal begun, reported, count
+        now, count = time.monotonic(), count + 1
+        begun = now if count == 1 else begun
+        if now - reported >= PAUSE:
+            reported = now
+            report(f'{COMPILING}: function {count}, {now - begun:.0f} s')
+
+    LISTENERS[:] = [on_function]
+
+
+def without_compiler() -> str:
+    """Return that there is no compiler, and how to have one."""
+    from orbimpc_ros import install
+
+    hint = f'apt install python3-numba or {install.command("numba")}'
+    return f'numba is not installed: plans take 6 to 60 times as long; to have it, {hint}'

@@ -84,11 +84,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _report_on_machine_code(command: str) -> None:
     """Report that there is no compiler, or on a terminal how far it is."""
-    from orbimpc_ros.ros.planner.compiling import MISSING, report_compilation
+    from orbimpc_ros.ros.entry import report_compilation, without_compiler
 
     if find_spec('numba') is None:
         if command in PLANNING:
-            _complain(MISSING)
+            _complain(without_compiler())
     elif command in SOLVING and sys.stderr.isatty():
         report_compilation(_complain)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.cost import (
+from orbimpc_ros.mpc.model.dynamics import (
     attitude_weight,
     first_length,
     input_weight,

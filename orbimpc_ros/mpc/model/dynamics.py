@@ -1,17 +1,37 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The discrete dynamics, as rollouts and as maps over the thrust axes R_0 e1..R_N e1.
+r"""Trajectories of the discrete dynamics and what they cost, term by term.
 
 Rotations: R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k (explicit
-Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.translation`.
+Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.translation`. Costs:
 
-Mathematics: docs/mathematics.md, 1.1.
+.. math::
+    q \sum_{k=1}^{N} \|s_k - g_k\|^2 + m \|s_N - g_N\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
+    + \ell \sum_{k=0}^{N} \lambda_k h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
+    + a \|R_N - R_g\|_F^2
+
+with the arrival weight w, and with lambda_k the share of a step that R_k e_1 pushes for: all of it,
+and none for k = N; where thrust moves on a chord, half for the first and the last. All but the
+length is quadratic; ``condensed`` has that part as a function of the thrust axes alone,
+``solve.statement`` the whole as a cone program. The check evaluates the objective by itself.
+
+Mathematics: docs/mathematics.md, 1.1 and 1.2.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.orbitopes import (
+    coordinate_count,
+    coordinates,
+    frobenius_factor,
+    matrix,
+)
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -85,3 +105,176 @@ def input_map(problem: Problem) -> Array:
     n_steps, h = problem.horizon, problem.step
     first = np.diff(np.eye(n_steps + 1), axis=0) / h
     return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h
+
+
+class Flown(Protocol):
+    """A trajectory or a plan: arrays over k = 0..N, and the inputs between them."""
+
+    @property
+    def positions(self) -> Array:
+        """Return s_0..s_N, shape (N + 1, n) [m]."""
+
+    @property
+    def velocities(self) -> Array:
+        """Return p_0..p_N, shape (N + 1, n) [m/s]."""
+
+    @property
+    def rotations(self) -> Array:
+        """Return R_0..R_N, shape (N + 1, n, n)."""
+
+    @property
+    def inputs(self) -> Array:
+        """Return u_0..u_{N-1}, shape (N, n, n)."""
+
+
+KINK = 1e-5  # below it |R e1| counts as zero, where the length has no gradient
+
+
+def position_weights(problem: Problem) -> Array:
+    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal one included, shape (N,)."""
+    weights = np.full(problem.horizon, float(problem.weights.position))
+    weights[-1] += problem.weights.terminal + problem.arrival_weight
+    return weights
+
+
+def velocity_weight(problem: Problem) -> float:
+    """Return the weight on |p_N|^2: that of the arrival, of an inertial vehicle."""
+    return problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
+
+
+def input_weight(problem: Problem) -> float:
+    """Return the weight on the squared coordinates of an input."""
+    return problem.weights.input * frobenius_factor(problem.dimension)
+
+
+def attitude_weight(problem: Problem) -> float:
+    """Return the weight on the squared coordinates of R_N - R_g."""
+    return problem.weights.attitude * frobenius_factor(problem.dimension)
+
+
+def wanted_coordinates(problem: Problem, state: State) -> Array:
+    """Return the coordinates of R_g, shape (d,); zero where no rotation is wanted."""
+    if state.wanted is None:
+        return np.zeros(coordinate_count(problem.dimension))
+    return coordinates(state.wanted)
+
+
+def length_weight(problem: Problem) -> float:
+    """Return the weight on |R_k e1| for a whole step."""
+    return problem.weights.length * problem.step * problem.forward
+
+
+def length_weights(problem: Problem) -> Array:
+    """Return the weights on |R_k e1|, k = 0..N, shape (N + 1,)."""
+    return length_weight(problem) * problem.maps.lasting
+
+
+def first_length(problem: Problem, state: State) -> float:
+    """Return the length cost of R_0 e1, which the state alone decides."""
+    if problem.weights.length == 0.0:
+        return 0.0
+    heading = state.rotation[:, 0]
+    return float(length_weights(problem)[0]) * math.sqrt(heading @ heading)
+
+
+def value(
+    problem: Problem,
+    state: State,
+    goals: Array,
+    rotations: Array,
+    inputs: Array,
+    flown: tuple[Array, Array],
+) -> float:
+    """Return the cost of a trajectory.
+
+    Args:
+        problem: gives the weights.
+        state: gives the rotation that is wanted.
+        goals: g_1..g_N, shape (N, n) [m].
+        rotations: R_0..R_N, shape (N + 1, n, n).
+        inputs: u_0..u_{N-1}, shape (N, n, n).
+        flown: s_0..s_N and p_0..p_N, shape (N + 1, n) each.
+    """
+    positions, velocities = flown
+    w, missed, u = problem.weights, positions[1:] - goals, inputs.ravel()
+    every, last = missed.ravel(), missed[-1]
+    cost = w.position * (every @ every) + w.input * (u @ u)
+    cost += (w.terminal + problem.arrival_weight) * (last @ last)
+    if problem.arrival_weight > 0.0:
+        cost += velocity_weight(problem) * (velocities[-1] @ velocities[-1])
+    if w.length > 0.0:
+        axes = rotations[:, :, 0]
+        cost += length_weights(problem) @ np.sqrt(np.einsum('kc,kc->k', axes, axes))
+    if w.attitude > 0.0:
+        off = (rotations[-1] - state.wanted).ravel()
+        cost += w.attitude * (off @ off)
+    return float(cost)
+
+
+def gradients(problem: Problem, state: State, goals: Array, flown: Flown) -> list[Array]:
+    """Return the gradient of each term over the coordinates of R_1..R_N, shape (N, d) each."""
+    maps, turn = problem.maps, input_map(problem)[:, 1:]
+    missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
+    stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], flown.velocities[-1])
+    turned = coordinates(flown.inputs[: len(turn)])
+    return [
+        on_axes(2.0 * maps.reach[:, 1:].T @ missed),
+        2.0 * input_weight(problem) * turn.T @ turned,
+        on_axes(2.0 * stopped),
+        on_axes(_length_gradient(problem, flown)),
+        _attitude_gradient(problem, state, flown),
+    ]
+
+
+def _attitude_gradient(problem: Problem, state: State, flown: Flown) -> Array:
+    gradient = np.zeros((problem.horizon, coordinate_count(problem.dimension)))
+    off = coordinates(flown.rotations[-1]) - wanted_coordinates(problem, state)
+    gradient[-1] = 2.0 * attitude_weight(problem) * off
+    return gradient
+
+
+def _length_gradient(problem: Problem, flown: Flown) -> Array:
+    axes = flown.rotations[1:, :, 0]
+    sizes = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
+    return length_weights(problem)[1:, None] * axes / sizes
+
+
+def on_axes(gradient: Array) -> Array:
+    """Return a gradient over thrust axes, shape (N, n), as one over rotations, shape (N, d)."""
+    steps, n = gradient.shape
+    full = np.zeros((steps, coordinate_count(n)))
+    full[:, :n] = gradient
+    return full
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States and inputs that obey the dynamics, with their cost.
+
+    Attributes:
+        positions: s_0..s_N, shape (N + 1, n) [m].
+        velocities: p_0..p_N, shape (N + 1, n) [m/s].
+        rotations: R_0..R_N, shape (N + 1, n, n).
+        inputs: u_0..u_{N-1}, shape (N, n, n).
+        cost: the objective.
+    """
+
+    positions: Array
+    velocities: Array
+    rotations: Array
+    inputs: Array
+    cost: float
+
+    @property
+    def headings(self) -> Array:
+        """Return the thrust axes R_k e1, shape (N + 1, n)."""
+        return self.rotations[:, :, 0]
+
+
+def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Trajectory:
+    """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d)."""
+    rotations = np.concatenate([state.rotation[None], matrix(x)])
+    positions, velocities = translation_rollout(problem, state, rotations[:, :, 0])
+    inputs = inputs_of(problem, rotations)
+    cost = value(problem, state, goals, rotations, inputs, (positions, velocities))
+    return Trajectory(positions, velocities, rotations, inputs, cost)

@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.best_first import PAUSED
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
-from orbimpc_ros.mpc.model.cost import length_weights
+from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed

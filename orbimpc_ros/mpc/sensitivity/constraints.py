@@ -22,8 +22,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.model.cost import KINK, length_weights
-from orbimpc_ros.mpc.model.cost import gradients as gradients_of_cost
+from orbimpc_ros.mpc.model.dynamics import KINK, length_weights
+from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.units import Units

@@ -18,7 +18,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import approach_margin, cone_margins, speed_margin, turn_margin
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
-from orbimpc_ros.mpc.model.cost import on_axes
+from orbimpc_ros.mpc.model.dynamics import on_axes
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import entry_speed

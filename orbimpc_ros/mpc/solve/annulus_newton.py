@@ -41,8 +41,7 @@ from orbimpc_ros.mpc.kernels.annulus import (
 from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
 from orbimpc_ros.mpc.kernels.dual import ascent, climb, no_cuts, pull_at
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
-from orbimpc_ros.mpc.model.cost import first_length, length_weights
-from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.model.dynamics import adrift, first_length, length_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.arc_search import ArcSearch

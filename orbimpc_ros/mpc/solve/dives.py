@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.geometry.orbitopes import margin
-from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed, Row

@@ -12,14 +12,14 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
 from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
-from orbimpc_ros.mpc.model.cost import (
+from orbimpc_ros.mpc.model.dynamics import (
+    adrift,
     attitude_weight,
     first_length,
     input_weight,
     position_weights,
     wanted_coordinates,
 )
-from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.mpc.solve.general import General

@@ -22,9 +22,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.cost import length_weights
-from orbimpc_ros.mpc.model.dynamics import adrift
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import adrift, length_weights, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay

@@ -17,15 +17,15 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.model.cost import (
+from orbimpc_ros.mpc.model.dynamics import (
+    adrift,
     attitude_weight,
     first_length,
     position_weights,
+    trajectory_of,
     velocity_weight,
     wanted_coordinates,
 )
-from orbimpc_ros.mpc.model.dynamics import adrift
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.cost import input_weight, position_weights, velocity_weight
+from orbimpc_ros.mpc.model.dynamics import input_weight, position_weights, velocity_weight
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.leaving import directions

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, PROVED, SETTLED, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
-from orbimpc_ros.mpc.model.cost import (
+from orbimpc_ros.mpc.model.dynamics import (
     first_length,
     length_weight,
     length_weights,

@@ -27,14 +27,15 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, lmi_parts
 from orbimpc_ros.mpc.geometry.rotations import carried
-from orbimpc_ros.mpc.model.cost import (
+from orbimpc_ros.mpc.model.dynamics import (
+    adrift,
     attitude_weight,
+    input_map,
     input_weight,
     length_weights,
     position_weights,
     velocity_weight,
 )
-from orbimpc_ros.mpc.model.dynamics import adrift, input_map
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides

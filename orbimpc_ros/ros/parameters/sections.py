@@ -24,27 +24,23 @@ NODES = ('planner', 'sim')  # one file may serve both
 
 
 def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[str]:
-    """Return the sections of parameter files that no node of this kind takes, and their files.
+    """Return the sections of parameter files whose name is that of no node, and their files.
 
-    Left out are sections for the other kind of node, and those that differ from a used one in
-    the namespace alone, as in the file of a fleet.
+    Those in other namespaces are for other vehicles.
 
     Args:
         node: that the files were given to.
         words: the command line; by default this process's.
     """
-    own, unused = node.get_fully_qualified_name(), []
-    others = {*NODES} - {node.kind}
-    for flag, file in pairwise(sys.argv if words is None else words):
-        if flag != '--params-file':
-            continue
-        names = [name for name, _ in _sections(file)]
-        used = {_shape(n) for n in names if _matches(n, own) and '*' not in n.rpartition('/')[0]}
-        for name in names:
-            taken = _matches(name, own) or _shape(name) in used
-            if not taken and name.rpartition('/')[2] not in others:
-                unused.append(f'{name} in {file}')
-    return unused
+    name = node.get_fully_qualified_name().rpartition('/')[2]
+    known = {name, '*', '**', *NODES} - ({node.kind} - {name})
+    return [
+        f'{section} in {file}'
+        for flag, file in pairwise(sys.argv if words is None else words)
+        if flag == '--params-file'
+        for section, _ in _sections(file)
+        if section.rpartition('/')[2] not in known
+    ]
 
 
 def warn_of_unused(node: Managed) -> None:
@@ -90,8 +86,3 @@ def _matches(section: str, node: str) -> bool:
     """Return whether rcl gives a section to a node: ``*`` is one name, ``**`` any number."""
     pattern = re.escape(section).replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'/\w+')
     return re.fullmatch(pattern, node) is not None
-
-
-def _shape(section: str) -> tuple[int, str]:
-    """Return how deep a section is and what it is for, in whatever namespace."""
-    return section.count('/'), section.rpartition('/')[2]

@@ -14,12 +14,11 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from orbimpc_ros.loop.planner import Planner, Snapshot
-from orbimpc_ros.loop.proving import proved
+from orbimpc_ros.loop.intercept import steps_before
+from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.ros.clock import UNKNOWN, RosTime
-from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.reports import Report
@@ -54,6 +53,39 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
     if settings.avoid:
         planner.expect_hazards()
     return settings, planner
+
+
+def _proved(
+    decision: Decision, clock: Callable[[], float], end: float, *, catches: bool = False
+) -> Decision:
+    """Return the decision with proofs of what it states, as far as there are any in time.
+
+    That is that nothing is feasible, and that nothing is caught before a time.
+
+    Args:
+        decision: to be proved.
+        clock: by which proofs end.
+        end: on that clock [s].
+        catches: whether to refute earlier catches, too.
+    """
+    if decision.infeasible is None and not (catches and decision.catch):
+        return decision
+    # Imported by the first decision that needs it: a tenth of a second that starts are spared.
+    from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
+    from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
+
+    nothing, catch = decision.infeasible, decision.catch
+    if nothing is not None:
+        made = held_in_time(lambda late: refutation_of(nothing, late), clock, end)
+        if made is None:
+            decision = replace(decision, reason=joined(decision.reason, WORD))
+        return replace(decision, refutation=made)
+    assert catch is not None
+    count = steps_before(catch.bound, catch.sought.problem.step)
+    if not count:
+        return decision
+    made = held_in_time(lambda late: catches_refuted(catch.sought, count, late), clock, end)
+    return replace(decision, refutation=made)
 
 
 class Timing:
@@ -169,6 +201,7 @@ class Core:
         """
         begun, taking = self._clock(), 0.0 if self._simulated else self.timing.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
+        heard = self.inputs.heard
         if fresh:
             snapshot = replace(snapshot, odometry_age=0.0)
         deadline = math.inf if self._unlimited else self.settings.deadline
@@ -191,14 +224,14 @@ class Core:
             self.outdated = self.unsafe(now + took, later)
         self.timing.took(took, self.settings.deadline, self.settings.period)
         solved = decision.cause is not Cause.GOAL
-        return Report(decision, 1e3 * took if solved else 0.0, **self.inputs.heard)
+        return Report(decision, 1e3 * took if solved else 0.0, **heard)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:
         """Return the last report with proofs of what it states, until its deadline.
 
         Its command went out before, and need not wait for them.
         """
-        decision = proved(report.decision, self._limit, self._end, catches=catches)
+        decision = _proved(report.decision, self._limit, self._end, catches=catches)
         same = decision is report.decision
         return report if same else replace(report, decision=decision)
 

@@ -21,9 +21,10 @@ from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, sil
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Reason
-from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import (
     SECOND,
+    UNKNOWN,
+    RosTime,
     Stamp,
     read_agent,
     read_itinerary,

@@ -28,13 +28,12 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import firmware
-from orbimpc_ros.ros.clock import NodeClock, RosTime
-from orbimpc_ros.ros.lifecycle import Managed
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.entry import report_compilation, without_compiler
+from orbimpc_ros.ros.lifecycle import Managed, NodeClock
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.planner.compiling import MISSING, report_compilation
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
@@ -97,7 +96,7 @@ class PlannerNode(Managed):
         self._introduced = ''  # the vehicle, as it was described last
         report_compilation(self.get_logger().info)
         if not COMPILED:
-            self._log(MISSING, warn=True)
+            self._log(without_compiler(), warn=True)
         self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))

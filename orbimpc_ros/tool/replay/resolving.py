@@ -16,8 +16,7 @@ from itertools import takewhile
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.messages import SECOND, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved

@@ -12,9 +12,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.ros.entry import PACKAGES
+from orbimpc_ros.ros.entry import COMPILING, PACKAGES
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.planner.compiling import COMPILING
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
