@@ -20,9 +20,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
-from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Iterate, begun
+from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, SLICE, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
 from orbimpc_ros.mpc.model.cost import (

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.annulus import SLICE
+from orbimpc_ros.mpc.kernels.penalty import SLICE
 from orbimpc_ros.mpc.kernels.half_spaces import (
     DONE,
     LEAST,
