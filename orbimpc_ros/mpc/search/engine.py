@@ -155,7 +155,7 @@ class Engine:
     def _start(self, quad: Quadratic, ring: Ring, request: Request) -> None:
         """Improve the guess, or the unconstrained optimum; else to go straight on.
 
-        A round floor alone tries all of them, until one proves itself.
+        Of a round floor alone both, unless the former proves itself.
         """
         tree, guess = self._tree, request.guess
         # Copies: code for arrays that are read-only or strided would be compiled in a tick.
@@ -163,8 +163,9 @@ class Engine:
         if guess is not None:
             starts[: 0 if is_free(ring) else 1] = [np.array(guess.x, order='C')]
         starts.append(ring.entry * request.state.attitude[:, 0] * np.ones((len(starts[0]), 1)))
-        for x in starts:
-            if tree.counts[OPEN] == 0 or (tree.numbers[VALUE] < np.inf and not is_free(ring)):
+        for i, x in enumerate(starts):
+            again = is_free(ring) and tree.counts[OPEN] > 0 and i < len(starts) - 1
+            if tree.numbers[VALUE] < np.inf and not again:
                 return
             if is_promising(quad, ring, tree, x, tree.sectors[0], np.inf, self._room):
                 improve(quad, ring, tree, self._tolerance, self._room)

@@ -6,7 +6,7 @@ the shortest turns from one thrust axis to the next. Headings are taken in turn 
 least on the shell; with an arrival a z = b, of its augmented Lagrangian. Shor multipliers, of where
 that leads to or the best ones, prove a bound; what they leave open, the general search settles.
 
-Mathematics: docs/mathematics.md, 4.5.
+Mathematics: docs/mathematics.md, 4.6.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ shift, for the best lambda >= max(0, theta). With z the minimiser and P the inve
 Whatever multipliers that leads to, a tangent at z proves what it does; so do the multipliers of a
 stationary point, which are most often enough.
 
-Mathematics: docs/mathematics.md, 4.4.
+Mathematics: docs/mathematics.md, 4.4 and 4.5.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.penalty import SLICE
 from orbimpc_ros.mpc.kernels.half_spaces import (
     DONE,
     LEAST,
@@ -27,6 +26,7 @@ from orbimpc_ros.mpc.kernels.half_spaces import (
     search,
     tree,
 )
+from orbimpc_ros.mpc.kernels.penalty import SLICE
 from orbimpc_ros.mpc.kernels.penalty_terms import scratch
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
