@@ -213,7 +213,7 @@ class Shells:
         while status == GOING and not request.late:
             quad, lacking = self._quadratic(STIFF, pull)
             node[4][KEY] = -np.inf  # of other multipliers of the arrival
-            known = quad, self._floor, self._sectors, self._shapes, node, enough - lacking
+            known = quad, self._floor, self._sectors, self._shapes, node, 0.0, enough - lacking
             status, _ = climb(*known, 0.0)
             self._raise(node, lacking, pull)
             pull += STIFF * self._scale * (self._arrival @ node[0] - self._left)

@@ -46,7 +46,6 @@ SMALLEST = 1e-8  # mu, of the forces at work
 SHRINK = 0.2  # of mu, from step to step
 HALVINGS = 30
 INSIDE = 0.9  # of the way to where a multiplier would vanish
-NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough
 SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
 AWAY, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
 ON_BOUND = 1e-6  # a heading this close to the rim or the floor sits on it
@@ -324,7 +323,7 @@ def _begin(quad, held, known, rows, weights):
 
 
 @compiled
-def climb(quad, fraction, sectors, shapes, node, cutoff, work):
+def climb(quad, fraction, sectors, shapes, node, near, cutoff, work):
     """Climb the dual function by Newton's method, its barriers shrinking; interruptible.
 
     Args:
@@ -334,8 +333,8 @@ def climb(quad, fraction, sectors, shapes, node, cutoff, work):
         shapes: their outlines, shape (N, 12).
         node: where it is, shape (N, 2); multipliers by their kinds, shape (4, N); and what
             :func:`prove` raises; all updated.
-        cutoff: the bound at which the node is of no use; where it will clearly not be reached, the
-            climb ends as well.
+        near: share of what the bound lacks; where no more is left to climb, the climb ends.
+        cutoff: the bound at which the node is of no use.
         work: multiplications to do, though no less than one Newton step takes.
 
     Returns:
@@ -365,7 +364,7 @@ def climb(quad, fraction, sectors, shapes, node, cutoff, work):
         if lacking <= 0.0:
             status = PRUNED
             break
-        if lacking < np.inf and mu * (2.0 * count + total) <= NEAR * lacking:
+        if lacking < np.inf and mu * (2.0 * count + total) <= near * lacking:
             break
         if share > 0.3 or share == 0.0:  # as high as rounding lets it be, or nearly
             known[MU] *= SHRINK

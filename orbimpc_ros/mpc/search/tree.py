@@ -58,6 +58,8 @@ VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
 MARGIN = 0.15  # of a sector: no part is narrower
+NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough; but
+# at the root, whose point is where to look for the best trajectory
 NODE = 300.0  # multiplications that a node costs besides those of its relaxation
 NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
@@ -580,7 +582,8 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
         if is_free(ring):
             sectors, held = tree.sectors[node], tree.held[node]
             climbed = tree.start[node], held, tree.point[node], tree.kept[node], known
-            status, work = climb(quad, ring.fraction, sectors, room.shapes, climbed, cutoff, work)
+            known = quad, ring.fraction, sectors, room.shapes, climbed
+            status, work = climb(*known, NEAR if node > 0 else 0.0, cutoff, work)
         else:
             relaxed, gap = (tree.start[node], tree.point[node], known), ACCURATE * tolerance
             status, work = relax(quad, flat, relaxed, (cutoff, gap), room, work)
