@@ -331,7 +331,7 @@ def climb(quad, fraction, sectors, shapes, node, near, cutoff, work):
         fraction: the least modulus.
         sectors: of the node, shape (N, 4).
         shapes: their outlines, shape (N, 12).
-        node: where it is, shape (N, 2); multipliers by their kinds, shape (4, N); and what
+        node: where it is, shape (N, n); multipliers by their kinds, shape (4, N); and what
             :func:`prove` raises; all updated.
         near: share of what the bound lacks; where no more is left to climb, the climb ends.
         cutoff: the bound at which the node is of no use.
@@ -374,6 +374,36 @@ def climb(quad, fraction, sectors, shapes, node, near, cutoff, work):
     for i in range(total):
         held[rows.kinds[i], rows.steps[i]] = weights[i]
     return status, work
+
+
+@compiled
+def set_spread(quad, fraction, sectors, node, aside):
+    """Set how far second moments reach to the side of where a climb has ended, in the plane.
+
+    They are those of z and of 2 mu P on top. Where two ways round cost nearly the same, P is next
+    to singular, and z between the two.
+
+    Args:
+        quad: the cost.
+        fraction: the least modulus.
+        sectors: of the node, shape (N, 4).
+        node: as in :func:`climb`.
+        aside: shape (N, 2), set.
+    """
+    z, held, _, _, known = node
+    rows, inverse = rows_of(fraction, sectors, 2), np.zeros((len(z), len(z)))
+    weights, j = np.empty(len(rows.steps)), 0
+    for i in range(len(weights)):
+        weights[i] = held[rows.kinds[i], rows.steps[i]]
+    _set_minimiser(quad, rows, weights, inverse, aside)
+    for k in range(len(z)):
+        if inverse[k, k] > inverse[j, j]:
+            j = k
+    size = np.sqrt(z[j, 0] ** 2 + z[j, 1] ** 2) + 1e-300
+    reach = np.sqrt(2.0 * known[MU] / SHRINK / (inverse[j, j] + 1e-300)) / size
+    x, y = -z[j, 1] * reach, z[j, 0] * reach
+    for k in range(len(z)):
+        aside[k, 0], aside[k, 1] = inverse[k, j] * x, inverse[k, j] * y
 
 
 @compiled

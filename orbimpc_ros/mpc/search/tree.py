@@ -50,7 +50,7 @@ from orbimpc_ros.mpc.search.ring import (
     outline,
     prox,
 )
-from orbimpc_ros.mpc.search.shor import KINDS, certify, climb, priced_branching
+from orbimpc_ros.mpc.search.shor import KINDS, certify, climb, priced_branching, set_spread
 
 PROMISING = 3  # a search ends with that, too: see :func:`search`
 MADE, OPEN, NODES, STALLS, STARTS, PROMISES = range(6)  # in Tree.counts
@@ -552,7 +552,13 @@ def _choose(quad, ring, tree, node, status, room):
     counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
     if is_free(ring):
         often = np.inf if counts[NODES] < YOUNG or counts[NODES] % EVERY == 0 else 0.0
-        counts[PROMISES] = is_promising(quad, ring, tree, z, sector, often, room)
+        climbed = z, tree.held[node], tree.point[node], tree.kept[node], tree.known[node]
+        set_spread(quad, ring.fraction, sector, climbed, room.other)
+        side = 1.0 if counts[STARTS] % 2 == 0 else -1.0
+        for j in range(len(z)):
+            room.other[j, 0] = z[j, 0] + side * room.other[j, 0]
+            room.other[j, 1] = z[j, 1] + side * room.other[j, 1]
+        counts[PROMISES] = is_promising(quad, ring, tree, room.other, sector, often, room)
         k = priced_branching(quad, ring.fraction, tree.held[node], z, sector, NARROWEST)
         angle = np.arctan2(z[k, 1], z[k, 0])
         cut, parts = _heading_parts(ring, angle, sector[k, LOW], sector[k, HIGH])
