@@ -171,7 +171,7 @@ class Shells:
 
     def _disk(self, _: Request) -> Array:
         """Return the headings that cost least where they may have any length."""
-        quad, _ = self._quadratic(SOFT, np.zeros_like(self._left))
+        quad = self._quadratic(SOFT, np.zeros_like(self._left))[0]
         return -np.linalg.solve(quad.hessian, quad.q)
 
     def _improve(self, z: Array) -> None:
