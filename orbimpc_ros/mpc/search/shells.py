@@ -39,6 +39,7 @@ SWEEPS, ROUNDS = 20, 200  # of headings in turn; and of multipliers of an arriva
 NEAR = 1e-9  # an arrival missed by no more is met
 STILL = 1e-11  # a sweep, or an arrival missed by no more, needs no other
 SOFT, STIFF = 1.0, 1e4  # of arrivals, in curvatures of the cost: to sweep, and to prove
+SLOW, STIFFER = 0.9, 1.5  # where more than this share of a miss is left, sweeps become stiffer
 
 
 @compiled
@@ -65,7 +66,7 @@ def sweep(quad, fraction, z, sweeps):
                 square += slope[c] * slope[c]
             size = np.sqrt(square)
             if size == 0.0:
-                continue
+                slope[0], size = -1.0, 1.0
             onto = min(1.0, max(fraction, (size - quad.lengths[k]) / h))
             for c in range(n):
                 there = -onto * slope[c] / size
@@ -176,16 +177,17 @@ class Shells:
 
     def _improve(self, z: Array) -> None:
         """Take headings to where none costs less if it alone changes; keep them if they arrive."""
-        a, pull, missed = self._arrival, np.zeros_like(self._left), np.inf
-        quad, _ = self._quadratic(SOFT, pull)
+        a, pull, missed, stiffness = self._arrival, np.zeros_like(self._left), np.inf, SOFT
         for _ in range(ROUNDS):
-            moved = sweep(quad, self._floor, z, SWEEPS)
+            quad, lacking = self._quadratic(stiffness, pull)
+            moved, before = sweep(quad, self._floor, z, SWEEPS), missed
             miss = a @ z - self._left
             missed = float(np.abs(miss).max())
             if moved <= STILL and missed <= STILL:
                 break
-            pull += SOFT * self._scale * miss
-            quad.q[:] += SOFT * self._scale * np.outer(a, miss)
+            pull += stiffness * self._scale * miss
+            if missed > SLOW * before:
+                stiffness = min(STIFF, STIFFER * stiffness)
         if missed > NEAR:
             return
         cost = 0.5 * np.vdot(z, self._hessian @ z) + np.vdot(self._q, z)

@@ -49,7 +49,7 @@ INSIDE = 0.9  # of the way to where a multiplier would vanish
 SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
 AWAY, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
 ON_BOUND = 1e-6  # a heading this close to the rim or the floor sits on it
-SPARES = (1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # shares of the largest curvature, for convexity
+SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # shares of the largest curvature, for convexity
 MARGIN = 1e-13  # of the largest curvature, for each step, that convexity is verified with
 
 
@@ -236,7 +236,7 @@ def prove(quad, shapes, theta, z, node):
         quad: the cost.
         shapes: outlines of the sets, shape (N, 12).
         theta: what makes the cost convex, shape (N,).
-        z: where the tangent touches, shape (N, 2).
+        z: where the tangent touches, shape (N, n).
         node: the point of its bound, the curvatures kept there, and what is known; updated.
     """
     point, kept, known = node
@@ -246,8 +246,8 @@ def prove(quad, shapes, theta, z, node):
     kept_here = -theta - MARGIN * len(z) * top
     add_product(quad.hessian, z, 1.0, slope)
     for k in range(len(z)):
-        slope[k, 0] -= kept_here[k] * z[k, 0]
-        slope[k, 1] -= kept_here[k] * z[k, 1]
+        for c in range(z.shape[1]):
+            slope[k, c] -= kept_here[k] * z[k, c]
     least = tangent_bound(quad, shapes, kept_here, z, slope)[1]
     if least > known[KEY]:
         known[KEY], point[:], kept[:] = least, z, kept_here
@@ -278,7 +278,7 @@ def certify(quad, fraction, shapes, z, node, cutoff):
         for c in range(n):
             along += force[k, c] * z[k, c]
             square += z[k, c] * z[k, c]
-        size = np.sqrt(square)
+        size = np.sqrt(square) + 1e-300
         slope, share = quad.lengths[k] / size if quad.lengths[k] > 0.0 else 0.0, 0.0
         if size > 1.0 - ON_BOUND or size < fraction + ON_BOUND:
             theta[k] = -along / square - slope
