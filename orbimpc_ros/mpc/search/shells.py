@@ -35,10 +35,11 @@ from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 SETTLED = 90.0  # tolerances at which a search may stop
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
-SWEEPS, ROUNDS = 20, 200  # of headings in turn; and of multipliers of an arrival
+SWEEPS, ROUNDS = 20, 60  # of headings in turn; and of multipliers of an arrival
 NEAR = 1e-9  # an arrival missed by no more is met
 STILL = 1e-11  # a sweep, or an arrival missed by no more, needs no other
 SOFT, STIFF = 1.0, 1e4  # of arrivals, in curvatures of the cost: to sweep, and to prove
+ON, NEWTON = 1e-4, 8  # a heading this close to a bound sits on it; steps from there
 SLOW, STIFFER = 0.9, 1.5  # where more than this share of a miss is left, sweeps become stiffer
 
 
@@ -188,6 +189,9 @@ class Shells:
             pull += stiffness * self._scale * miss
             if missed > SLOW * before:
                 stiffness = min(STIFF, STIFFER * stiffness)
+        if self._scale:
+            z, pull = self._polished(z, pull)
+            missed = float(np.abs(a @ z - self._left).max())
         if missed > NEAR:
             return
         cost = 0.5 * np.vdot(z, self._hessian @ z) + np.vdot(self._q, z)
@@ -199,6 +203,50 @@ class Shells:
         enough = self._found.cost - self._tolerance * max(NEGLIGIBLE, abs(self._found.cost))
         certify(quad, self._floor, self._shapes, z, node[2:], enough - lacking)
         self._raise(node, lacking, pull)
+
+    def _polished(self, z: Array, pull: Array) -> tuple[Array, Array]:
+        """Return the stationary point next to headings, by Newton's method on its equations.
+
+        Args:
+            z: headings, shape (N, n).
+            pull: multipliers of the arrival, shape (n,).
+
+        Returns:
+            The point and its multipliers; where it is not on the shell, those given.
+        """
+        (count, n), a, eye = z.shape, self._arrival, np.eye(z.shape[1])
+        size = np.linalg.norm(z, axis=1)
+        on = np.flatnonzero((size > 1.0 - ON) | (size < self._floor + ON))
+        level = np.where(size > 0.5 * (1.0 + self._floor), 1.0, self._floor)[on]
+        x, nu, mu = z.copy(), pull.copy(), np.zeros(count)
+        total = n * count + len(on) + n
+        for step in range(NEWTON):
+            size = np.linalg.norm(x, axis=1)
+            bent = self._lengths / size
+            force = self._hessian @ x + self._q + np.outer(a, nu) + bent[:, None] * x
+            if step == 0:
+                mu[on] = -np.sum(force[on] * x[on], axis=1) / size[on] ** 2
+            force += mu[:, None] * x
+            system, right = np.zeros((total, total)), np.zeros(total)
+            inner = np.kron(self._hessian + np.diag(mu + bent), eye)
+            for k in range(count):
+                own = slice(n * k, n * k + n)
+                inner[own, own] -= bent[k] / size[k] ** 2 * np.outer(x[k], x[k])
+            system[: n * count, : n * count] = inner
+            for i, k in enumerate(on):
+                system[n * k : n * k + n, n * count + i] = x[k]
+            system[: n * count, total - n :] = np.kron(a[:, None], eye)
+            system[n * count :] = system[:, n * count :].T
+            right[: n * count] = force.ravel()
+            right[n * count : total - n] = 0.5 * (size[on] ** 2 - level**2)
+            right[total - n :] = a @ x - self._left
+            moved = np.linalg.lstsq(system, right, rcond=None)[0]
+            x -= moved[: n * count].reshape(count, n)
+            mu[on] -= moved[n * count : total - n]
+            nu -= moved[total - n :]
+        size = np.linalg.norm(x, axis=1)
+        within = (size > self._floor - STILL).all() and (size < 1.0 + STILL).all()
+        return (x, nu) if within else (z, pull)
 
     def _node(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return a node as :func:`climb` takes it."""
@@ -230,7 +278,7 @@ class Shells:
         if self._scale:
             missed = a @ point - self._left
             point = point - np.outer(a, missed) / (a @ a)
-            more = {'pull': pull[None].copy()}
+            more = {'pull': (pull + STIFF * self._scale * missed)[None]}
         proof = one(point, kept - self._spare, **more)
         bound = float(known[KEY] + lacking)
         self._found = replace(self._found, lower_bound=bound, proof=proof)

@@ -49,7 +49,7 @@ INSIDE = 0.9  # of the way to where a multiplier would vanish
 SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
 AWAY, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
 ON_BOUND = 1e-6  # a heading this close to the rim or the floor sits on it
-SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # shares of the largest curvature, for convexity
+SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # of the largest curvature
 MARGIN = 1e-13  # of the largest curvature, for each step, that convexity is verified with
 
 
