@@ -66,7 +66,6 @@ setup(
         'basilisk': ['bsk>=2.12'],
         'bench': ['casadi', 'cvxpy>=1.7', 'gurobipy', 'pyscipopt'],
         'fast': ['numba>=0.59'],
-        'mutation': ['mutmut>=3.8,<4'],
         # MuJoCo 4.0 takes no other core than its own.
         'physics': [
             'jsbsim>=1.2',

@@ -9,7 +9,6 @@ import gc
 import os
 import signal
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -40,7 +39,6 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption('--jitter', type=float, default=0.0, help='moves starts and goals [m]')
     parser.addoption('--quick', action='store_true', help='pure tests, one case of each')
 
 
@@ -57,32 +55,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         rest.append(item)
     config.hook.pytest_deselected(items=rest)
     items[:] = first.values()
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    if size := config.getoption('--jitter', 0.0):
-        _move_what_is_solved(size)
-
-
-def _move_what_is_solved(size: float) -> None:
-    """Move the starts and goals of all solves at random by about so much [m], always alike."""
-    import numpy as np
-
-    from orbimpc_ros.mpc.solve.solver import Solver
-
-    def moving(solve):
-        def moved(self, state, goals, *known, **others):
-            rng = np.random.default_rng(0)
-            try:
-                start = state.position + size * rng.normal(size=state.dimension)
-                goals = np.asarray(goals) + size * rng.normal(size=np.shape(goals))
-            except (AttributeError, TypeError):  # what no solver takes is left to it
-                return solve(self, state, goals, *known, **others)
-            return solve(self, replace(state, position=start), goals, *known, **others)
-
-        return moved
-
-    Solver.solve, Solver.propose = moving(Solver.solve), moving(Solver.propose)
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

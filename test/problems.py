@@ -119,6 +119,10 @@ OPEN: dict[str, dict[str, Any]] = {
         'max_rate': 0.4,
         'max_acceleration': 0.03,
     },
+    'acceleration, turn rate': {'max_acceleration': 0.2, 'max_rate': 1.0},
+    'acceleration, boxes': {'max_acceleration': 0.2, 'boxes': 1, 'no_corner_cutting': True},
+    'acceleration, discs': {'max_acceleration': 0.2, 'balls': 1, 'hazards': 1},
+    'acceleration, length': {'max_acceleration': 0.2, 'length': 0.3, 'discretisation': 'exact'},
     'circle, turn rate, approach': {**ROUND, 'max_rate': 0.9, 'approach': TOWARDS},
     'polygon, turn rate, approach': {
         'floor': Floor('polygon', 6, 0.6),

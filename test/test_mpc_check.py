@@ -19,7 +19,7 @@ from plans import (
 from problems import ORDERS, floor, rotation, state
 from problems import goals as goals_of
 
-from orbimpc_ros.mpc.check import TOLERANCE, margins, turn_margin, violations
+from orbimpc_ros.mpc.check import TOLERANCE, margins, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import UNPROVED, shifted
@@ -36,43 +36,6 @@ def test_not_finite(name, value):
     broken = replace(plan, **{name: changed(getattr(plan, name), -1, value)})
     assert only_complaint(problem, broken) == 'plan is not finite'
     assert only_complaint(problem, replace(plan, objective=value)) == 'plan is not finite'
-
-
-@pytest.mark.parametrize('name', ['positions', 'velocities'])
-def test_positions_and_velocities_are_those_of_a_rollout(name):
-    problem = Problem()
-    plan = solved(problem)
-    array = getattr(plan, name)
-    off = replace(plan, **{name: changed(array, 2, array[2] + 2 * TOLERANCE)})
-    assert name in only_complaint_but_the_cost(problem, off)
-    close = replace(plan, **{name: changed(array, 2, array[2] + 0.4 * TOLERANCE)})
-    assert not any('differ' in each for each in violations(problem, START, GOALS, close))
-
-
-def test_rotations_are_those_of_a_rollout():
-    problem = Problem()
-    plan = solved(problem)
-    off = replace(plan, inputs=changed(plan.inputs, -1, plan.inputs[-1] + 1e-4))
-    assert any('rotations differ' in f for f in violations(problem, START, GOALS, off))
-
-
-def test_a_plan_from_another_state_is_not_this_states_plan():
-    problem = Problem()
-    plan = solved(problem)
-    elsewhere = State.at([0.0, 1e-5], np.eye(2))
-    assert 'positions differ' in only_complaint(problem, plan, elsewhere)
-
-
-def test_second_order_rotation_leaves_where_the_body_rate_carries_it():
-    problem = Problem(dimension=3, rotation_order=2, translation_order=2)
-    start = state(np.random.default_rng(4), problem)
-    assert start.coasted is not None
-    goals = np.tile(start.position + 9.0 * start.coasted[:, 0], (5, 1))
-    plan = solved(problem, start, goals, coasting=True)
-    turned = start.coasted @ exp(np.array([0.0, 0.0, 0.01]))
-    other = replace(start, coasted=turned)
-    assert plan.speed_fraction[1] > 0.1
-    assert any('R_1' in f for f in violations(problem, other, goals, plan))
 
 
 def test_shifted_plan_holds_from_where_the_plan_leads():
@@ -99,13 +62,7 @@ def test_the_rest_of_a_plan_turns_no_faster_than_the_vehicle_between_its_steps()
         np.testing.assert_allclose(turned, 0.3 * knots[:3], atol=0.06)
 
 
-def test_arrays_of_a_plan_are_read_only():
-    plan = solved(Problem())
-    with pytest.raises(ValueError, match='read-only'):
-        plan.positions[0] = 1.0
-
-
-@pytest.mark.parametrize('what', ['rotation', 'rotation_rate', 'velocity'])
+@pytest.mark.parametrize('what', ['position', 'rotation', 'rotation_rate', 'velocity'])
 def test_a_plan_starts_from_the_measured_state_in_all_its_parts(what):
     """Else a plan could bring its own R_0, W_0 or p_0, and be consistent with itself."""
     problem = Problem(rotation_order=2, translation_order=2)
@@ -115,6 +72,7 @@ def test_a_plan_starts_from_the_measured_state_in_all_its_parts(what):
     plan = assembled(problem, start, GOALS, np.tile([0.5, 0.0], (5, 1)))
     assert violations(problem, start, GOALS, plan) == []
     moved = {
+        'position': np.array([0.0, 1e-5]),
         'rotation': 0.5001 * np.eye(2),
         'rotation_rate': 1e-4 * matrix(np.array([1.0, 0.5])),
         'velocity': np.array([0.1001, 0.2]),
@@ -188,17 +146,6 @@ def test_every_corner_counts_where_none_may_be_cut(k):
     assert 'obstacle' in only_complaint(strict, plan, start, goals)
 
 
-@pytest.mark.parametrize('speed', [0.0, 0.2, 1.0])
-@pytest.mark.parametrize('fraction', [0.5, 1.0])
-def test_with_a_floor_the_first_turn_is_an_angle_whatever_the_speeds(speed, fraction):
-    problem = Problem(max_rate=0.3, floor=floor('circle', 0.5))
-    start = State.at([0.0, 0.0], speed * np.eye(2), attitude=np.eye(2))
-    for angle, fine in ((0.3 - 1e-5, True), (0.3 + 1e-5, False)):
-        x = np.tile([fraction * np.cos(angle), fraction * np.sin(angle)], (5, 1))
-        found = violations(problem, start, GOALS, assembled(problem, start, GOALS, x))
-        assert (found == []) is fine
-
-
 def test_a_body_that_coasts_has_its_first_turn_behind_it():
     problem = Problem(rotation_order=2, max_rate=0.3, floor=floor('circle', 0.5))
     start = State.at([0.0, 0.0], np.zeros((2, 2)), attitude=np.eye(2), coasted=exp(np.array([1.0])))
@@ -227,22 +174,6 @@ def test_arriving_in_motion():
     assert 'terminal' in only_complaint_but_the_cost(stopped, plan, START, there)
 
 
-@pytest.mark.parametrize('order', [1, 2])
-@pytest.mark.parametrize(('step', 'forward'), [(1.0, 1.0), (0.1, 300.0), (2.0, 0.1)])
-def test_an_arrival_is_as_exact_as_steps_are_long(order, step, forward):
-    problem = Problem(
-        translation_order=order, terminal='constraint', step=step, forward=forward, horizon=6
-    )
-    reachable = np.tile(problem.length_unit * np.array([2.0, 0.5]), (6, 1))
-    plan = solved(problem, START, reachable)
-    for share, fine in ((0.3, True), (3.0, False)):
-        aside = reachable + changed(
-            np.zeros((6, 2)), (5, 1), share * TOLERANCE * problem.length_unit
-        )
-        found = violations(problem, START, aside, plan)
-        assert any('terminal' in each for each in found) is not fine
-
-
 @pytest.mark.parametrize('shape', ['circle', 'polygon'])
 def test_a_floor_is_under_the_thrust_axis_alone(shape):
     """The other columns of R are the roll's, and may vanish."""
@@ -251,19 +182,6 @@ def test_a_floor_is_under_the_thrust_axis_alone(shape):
     x = np.tile(coordinates(np.diag([1.0, 0.0, 0.0])), (5, 1))
     plan = assembled(problem, start, np.zeros((5, 3)), x)
     assert violations(problem, start, np.zeros((5, 3)), plan) == []
-
-
-@pytest.mark.parametrize('rate', [0.0, 0.3])
-def test_every_step_has_its_margin(rate):
-    start, _, plan = straight(Problem(), np.ones(5))
-    margins = turn_margin(Problem(max_rate=rate), start, plan.rotations)
-    np.testing.assert_array_equal(margins, np.full(5, Problem(max_rate=rate).chord))
-
-
-def test_one_radian_a_second_is_a_limit():
-    problem = Problem(max_rate=1.0)
-    start, goals, plan = straight(problem, [-0.1, -0.1, -0.1, -0.1, -0.1])
-    assert only_complaint(problem, plan, start, goals) == 'max_rate violated by 0.14'
 
 
 @pytest.mark.parametrize('floored', [False, True])
@@ -281,19 +199,6 @@ def test_a_first_turn_counts_from_the_attitude_that_was_measured(floored):
     ]
 
 
-def test_a_first_turn_ends_at_the_first_step():
-    """What comes later neither makes it shorter nor longer."""
-    problem = Problem(max_rate=0.3, floor=floor('circle', 0.5))
-    for angles, sizes, fine in (
-        ([0.29, 0.5, 0.7, 0.7, 0.7], [1.0, 1.0, 1.0, 1.0, 1.0], True),
-        ([0.29, 0.29, 0.29, 0.29, 0.29], [1.0, 0.75, 0.75, 0.75, 0.75], True),
-        ([0.31, 0.29, 0.29, 0.29, 0.29], [1.0, 1.0, 1.0, 1.0, 1.0], False),
-    ):
-        x = np.array(sizes)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-        plan = assembled(problem, START, GOALS, x)
-        assert (violations(problem, START, GOALS, plan) == []) is fine
-
-
 def test_later_turns_of_a_body_that_coasts_count():
     problem = Problem(rotation_order=2, max_rate=0.3, floor=floor('circle', 0.5))
     start = State.at([0.0, 0.0], np.eye(2), coasted=exp(np.array([1.0])))
@@ -304,41 +209,26 @@ def test_later_turns_of_a_body_that_coasts_count():
 
 
 @pytest.mark.parametrize('k', range(1, 6))
-@pytest.mark.parametrize('turn', [0.3, 1.5, 2.5])
-def test_with_a_floor_every_turn_is_an_angle_whatever_the_speeds(k, turn):
+@pytest.mark.parametrize(('turn', 'speed'), [(0.3, 0.0), (1.5, 0.2), (2.5, 1.0)])
+def test_with_a_floor_every_turn_is_an_angle_whatever_the_speeds(k, turn, speed):
     """Slow headings are near each other, and their angle may be wide all the same."""
     problem = Problem(max_rate=turn, floor=floor('circle', 0.2))
     sizes = np.where(np.arange(1, 6) % 2, 0.2, 1.0)
+    start = State.at([0.0, 0.0], speed * np.eye(2), attitude=np.eye(2))
     for extra, fine in ((-1e-5, True), (1e-5, False)):
         angles = np.where(np.arange(1, 6) < k, 0.0, turn + extra)
         x = np.column_stack([np.cos(angles), np.sin(angles)]) * sizes[:, None]
-        found = violations(problem, START, GOALS, assembled(problem, START, GOALS, x))
+        found = violations(problem, start, GOALS, assembled(problem, start, GOALS, x))
         assert (found == []) is fine
-
-
-def test_no_speed_has_no_heading_to_turn_to():
-    """R_1 e1 = 0 is then as far from any attitude as a half-circle is from its middle."""
-    problem = Problem(max_rate=0.9, floor=floor('circle', 0.5))
-    plan = assembled(problem, START, GOALS, np.zeros((5, 2)))
-    found = violations(problem, START, GOALS, plan)
-    assert found == ['floor violated by 0.5', f'max_rate violated by {0.5 * np.pi - 0.9:.2g}']
 
 
 def test_the_corner_before_the_first_step_is_not_the_plans():
     """R_0 or p_0 has decided s_1: how a vehicle gets there no plan can change."""
     corner = Box([0.4, -0.1], [0.6, 0.1])
-    problem = Problem(obstacles=(corner,), no_corner_cutting=True)
-    start, goals, plan = straight(problem, np.ones(5))
-    assert violations(problem, start, goals, plan) == []
-
-
-@pytest.mark.parametrize('steps', [1, 2])
-def test_short_plans_have_corners_where_they_have_two_points(steps):
-    corner = Box([1.4, -0.1], [1.6, 0.1])
-    problem = Problem(horizon=steps, obstacles=(corner,), no_corner_cutting=True)
-    start, goals, plan = straight(problem, np.ones(steps))
-    found = violations(problem, start, goals, plan)
-    assert found == ([] if steps == 1 else ['obstacle violated by 0.1'])
+    for steps in (1, 5):
+        problem = Problem(horizon=steps, obstacles=(corner,), no_corner_cutting=True)
+        start, goals, plan = straight(problem, np.ones(steps))
+        assert violations(problem, start, goals, plan) == []
 
 
 def test_margins_are_told_of_every_limit_that_there_is():
@@ -355,18 +245,6 @@ def test_margins_are_told_of_every_limit_that_there_is():
 
 
 # --- objective and bound
-
-
-def test_the_objective_is_evaluated_anew():
-    for problem in (
-        Problem(weights=Weights(1.0, 0.05, 0.3, 10.0)),
-        Problem(weights=Weights(0.0, 0.0, 0.3, 0.0), horizon=5),
-        Problem(translation_order=2, arrival_weight=3.0, step=0.5),
-    ):
-        plan = solved(problem)
-        for factor in (0.0, 0.5, 1.0 - 1e-6, 1.0 + 1e-6, 10.0):
-            told = replace(plan, objective=factor * plan.objective)
-            assert 'the objective is' in only_complaint(problem, told)
 
 
 @pytest.mark.parametrize('excess', [1e-4, 1.0, 9.0, np.inf, np.nan])

@@ -24,14 +24,6 @@ def good(n):
 
 
 @pytest.mark.parametrize('n', [2, 3])
-def test_a_good_command_has_no_flaw(n):
-    rng = np.random.default_rng(5)
-    assert flaw(Problem(n), good(n)) == ''
-    for _ in range(100):
-        assert flaw(Problem(n), replace(good(n), rotation=rotation(rng, n))) == ''
-
-
-@pytest.mark.parametrize('n', [2, 3])
 @pytest.mark.parametrize('value', [NAN, INF, -INF])
 def test_not_finite(n, value):
     for broken in (
@@ -42,14 +34,10 @@ def test_not_finite(n, value):
         assert flaw(Problem(n), broken) == 'the command is not finite'
 
 
-@pytest.mark.parametrize('fraction', [-1e-9, 1.0 + 1e-9])
-def test_more_than_all_or_less_than_nothing(fraction):
-    assert 'speed fraction' in flaw(Problem(), replace(good(2), speed_fraction=fraction))
-
-
-@pytest.mark.parametrize('fraction', [0.0, 1.0])
-def test_all_and_nothing(fraction):
-    assert flaw(Problem(), replace(good(2), speed_fraction=fraction)) == ''
+def test_a_speed_is_a_share_of_all():
+    for fraction, fine in ((0.0, True), (1.0, True), (-1e-9, False), (1.0 + 1e-9, False)):
+        found = flaw(Problem(), replace(good(2), speed_fraction=fraction))
+        assert ('speed fraction' in found) is not fine
 
 
 @pytest.mark.parametrize(('n', 'shape'), [(2, 'circle'), (2, 'polygon'), (3, 'circle')])
@@ -78,6 +66,10 @@ def test_a_rate_may_be_beyond_its_limit_by_exactly_the_tolerance():
     assert flaw(Problem(max_rate=0.3), replace(good(2), body_rate=np.array([-largest]))) == ''
     more = np.array([-np.nextafter(largest, 1.0)])
     assert 'is beyond 0.3' in flaw(Problem(max_rate=0.3), replace(good(2), body_rate=more))
+    about = good(3).body_rate
+    size = float(np.linalg.norm(about))
+    assert flaw(Problem(3, max_rate=size), good(3)) == ''
+    assert 'beyond' in flaw(Problem(3, max_rate=0.99 * size), good(3))
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -88,17 +80,6 @@ def test_a_rotation_may_be_off_by_exactly_the_tolerance(n):
         assert flaw(Problem(n), replace(good(n), rotation=sheared)) == expected
 
 
-@pytest.mark.parametrize('n', [2, 3])
-def test_turning_faster_than_allowed(n):
-    rate = good(n).body_rate
-    largest = float(np.linalg.norm(rate))
-    assert flaw(Problem(n, max_rate=largest), good(n)) == ''
-    assert 'beyond' in flaw(Problem(n, max_rate=0.99 * largest), good(n))
-    half_a_turn = rate * np.pi / largest
-    assert flaw(Problem(n), replace(good(n), body_rate=half_a_turn)) == ''
-    assert 'beyond' in flaw(Problem(n), replace(good(n), body_rate=1.001 * half_a_turn))
-
-
 def broken_rotations(n):
     turned = good(n).rotation
     yield turned * (1.0 + 1e-8)
@@ -106,6 +87,9 @@ def broken_rotations(n):
     for i in range(n):
         for j in range(n):
             yield changed(turned, (i, j), turned[i, j] + 1e-6)
+    if n == 3:  # whose last row is across the others
+        yield np.diag([2.0, 0.5, 1.0])
+        yield np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 0.8]])
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -113,19 +97,6 @@ def test_no_rotation(n):
     for broken in broken_rotations(n):
         found = flaw(Problem(n), replace(good(n), rotation=broken))
         assert found == 'the commanded rotation is not a rotation'
-
-
-@pytest.mark.parametrize(
-    'rows',
-    [
-        np.zeros((3, 3)),
-        np.diag([2.0, 0.5, 1.0]),
-        np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 0.8]]),
-    ],
-)
-def test_a_last_row_across_the_others_makes_no_rotation(rows):
-    found = flaw(Problem(3), replace(good(3), rotation=rows))
-    assert found == 'the commanded rotation is not a rotation'
 
 
 def changed(array, index, value):

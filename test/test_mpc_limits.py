@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Limits of turns, speeds, approaches and descents: what plans and commands make of them."""
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -17,13 +16,11 @@ from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import UNPROVED, assemble, shifted
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,
-    Box,
     Floor,
     MovingObstacle,
     Problem,
@@ -61,29 +58,6 @@ def test_with_a_floor_every_turn_of_a_plan_is_flown_as_planned(shape, faces):
             command = command_of(problem, start, plan, k)
             np.testing.assert_allclose(command.rotation, plan.projected[k + 1], atol=1e-6)
             assert command.speed_fraction == pytest.approx(plan.speed_fraction[k + 1], abs=1e-6)
-
-
-@needs_machine_code
-@pytest.mark.parametrize(('shape', 'faces'), [('circle', 4), ('polygon', 8)])
-def test_a_fixed_wing_flies_its_plans(shape, faces):
-    """A wing that turns evenly through each step is, at its end, where the plan has it head."""
-    wing = floor(shape, 2.0 / 3.0, faces)
-    problem = Problem(step=0.5, horizon=8, forward=15.0, floor=wing, max_rate=0.4363)
-    controller = Stepped(problem, gap_tolerance=1e-2)
-    place, heading, speed = np.zeros(2), 2.0, 12.0
-    goal, drift = np.array([60.0, -50.0]), np.array([2.0, 1.5])
-    for k in range(30):
-        ahead = goal + drift * 0.5 * (k + np.arange(1.0, 9.0))[:, None]
-        tick = controller.tick(measured(place, heading, speed, 0.5 * k), ahead)
-        assert tick.fallback == '', tick.reason
-        rate = float(tick.command.body_rate[0])
-        assert abs(rate) <= problem.max_rate * (1.0 + 1e-9)
-        np.testing.assert_allclose(tick.command.rotation, tick.plan.projected[1], atol=1e-6)
-        for _ in range(25):  # 20 ms
-            heading += 0.02 * rate
-            place = place + 0.02 * speed * np.array([np.cos(heading), np.sin(heading)])
-        speed = problem.forward * tick.command.speed_fraction
-        assert speed >= 10.0 - 1e-6
 
 
 @needs_machine_code
@@ -147,50 +121,6 @@ def test_a_plan_that_ends_out_of_the_cone_fails_the_check(n):
 # --- changes of speed
 
 
-def changes(problem, start, plan):
-    speeds = plan.speed_fraction.copy()
-    speeds[0] = entry_speed(problem, start)
-    return np.abs(np.diff(speeds)) * problem.forward / problem.step
-
-
-FAR = {'hazards': (MovingObstacle.drifting(Ball([40.0, 9.0], 1.0), [0.1, 0.3]),)}
-NEAR = {'hazards': (MovingObstacle.drifting(Ball([1.2, 1.0], 0.4), [0.0, -0.1]),)}
-ROUTES = {
-    'hull': ({}, {}),
-    'chord': ({'max_rate': 1.0}, {}),
-    'space': ({'dimension': 3}, {}),
-    'length': ({'weights': Weights(1.0, 0.05, 0.3, 10.0), 'discretisation': 'exact'}, {}),
-    'box': ({'obstacles': (Box([0.9, -0.3], [1.5, 0.3]),), 'no_corner_cutting': True}, {}),
-    'disc': ({'obstacles': (Ball([1.2, 0.6], 0.35),)}, {}),
-    'far': ({}, FAR),
-    'moving': ({}, NEAR),
-    'moving, floor': ({'floor': Floor('circle', fraction=0.4), 'max_rate': 1.0}, NEAR),
-    'approach': ({'approach': Approach(0.4, (1.0, 0.8))}, {}),
-    'glide slope': ({'dimension': 3, 'glide_slope': 0.3}, {}),
-}
-
-
-@pytest.mark.parametrize('name', ROUTES)
-def test_whatever_else_limits_a_plan_it_slows_down_in_time_and_is_no_stand_in(name):
-    model, more = ROUTES[name]
-    if 'floor' in model and not COMPILED:
-        pytest.skip('sectors are searched in machine code: install numba')
-    problem = Problem(horizon=6, max_acceleration=0.25, **model)
-    n = problem.dimension
-    start = State.at((np.eye(3)[2] * 1.2 * (n == 3))[:n], 0.6 * np.eye(n), **more)
-    targets = np.tile([2.4, 0.3, 0.0][:n], (6, 1))
-    polls = itertools.count()
-    plan = Solver(problem).solve(start, targets, None, lambda: next(polls) > 400)
-    free = Solver(replace(problem, max_acceleration=0.0)).solve(start, targets)
-    assert violations(problem, start, targets, plan) == []
-    assert changes(problem, start, plan).max() <= 0.25 * (1.0 + 1e-5)
-    assert plan.proof.reason == ''  # not what stands in for a plan
-    # Without machine code nothing is counted in time, and nothing published.
-    bound = plan.lower_bound if COMPILED else plan.proof.lower_bound
-    assert 0.0 < bound <= plan.objective <= 1.5 * bound
-    assert free.lower_bound <= plan.objective * (1.0 + 1e-5)
-
-
 def test_what_is_surely_out_of_reach_is_left_out_of_the_search():
     problem, wanted = Problem(horizon=5), State.at([0.0, 0.0], np.eye(2))
     moving = [MovingObstacle.drifting(Ball([7.0, 0.0], 1.0), [v, 0.0]) for v in (0.0, -0.15, -0.25)]
@@ -229,23 +159,6 @@ def test_a_speed_that_a_cut_turn_reduces_is_not_reduced_faster_than_allowed():
     assert command.speed_fraction == pytest.approx(0.25)
     assert command_violations(problem, plan, command, 0.3) == []
     assert command_violations(problem, plan, replace(command, speed_fraction=0.15), 0.3) != []
-
-
-@pytest.mark.parametrize('period', [0.5, 0.1])
-def test_a_vehicle_without_a_floor_comes_to_rest_at_its_goal(period):
-    """It takes each command over as fast as it may, at once where it may."""
-    problem = Problem(step=0.5, horizon=8, forward=2.0, max_acceleration=0.8)
-    controller, goal = Stepped(problem), np.array([6.0, 1.0])
-    place, heading, speed = np.zeros(2), 0.0, 0.0
-    for k in range(round(14.0 / period)):
-        tick = controller.tick(measured(place, heading, speed, k * period), np.tile(goal, (8, 1)))
-        assert tick.fallback == '', tick.reason
-        wanted = 2.0 * tick.command.speed_fraction
-        assert abs(wanted - speed) <= 0.5 * 0.8 + 1e-5
-        speed = min(speed + period * 0.8, max(speed - period * 0.8, wanted))
-        heading += period * float(tick.command.body_rate[0])
-        place = place + period * speed * np.array([np.cos(heading), np.sin(heading)])
-    assert np.linalg.norm(place - goal) < 0.1
 
 
 @pytest.mark.parametrize('kind', ['loiter', 'hold_rate_zero', 'stop'])
@@ -425,21 +338,6 @@ def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
     assert tick.plan.gap < 1e-3
 
 
-def test_an_arrival_that_became_impossible_as_time_ran_out_goes_on_as_planned():
-    """Rather than by a climb, which passes the check as well and leads away."""
-    problem = lander(floor=THRUST, terminal='constraint', horizon=12)
-    controller = Stepped(problem, shrinking=True, gap_tolerance=1e-3, disturbance=FALLING)
-    places, still = np.zeros((12, 3)), np.zeros(3)
-    at = Odometry(0.0, np.array([3.0, 0.0, 30.0]), UPRIGHT, np.array([-3.0, 0.0, 0.0]), still)
-    tick = controller.tick(at, places)
-    for k in range(1, 6):  # and then 25 m too high to arrive
-        place, attitude = tick.plan.positions[1] + (k == 5) * 25.0 * UP, tick.plan.projected[1]
-        at = Odometry(float(k), place, attitude, attitude.T @ tick.plan.velocities[1], still)
-        tick = controller.tick(at, places[k:], (lambda: True) if k == 5 else None)
-    assert tick.fallback == 'soft arrival'
-    assert np.linalg.norm(tick.plan.positions[-1]) == pytest.approx(25.0, abs=1e-3)
-
-
 def test_the_rest_of_a_plan_keeps_the_least_thrust_where_a_share_of_a_step_has_passed():
     """Between two directions of the least thrust a chord leads below it."""
     problem = lander(floor=THRUST, tilt=0.0, glide_slope=0.0)
@@ -449,15 +347,3 @@ def test_the_rest_of_a_plan_keeps_the_least_thrust_where_a_share_of_a_step_has_p
     rest = shifted(problem, start, PAD, plan, 0.5 + np.arange(1, 9), projection='thrust_aligned')
     assert violations(problem, start, PAD, rest) == []
     assert rest.speed_fraction[1:] == pytest.approx(0.3)
-
-
-def test_a_descent_that_leans_at_the_least_thrust_is_searched_to_its_optimum():
-    """Where the relaxation is below the floor: too much thrust to come down in time, and aside."""
-    weights = Weights(position=1.0, input=0.05, length=0.0, terminal=1.0)
-    problem = lander(floor=THRUST, horizon=6, weights=weights, glide_slope=0.0, tilt=0.6)
-    start, places = falling([6.0, 2.0, 40.0], fraction=0.3), np.zeros((6, 3))
-    found = Solver(problem).solve(start, places)
-    assert found.status == 'optimal'
-    assert found.nodes > 1
-    wide = Solver(replace(problem, tilt=1.5), gap_tolerance=1e-3).solve(start, places)
-    assert wide.lower_bound <= found.objective

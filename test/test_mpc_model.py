@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import ORDERS, disturbed, goals, rotation, weights
+from problems import ORDERS, disturbed, goals, weights
 
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.problem.units import Units
@@ -123,39 +123,6 @@ def test_natural_units_have_steps_of_one_and_a_hessian_of_one(orders, step, forw
         assert two == pytest.approx(one, rel=1e-12)
 
 
-def test_limits_are_scaled_along():
-    near = Box([1.0, 2.0], [3.0, 4.0])
-    problem = Problem(step=0.5, forward=4.0, max_rate=2.0 * np.pi, obstacles=(near,))
-    scaled = Units.of(problem).problem
-    assert scaled.max_rate == np.pi
-    np.testing.assert_allclose(scaled.obstacles[0].maximum, [1.5, 2.0])
-    assert scaled.chord == pytest.approx(problem.chord)
-    assert Units.of(Problem(weights=Weights(0.0, 0.0, 0.0, 0.0))).cost == 1.0
-
-
-@pytest.mark.parametrize('orders', ORDERS)
-def test_a_finer_step_resolves_the_same_integrals(orders):
-    """The cost of one smooth motion, sampled: its differences halve with the step."""
-    costs = [_cost(orders, steps) for steps in (40, 80, 160, 320)]
-    apart = np.abs(np.diff(costs))
-    np.testing.assert_allclose(apart[1:] / apart[:-1], 0.5, atol=0.12)
-    assert apart[-1] < 0.01 * costs[-1]
-
-
-def _cost(orders, steps, lasts=10.0):
-    problem = Problem(**orders, horizon=steps, step=lasts / steps, forward=2.0)
-    problem = weighed(replace(problem, weights=Weights(1.0, 0.5, 0.3, 2.0)), 'time')
-    n, times = problem.dimension, np.linspace(0.0, lasts, steps + 1)
-    rotations = np.tile(np.eye(n), (steps + 1, 1, 1))
-    c, s = np.cos(0.2 * times), np.sin(0.2 * times)
-    rotations[:, :2, :2] = np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
-    rotations *= (0.8 + 0.1 * np.sin(times))[:, None, None]
-    rate = (rotations[1] - rotations[0]) / problem.step
-    start = State.at(np.zeros(n), rotations[0], rotation_rate=rate)
-    targets = np.outer(times[1:], np.linspace(1.0, -0.5, n))
-    return trajectory_of(problem, start, targets, coordinates(rotations[1:])).cost
-
-
 def test_the_paper_means_sums_and_the_weight_of_the_attitude_has_no_unit():
     problem = Problem(step=0.1, forward=30.0, weights=Weights(attitude=4.0))
     assert weighed(problem, 'paper') is problem
@@ -170,13 +137,3 @@ def test_a_case_may_state_what_its_weights_mean():
     }  # fmt: skip
     timed = {**plain, 'weights': {**plain['weights'], 'scaling': 'time'}}
     assert case_of(timed).problem == weighed(case_of(plain).problem, 'time')
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_an_attitude_is_wanted_at_the_end_alone(n):
-    rng = np.random.default_rng(n)
-    problem = Problem(n, weights=Weights(0.0, 0.0, 0.0, 0.0, attitude=2.0))
-    start = State.at(np.zeros(n), np.eye(n), wanted=rotation(rng, n))
-    turns = np.array([rotation(rng, n) for _ in range(5)])
-    cost = trajectory_of(problem, start, np.zeros((5, n)), coordinates(turns)).cost
-    assert cost == pytest.approx(2.0 * np.sum((turns[-1] - start.wanted) ** 2))

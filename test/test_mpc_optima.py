@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Optima are those that other formulations, solvers and enumerations find."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from problems import (
     ANSWERS,
     CASES,
     FAMILIES,
-    ORDERS,
     box,
     case,
     disturbed,
@@ -83,18 +81,6 @@ def test_convex_optima_are_those_of_another_formulation(family, seed):
     assert plan.objective == pytest.approx(convex(problem, start, targets), rel=1e-5)
 
 
-@pytest.mark.parametrize('orders', ORDERS, ids=str)
-@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-def test_convex_optima_in_wind_are_those_of_another_formulation(orders, discretisation):
-    rng = np.random.default_rng(sum(orders.values()))
-    chosen = Weights(1.0, 0.1, 0.7, 3.0, 2.0)
-    model = {**orders, 'discretisation': discretisation, 'step': 0.6, 'forward': 1.4}
-    problem = Problem(**model, horizon=6, weights=chosen)
-    start, targets = disturbed(rng, problem), goals(rng, problem, distance=1.0)
-    plan = Solver(problem, gap_tolerance=1e-7, coasting=True).solve(start, targets)
-    assert plan.objective == pytest.approx(convex(problem, start, targets), rel=1e-5)
-
-
 @pytest.mark.parametrize('horizon', [1, 2, 45])
 def test_long_and_short_horizons_are_solved_as_well(horizon):
     rng = np.random.default_rng(4)
@@ -132,19 +118,6 @@ def test_the_optimum_of_a_descent_is_that_of_another_formulation(seed):
     plan = Solver(problem).solve(start, pad)
     assert plan.status == 'optimal'
     assert plan.objective == pytest.approx(convex(problem, start, pad), rel=1e-5)
-
-
-def test_hovering_under_gravity_costs_nothing_but_turns():
-    """With the weight carried at every step, the vehicle stays where it is: at its goal."""
-    problem = Problem(3, 1, 2, horizon=8, step=0.2, forward=20.0)
-    up, share = np.eye(3)[:, [2, 0, 1]], 9.81 / 20.0
-    start = State.at(np.ones(3), share * up, attitude=up, disturbance=[0.0, 0.0, -9.81])
-    for each in ('euler', 'exact'):
-        plan = Solver(replace(problem, discretisation=each)).solve(start, np.ones((8, 3)))
-        assert plan.status == 'optimal'
-        assert plan.objective < 1e-9
-        np.testing.assert_allclose(plan.positions, 1.0, atol=1e-5)
-        np.testing.assert_allclose(plan.speed_fraction, share, atol=1e-4)
 
 
 # --- choices
@@ -232,36 +205,6 @@ def test_no_local_search_beats_a_floor_in_wind(name, seed):
     assert plan.objective <= other * (1.0 + 1e-5)
 
 
-HARD = [
-    ([2.38028833, -0.54582049], [0.98153921, 0.19126104], 0.8476808,
-     [[3.71374836, 0.04473868], [3.5959582, -0.05858627], [3.58673334, -0.2540099],
-      [3.65740896, -0.49784341], [3.78678497, -0.75824361]]),
-    ([4.84911772, -0.39878528], [0.30919549, 0.45210414], 0.7352761,
-     [[5.16370425, -0.18621886], [5.40701176, -0.13395184], [5.55477072, -0.16355349],
-      [5.57321975, -0.26826013], [5.45814346, -0.4241474]]),
-]  # fmt: skip
-
-
-@needs_machine_code
-@pytest.mark.parametrize(('position', 'heading', 'known', 'targets'), HARD)
-def test_an_optimum_that_no_local_search_reaches_is_found(position, heading, known, targets):
-    """Two ticks of a study in which IPOPT, from its previous plan, once came out cheaper."""
-    (a, b), problem = heading, Problem(floor=floor('circle', np.sqrt(0.3)))
-    plan = Solver(problem).solve(State.at(position, [[a, -b], [b, a]]), np.array(targets))
-    assert plan.objective == pytest.approx(known, rel=1e-6)
-
-
-@pytest.mark.parametrize('seed', range(3))
-@pytest.mark.parametrize('fraction', [0.5, 1.0])
-def test_a_shell_is_certified_where_the_cost_sees_the_thrust_axis_alone(seed, fraction):
-    rng = np.random.default_rng(seed)
-    seen = Weights(position=1.0, input=0.0, length=0.0, terminal=10.0)
-    problem = Problem(dimension=3, horizon=4, weights=seen, floor=floor('circle', fraction))
-    start = state(rng, problem)
-    plan = Solver(problem).solve(start, np.tile(start.position + rng.normal(size=3), (4, 1)))
-    assert plan.status == 'optimal'
-
-
 @needs_machine_code
 @pytest.mark.parametrize('side', [1.0, -1.0])
 def test_a_search_winds_round_to_the_cone_of_an_approach(side):
@@ -291,24 +234,6 @@ def test_wings_are_proved_over_long_horizons(horizon):
 
 
 # --- invariances
-
-
-@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-@pytest.mark.parametrize(('n', 'shape'), [(2, 'none'), (2, 'circle'), (3, 'none'), (3, 'polygon')])
-def test_wind_is_as_good_as_goals_that_drift_against_it(n, shape, discretisation):
-    """Galilei: seen from the air, the goals move by -w, and the rotations are the same."""
-    rng = np.random.default_rng(n)
-    shape = Floor(shape, 4 if n == 2 else 6, 0.5)
-    problem = Problem(n, horizon=4, step=0.7, floor=shape, discretisation=discretisation)
-    start, targets = disturbed(rng, problem), goals(rng, problem, distance=2.0)
-    ahead = problem.step * np.arange(1.0, 5.0)
-    still = replace(start, disturbance=np.zeros(n))
-    solver = Solver(problem, gap_tolerance=1e-7)
-    plan = solver.solve(start, targets)
-    other = solver.solve(still, targets - np.outer(ahead, start.disturbance))
-    assert plan.objective == pytest.approx(other.objective, rel=1e-6)
-    flat = 1e-4 if n == 2 else 3e-3  # in space a cost hardly tells rolls apart
-    np.testing.assert_allclose(plan.rotations, other.rotations, atol=flat)
 
 
 FACTORS = [1e-12, 1e-6, 1e6, 1e12]
@@ -346,18 +271,6 @@ def test_a_cost_far_below_the_usual_is_proved_in_proportion_to_itself():
     assert plan.objective <= 2.0 * 2.8e-14 * (1.0 + 1e-6)
 
 
-def test_a_cost_far_below_its_curvature_is_minimised():
-    weight = Weights(position=0.0, input=7844.0, length=11.1, terminal=0.0156)
-    problem = Problem(
-        2, 2, 2, horizon=8, step=0.0236, forward=9.22, weights=weight
-    )  # fmt: skip
-    (a, b), (c, d) = ((np.cos(t), np.sin(t)) for t in (-0.082, -0.01))
-    first, coasted = 0.454 * np.array([[a, -b], [b, a]]), np.array([[c, -d], [d, c]])
-    start = State.at([0.0, 0.0], first, velocity=[0.0401, 0.0089], coasted=coasted)
-    plan = Solver(problem, coasting=True).solve(start, np.tile([-0.177, -0.458], (8, 1)))
-    assert plan.gap <= 1e-4
-
-
 @pytest.mark.parametrize('fraction', [0.5, 1.0])
 @pytest.mark.parametrize('dimension', [2, 3])
 def test_a_heading_that_nothing_weighs_is_no_trouble(dimension, fraction):
@@ -366,26 +279,6 @@ def test_a_heading_that_nothing_weighs_is_no_trouble(dimension, fraction):
         problem = Problem(dimension=dimension, weights=chosen, floor=floor('circle', fraction))
         start, targets = state(rng, problem), goals(rng, problem)
         assert Solver(problem).solve(start, targets).status == 'optimal'
-
-
-def test_corners_are_cut_only_where_that_is_allowed():
-    """Two points on neighbouring sides of a box are outside it; the line between them is not."""
-    corner = box(np.random.default_rng(0), 2, np.zeros(2))
-    corner = replace(corner, minimum=np.array([0.0, -1.0]), maximum=np.array([1.0, 1.0]))
-    free = Problem(horizon=4, obstacles=(corner,))
-    start = State.at([-0.8, 0.0], np.array([[0.6, -0.8], [0.8, 0.6]]))
-    targets = np.tile([1.2, 1.6], (4, 1))
-    cutting = Solver(free).solve(start, targets)
-    clear = Solver(replace(free, no_corner_cutting=True)).solve(start, targets)
-
-    def deepest(plan):
-        ways = itertools.pairwise(plan.positions[1:])
-        points = [a + s * (b - a) for a, b in ways for s in np.linspace(0, 1, 101)]
-        return corner.depth(np.array(points)).max()
-
-    assert deepest(cutting) > 0.02
-    assert deepest(clear) <= 1e-6
-    assert clear.objective >= cutting.objective
 
 
 # --- arrivals
@@ -413,16 +306,3 @@ def test_the_last_step_to_an_arrival_is_the_states_and_with_exact_steps_not(n):
         Solver(problem).solve(start, 0.99 * there)
     exact = replace(problem, discretisation='exact')
     assert Solver(exact).solve(start, 0.9 * there).status == 'optimal'
-
-
-def test_an_arrival_with_body_rates_ends_at_rest_under_gravity():
-    problem = Problem(3, 2, 2, horizon=10, step=0.5, forward=20.0, terminal='constraint')
-    up = np.eye(3)[:, [2, 0, 1]]
-    known = {'attitude': up, 'coasted': up, 'disturbance': [0.3, 0.0, -9.81]}
-    start = State.at(np.zeros(3), 0.5 * up, velocity=[0.0, 1.0, 0.0], **known)
-    for each in ('euler', 'exact'):
-        solver = Solver(replace(problem, discretisation=each), coasting=True)
-        plan = solver.solve(start, np.tile([3.0, 1.0, 2.0], (10, 1)))
-        assert plan.status == 'optimal'
-        np.testing.assert_allclose(plan.positions[-1], [3.0, 1.0, 2.0], atol=1e-6)
-        np.testing.assert_allclose(plan.velocities[-1], 0.0, atol=1e-6)

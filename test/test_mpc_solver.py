@@ -87,7 +87,8 @@ def test_a_box_ahead_is_passed_without_a_search(n, rate):
 
 
 def test_what_did_not_come_of_the_search_says_so():
-    problem = Problem(3, horizon=8, floor=floor('circle', 0.9), obstacles=(Box([5] * 3, [6] * 3),))
+    box = Box([4.4, 0.5, -0.5], [5.6, 1.7, 0.5])
+    problem = Problem(3, horizon=8, floor=floor('circle', 0.9), obstacles=(box,))
     start, targets = State.at(np.zeros(3), np.eye(3)), np.tile([9.0, 2.0, 0.0], (8, 1))
     solver = Solver(problem)
     instead = solver.solve(start, targets, out_of_time=lambda: True)

@@ -4,21 +4,18 @@
 import numpy as np
 import pytest
 from oracles import descended, enumerated
-from plans import assembled
 from toy_floor import Eastward
 from toy_model import DRAG, KEPT, Drag
 
 from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, flaw
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.floor import SHAPES
-from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -34,16 +31,6 @@ def registered(monkeypatch):
 
 def east(fraction=0.5):
     return Floor('eastward', fraction=fraction)
-
-
-def test_bounds_count_on_no_more_speed_than_a_floor_asks_for(monkeypatch):
-    class Slower(Eastward):
-        def clearance(self, floor, dimension):
-            return 0.5 * floor.fraction
-
-    monkeypatch.setitem(SHAPES, 'slower', Slower())
-    problem = Problem(dimension=3, floor=Floor('slower', fraction=0.6))
-    assert Statement(problem)._least <= 0.3
 
 
 @pytest.mark.parametrize('dimension', [2, 3])
@@ -108,16 +95,6 @@ def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
     assert east(0.7).least(np.array([0.6, 0.8])) == pytest.approx(0.7 / 0.6)
 
 
-def test_plans_made_by_hand_are_judged_by_the_new_floor_alone():
-    problem = Problem(floor=east())
-    start = State.at(np.zeros(2), np.eye(2))
-    x = np.tile(coordinates(0.7 * exp(np.array([0.6]))), (5, 1))
-    assert violations(problem, start, BEHIND, assembled(problem, start, BEHIND, x)) == []
-    slower = 0.8 * x  # 0.46 eastwards
-    found = violations(problem, start, BEHIND, assembled(problem, start, BEHIND, slower))
-    assert found == ['floor violated by 0.038']
-
-
 def flown(problem, start, headings):
     """Return positions and velocities, step by step as the toy's docstring says."""
     places, velocities = [start.position], [start.velocity]
@@ -154,42 +131,3 @@ def test_a_plan_for_another_model_does_not_pass_the_check():
     plan = Solver(Problem(2, 1, 2)).solve(start, BEHIND)
     found = violations(Problem(2, 1, DRAG), start, BEHIND, plan)
     assert [each.partition(' ')[0] for each in found] == ['positions', 'velocities']
-
-
-def test_prices_are_those_of_the_new_model():
-    """The price of the hull is what the optimum of a weaker engine costs more, per unit."""
-    start = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.1, 0.0]))
-    problem = Problem(2, 1, DRAG, terminal='constraint')
-    goals = np.tile([1.5, 0.4], (5, 1))
-    plan = Solver(problem, gap_tolerance=1e-9).solve(start, goals)
-    prices = {str(b): b.price for b in explained(problem, start, goals, plan).binding}
-    dearer = Solver(problem, gap_tolerance=1e-9)
-    costs = []
-    for last in (goals[-1] + [1e-4, 0.0], goals[-1] - [1e-4, 0.0]):
-        places = goals.copy()
-        places[-1] = last
-        costs.append(dearer.solve(start, places).objective)
-    assert prices['terminal x@5'] == pytest.approx(abs(costs[0] - costs[1]) / 2e-4, rel=1e-2)
-
-
-class Midpoint(Drag):
-    """As the toy, but a thrust moves the vehicle within its step, too."""
-
-    def push(self, step, forward):
-        return np.array([0.5 * step**2 * forward, step * forward])
-
-
-@pytest.mark.parametrize('kind', [Drag, Midpoint])
-def test_the_check_rolls_a_new_model_out_by_itself(monkeypatch, kind):
-    monkeypatch.setitem(TRANSLATIONS, DRAG + 1, kind())
-    problem = Problem(2, 1, DRAG + 1, step=0.5, forward=2.0)
-    start = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.3, -0.2]))
-    turning = np.arange(1.0, 6.0)
-    x = np.column_stack([np.cos(turning), np.sin(turning)])
-    plan = assembled(problem, start, BEHIND, x)
-    assert violations(problem, start, BEHIND, plan) == []
-    places, velocities = flown(problem, start, plan.rotations[:, :, 0])
-    pushed = 0.5 * problem.step**2 * problem.forward * plan.rotations[:-1, :, 0]
-    beyond = np.cumsum(pushed, axis=0) if kind is Midpoint else 0.0
-    np.testing.assert_allclose(plan.positions[1:], places[1:] + beyond, atol=1e-12)
-    np.testing.assert_allclose(plan.velocities, velocities, atol=1e-12)

@@ -117,56 +117,6 @@ def test_installed_nodes_fly_with_the_shared_configuration(workspace, domain, mo
         assert planner.wait(PATIENCE) == 0
 
 
-def test_the_tool_runs_in_a_sourced_workspace_as_its_pages_say(workspace):
-    """It is in lib/, not on the path: ros2 run finds it there."""
-    tool = prefix(workspace) / 'lib' / NAME / 'orbimpc'
-    done = run(*sourced(workspace, tool, '--version'), cwd=workspace)
-    assert done.stdout == 'orbimpc_ros 0.1.0\n', done.stderr
-    for page in ('recording.md', 'getting_started.md'):
-        assert f'ros2 run {NAME} orbimpc' in (ROOT / 'docs' / page).read_text()
-
-
-LAUNCH_TESTING = """
-import importlib.util
-import pytest
-
-def pytest_pycollect_makemodule(module_path, parent):
-    spec = importlib.util.spec_from_file_location(module_path.stem, module_path)
-    spec.loader.exec_module(importlib.util.module_from_spec(spec))
-    return pytest.Module.from_parent(parent, path=module_path)
-"""  # what the pytest plugin of ROS's launch_testing does
-
-
-@pytest.fixture
-def suite(tmp_path):
-    """Return what runs pytest in a folder with this suite's conftest.py, as in a workspace."""
-    for name in ('conftest.py', 'harness.py'):
-        shutil.copy(ROOT / 'test' / name, tmp_path)
-    (tmp_path / 'plugin.py').write_text(LAUNCH_TESTING)
-
-    def go(**modules):
-        for name, text in modules.items():
-            (tmp_path / f'test_{name}.py').write_text(text)
-        words = (sys.executable, '-m', 'pytest', '-p', 'plugin', '-p', 'no:cacheprovider')
-        return run(*words, cwd=tmp_path, PYTHONPATH=f'{tmp_path}{os.pathsep}{ROOT}')
-
-    return go
-
-
-def test_a_module_that_is_skipped_skips_no_other(suite):
-    done = suite(
-        absent='import pytest\npytest.importorskip("not_installed")\ndef test_it(): pass\n',
-        present='def test_it(): pass\n',
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert '1 passed, 1 skipped' in done.stdout
-
-
-def test_a_run_without_any_test_fails(suite):
-    """pytest's own exit code for that, 5, passes for success with colcon."""
-    assert suite(absent='import pytest\npytest.importorskip("not_installed")\n').returncode == 1
-
-
 def test_colcon_test_runs_pytest(workspace):
     one = 'test/test_mpc_geometry.py'
     done = colcon(

@@ -1,44 +1,114 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Vehicles whose ways cross, in lock-step without nodes: nobody comes closer than asked for."""
+"""Vehicles whose ways cross, in lock-step without nodes: nobody comes closer than asked for.
+
+``ORBIMPC_SEEDS=1000:1100 pytest test/test_ros_crossing.py`` flies other crossings.
+"""
+
+import math
 
 import numpy as np
 import pytest
+from problems import seeds
 
 pytest.importorskip('rclpy')
 
-import crossings
-
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.planner.outputs import obeyed
+from orbimpc_ros.sim.commands import Orders
+from orbimpc_ros.sim.fleet import separations
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import departure
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import fields
+from orbimpc_ros.tool.demo import fleet
+from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 
 SHORT = ('horizon=4', 'gap_tolerance=0.05', 'max_ticks=15')  # past the middle of the ring
 RADIUS = 1.0
-SEED = 5
 
 
-def test_three_vehicles_keep_their_distance_in_the_middle_of_the_ring():
-    values = crossings.setup(3, SEED, SHORT)
-    flown = crossings.fly(values, crossings.Aboard(values))
-    assert flown.apart >= RADIUS
-    assert flown.apart <= RADIUS + 0.1  # and take no more room than they need
-    assert not any(flown.fallbacks)
+def crossing(count, seed, changes=()):
+    """The parameters of a crossing's vehicles, by namespace."""
+    values, own = fleet(count, [*changes, f'seed={seed}'], 'crossing')
+    return {name: values | each for name, each in own.items()}
+
+
+class Planners:
+    """Planners without nodes, which answer one after the other and hear each other's plans."""
+
+    def __init__(self, values):
+        known = {name: planner_settings(each) for name, each in values.items()}
+        self.avoided = {name: resolved(each, name) for name, each in known.items()}
+        self.planners = {
+            name: OfflinePlanner(each, f'{name}/planner', self.avoided[name], None)
+            for name, each in known.items()
+        }
+
+    def answer(self, name, odometry, goal, at):
+        """Return a planner's messages, given its odometry and goal, stamped ``at`` [ns]."""
+        planner, seconds = self.planners[name], at / SECOND
+        for topic, message in (('goal', goal), ('odom', odometry)):
+            planner.inputs.update(topic, message, seconds, RosTime(at))
+        found = planner.plan(seconds, 0.0, 1.0)
+        planner.went_out(seconds)
+        for other, topics in self.avoided.items():
+            if 'plan' in found and f'{name}/plan' in topics:
+                plans = self.planners[other].inputs
+                plans.update(f'{name}/plan', found['plan'], seconds, RosTime(at))
+        return found
+
+
+def flown(values):
+    """Fly a crossing; return how close any two vehicles came [m], and what fell back."""
+    sims = {name: sim_settings(settings.of_sim(each)) for name, each in values.items()}
+    flights = {name: departure(each.scenario, 0.0) for name, each in sims.items()}
+    tracks, fallbacks = {name: [flight] for name, flight in flights.items()}, []
+    planners = Planners(values)
+    for _ in range(next(iter(sims.values())).scenario.max_ticks):
+        at = round(next(iter(flights.values())).vehicle.time * SECOND)
+        for name, flight in flights.items():
+            stamp = Stamp(at, sims[name].frames)
+            odometry = messages.odometry_message(stamp, measured(flight.vehicle))
+            said = planners.answer(name, odometry, messages.goal_message(stamp, flight.goal), at)
+            orders = Orders(sims[name].scenario.model, sims[name].frames)
+            orders.take_twist(said['cmd_vel'], at)
+            order = orders.latest
+            flights[name] = flight.after(order.fraction, order.body_rate, math.inf)
+            tracks[name].append(flights[name])
+            fallbacks.append(fields(said['tick'])['fallback'])
+    places = {
+        name: tuple(np.array([getattr(f.vehicle, of) for f in each]) for of in ('time', 'position'))
+        for name, each in tracks.items()
+    }
+    return min(separations(places).values()), fallbacks
+
+
+@pytest.mark.parametrize('seed', seeds(5))
+def test_three_vehicles_keep_their_distance_in_the_middle_of_the_ring(seed):
+    apart, fallbacks = flown(crossing(3, seed, SHORT))
+    assert RADIUS <= apart <= RADIUS + 0.1  # and take no more room than they need
+    assert not any(fallbacks)
 
 
 def test_without_plans_to_avoid_they_would_not():
-    values = crossings.setup(3, SEED, (*SHORT, 'avoid=[]'))
-    assert crossings.fly(values, crossings.Aboard(values)).apart < 0.9 * RADIUS
+    assert flown(crossing(3, 5, (*SHORT, 'avoid=[]')))[0] < 0.9 * RADIUS
 
 
 def test_who_has_no_plan_says_where_its_safe_command_leads():
     problem = Problem(horizon=3)
     state = State.at(np.array([1.0, 2.0]), 0.5 * np.eye(2), attitude=np.eye(2))
-    flown = obeyed(problem, state, stop(np.eye(2)))
+    led = obeyed(problem, state, stop(np.eye(2)))
     # As the model has it, this step is still flown at the old speed.
     expected = [[1.0, 2.0], [1.5, 2.0], [1.5, 2.0], [1.5, 2.0]]
-    np.testing.assert_allclose([place for place, _ in flown], expected)
+    np.testing.assert_allclose([place for place, _ in led], expected)
 
 
 def test_a_fleet_is_told_its_own_plans_alone():
-    own = crossings.setup(3, SEED)
+    own = crossing(3, 5)
     assert {each['avoid'] for each in own.values()} == {('/uav1/plan', '/uav2/plan', '/uav3/plan')}

@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bags: what is written is read back, by us and by rosbags; what is damaged is refused."""
 
-import itertools
 import os
 import random
 import shutil
@@ -96,11 +95,12 @@ def test_rosbags_reads_the_file_and_its_metadata(folder):
 @pytest.mark.parametrize(
     ('storage', 'mode'),
     [
-        *itertools.product(('mcap', 'sqlite3'), ('none', 'file', 'message')),
+        ('mcap', 'none'),
         ('mcap', 'storage'),
+        ('sqlite3', 'none'),
     ],
 )
-def test_every_form_of_rosbag2_is_read(small, tmp_path, storage, mode):
+def test_both_storages_of_rosbag2_are_read(small, tmp_path, storage, mode):
     path = ros2_bag(small, tmp_path / 'bag', storage, mode)
     expected = sorted((each.topic, each.data) for each in bags.raw(small))
     assert sorted((each.topic, each.data) for each in bags.raw(path)) == expected
@@ -208,23 +208,10 @@ def test_sizes_are_capped(small, monkeypatch, name):
     assert_refused(small)
 
 
-METADATA = {
-    'empty': '',
-    'a list': '[1, 2]',
-    'another version': 'rosbag2_bagfile_information: {version: 10}',
-    'files that are none': 'rosbag2_bagfile_information: {version: 9, relative_file_paths: 3}',
-    'a missing file': 'rosbag2_bagfile_information: {version: 9, relative_file_paths: [no.mcap]}',
-    'aliases': 'a: &a [l]\nb: &b [*a, *a]',
-    'deep': '[' * 100_000,
-    'binary': b'\xff\xfe',
-}
-
-
-@pytest.mark.parametrize('text', METADATA.values(), ids=METADATA)
-def test_bad_metadata_is_refused(small, tmp_path, text):
-    path = tmp_path / 'bag'
-    shutil.copytree(small, path)
-    (path / 'metadata.yaml').write_bytes(text if isinstance(text, bytes) else text.encode())
+@pytest.mark.parametrize('text', ['', '[1, 2]', 'a: &a [l]\nb: &b [*a, *a]', '[' * 10_000])
+def test_bad_metadata_are_refused_where_they_are_needed(small, tmp_path, text):
+    path = ros2_bag(small, tmp_path / 'bag', 'sqlite3')
+    (path / 'metadata.yaml').write_text(text)
     assert_refused(path)
 
 

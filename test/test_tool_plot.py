@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Pictures of flights: what they show, what is written, what is never replaced."""
+"""Pictures of flights: what they show, and what is written."""
 
 import itertools
 from dataclasses import replace
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 from PIL import Image
 
 from orbimpc_ros.tool import animation, cli, demo, figures, history, plot, settings, style, summary
@@ -103,28 +102,6 @@ def test_a_dark_retrieval_with_its_animation(capsys, tmp_path):
     for color in (style.DARK[1], style.DARK[3], style.DARK[4]):  # vehicle, goal, plan
         wanted = np.array([round(255 * part) for part in to_rgb(color)])
         assert (np.abs(shown[1] - wanted).max(axis=2) <= 6).sum() > 50, color
-
-
-def test_only_what_was_made_here_is_replaced(capsys, tmp_path, monkeypatch):
-    small = {'trajectory.png': Figure((1, 1)), 'data.png': Figure((1, 1))}
-    monkeypatch.setattr(figures, 'of_runs', lambda *_: small)
-    words = (GOLDEN / 'dubins', '-o', tmp_path, '--no-animation')
-    ours, foreign = tmp_path / 'trajectory.png', tmp_path / 'data.png'
-    assert run(capsys, *words)[0] == 0
-    assert run(capsys, *words)[0] == 0
-    for content in (None, 'orbimpc'):
-        if content is None:
-            Image.new('RGB', (4, 4)).save(foreign)
-        else:
-            foreign.write_text(content)
-        kept = foreign.read_bytes()
-        ours.unlink(missing_ok=True)
-        code, printed, complaint = run(capsys, *words)
-        assert (code, printed, len(complaint)) == (2, [], 1)
-        assert 'data.png' in complaint[0]
-        assert foreign.read_bytes() == kept
-        assert not ours.exists()  # nothing is written unless everything can be
-    assert not list(tmp_path.glob('.*'))
 
 
 def first(flight, count):

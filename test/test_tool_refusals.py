@@ -8,7 +8,7 @@ from bags import GOLDEN
 from drawing import needs_rerun
 
 from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.study import results
+from orbimpc_ros.tool.study import flights
 
 pytest.importorskip('rclpy')
 DUBINS, RETRIEVAL = GOLDEN / 'dubins', GOLDEN / 'retrieval'
@@ -34,7 +34,6 @@ REFUSED = {
     f'plot {DUBINS} -o out --namespace /uav7': 'without /uav7/odom',
     f'replay {RETRIEVAL} --tick 26': '--tick is 26; allowed: 0 to 25',
     f'replay {RETRIEVAL} --tick -1': '--tick is -1',
-    f'replay {RETRIEVAL} --tick 1 --update': '--update',
     f'replay {RETRIEVAL} --set weights.input=-1': 'weights.input is -1',
     f'replay {RETRIEVAL} --set wait=1': "--set: unknown parameter 'wait'",
     f'replay {RETRIEVAL} --params nowhere.yaml': 'nowhere.yaml',
@@ -57,8 +56,6 @@ REFUSED = {
     'bench --json /tmp': '--json',
     'faults --only weather': '--only',
     'faults --json /nowhere/rows.json': '--json',
-    'faults --soak 0': '--soak',
-    'faults --soak nan': '--soak',
 }
 VIEWER = {
     'view nowhere': 'nowhere',
@@ -78,7 +75,7 @@ def no_workers(*_given):
 @pytest.mark.parametrize(('line', 'culprit'), CASES)
 def test_bad_input_is_one_line_and_writes_nothing(line, culprit, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(results, 'workers', no_workers)
+    monkeypatch.setattr(flights, 'workers', no_workers)
     (tmp_path / 'thesis.tex').write_text('precious')
     try:
         code = cli.main(shlex.split(line))

@@ -54,9 +54,12 @@ def inputs(second):
 
 
 def flown(late):
-    """Return a recording of three ticks; what is ``late`` was sent before one and heard after."""
+    """Return a recording of three ticks, and the clearance of each.
+
+    What is ``late`` was sent before one and heard after.
+    """
     planner = OfflinePlanner(settings(), '/uav1/planner', resolved(settings(), '/uav1'))
-    told, answers, pending = [], [], []
+    told, answers, pending, clearances = [], [], [], []
     for second in range(1, 4):
         for each in inputs(second):
             told.append(each)
@@ -69,31 +72,28 @@ def flown(late):
         sent = second * SECOND + 50 * MILLISECOND
         answer = planner.plan(sent / SECOND, 0.0, 1.0)
         planner.went_out(sent / SECOND)
-        answers.append(RecordedTick(second * SECOND, sent, answer, published(answer)))
+        answers.append(RecordedTick(second * SECOND, sent, published(answer)))
+        clearances.append(fields(answer['tick'])['clearance'])
         for each in pending:
             planner.inputs.update(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
         pending.clear()
-    return Recording(Path('none'), '/uav1', tuple(told), tuple(answers))
+    return Recording(Path('none'), '/uav1', tuple(told), tuple(answers)), clearances
 
 
 @pytest.mark.parametrize('late', [(), ('obstacles',), (OTHER,)], ids=['none', 'markers', 'plans'])
 def test_the_commands_are_those_that_were_given(late):
-    recording = flown(late)
-    for again in replayed(recording, settings(), simulated=False):
+    recording, clearances = flown(late)
+    ticks = replayed(recording, settings(), simulated=False)
+    for again, clearance in zip(ticks, clearances, strict=True):
         now, then = published(again.messages), again.recorded.answer
         assert again.refusals == ()
-        assert now.traffic_stamps == then.traffic_stamps
-        assert (now.speed, now.status) == (then.speed, then.status)
-        np.testing.assert_array_equal(now.body_rate, then.body_rate)
-        assert fields(again.messages['tick'])['clearance'] == pytest.approx(
-            fields(again.recorded.messages['tick'])['clearance'], nan_ok=True
-        )
+        assert now['traffic_stamps'] == then['traffic_stamps']
+        assert (now['speed'], now['status']) == (then['speed'], then['status'])
+        np.testing.assert_array_equal(now['body_rate'], then['body_rate'])
+        found = fields(again.messages['tick'])['clearance']
+        assert found == pytest.approx(clearance, nan_ok=True)
 
 
 def test_what_was_heard_late_makes_a_difference():
     """Else the tests above would pass without the stamps on ``tick``."""
-    clearances = [
-        [fields(each.messages['tick'])['clearance'] for each in flown(late).answers]
-        for late in ((), ('obstacles',))
-    ]
-    assert clearances[0] != clearances[1]
+    assert flown(())[1] != flown(('obstacles',))[1]

@@ -97,7 +97,7 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
 
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     drawing = Drawing()
-    watcher = Watcher('', lambda: drawing)
+    watcher = Watcher('', drawing)
     try:
         launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
         launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500})

@@ -38,7 +38,7 @@ def baseline_named(
         name: in :data:`BASELINES`.
         settings: of the planner that it replaces.
         study: whose tuning it has.
-        tuned: numbers of :attr:`Baseline.SPACE` instead.
+        tuned: numbers of :attr:`Baseline.TUNABLE` instead.
 
     Raises:
         BadInput: all baselines are planar.

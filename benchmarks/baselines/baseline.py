@@ -21,16 +21,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import MovingObstacle, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
-
-class Range(NamedTuple):
-    """Default and range of a number that may be tuned, in equal ratios."""
-
-    default: float
-    low: float
-    high: float
-
-
-BEHIND: Mapping[str, Range] = {'behind': Range(10.0, 3.0, 30.0)}  # with a cone of approach
+BEHIND: Mapping[str, float] = {'behind': 10.0}  # with a cone of approach
 LINED = math.radians(30.0)  # off the direction of approach: behind the goal by less
 
 
@@ -67,14 +58,14 @@ class Baseline(ABC):
 
     Args:
         settings: of the planner that it replaces.
-        tuned: numbers of :attr:`SPACE`; defaults for the others.
+        tuned: numbers of :attr:`TUNABLE`; defaults for the others.
 
     Attributes:
-        SPACE: ranges of the numbers that may be tuned, by name.
+        TUNABLE: defaults of the numbers that may be tuned, by name.
         problem: that the planner would solve.
     """
 
-    SPACE: ClassVar[Mapping[str, Range]] = {}
+    TUNABLE: ClassVar[Mapping[str, float]] = {}
 
     def __init__(self, settings: PlannerSettings, tuned: Mapping[str, float]) -> None:
         self.problem = settings.problem
@@ -87,7 +78,7 @@ class Baseline(ABC):
             sideslip=settings.sideslip,
         )
         self.radius, self.cone = settings.capture_radius, settings.approach
-        self.tuned = {name: each.default for name, each in self.SPACE.items()} | dict(tuned)
+        self.tuned = {**self.TUNABLE, **tuned}
 
     @abstractmethod
     def steered(self, sight: Sight) -> tuple[float, float]:

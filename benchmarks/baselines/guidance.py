@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.baselines.baseline import BEHIND, Baseline, Range, Sight, depths, wrapped
+from benchmarks.baselines.baseline import BEHIND, Baseline, Sight, depths, wrapped
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem
 
@@ -28,10 +28,10 @@ SLOWER = (1.0, 0.6, 0.2)  # times the wanted speed; each of it lost counts as ha
 class _Guided(Baseline):
     """Steers to where a law wants to point, or aside of what is in the way there."""
 
-    SPACE: ClassVar[Mapping[str, Range]] = {
+    TUNABLE: ClassVar[Mapping[str, float]] = {
         **BEHIND,
-        'margin': Range(0.2, 0.02, 1.0),
-        'look': Range(8.0, 3.0, 20.0),
+        'margin': 0.2,
+        'look': 8.0,
     }
 
     def steered(self, sight: Sight) -> tuple[float, float]:
@@ -50,10 +50,10 @@ class _Guided(Baseline):
 class PurePursuit(_Guided):
     """Pure pursuit: flies over ground along the line of sight, crabbed into the wind."""
 
-    SPACE: ClassVar[Mapping[str, Range]] = {
-        **_Guided.SPACE,
-        'gain': Range(1.0, 0.2, 1.5),
-        'fraction': Range(1.0, 0.5, 1.0),
+    TUNABLE: ClassVar[Mapping[str, float]] = {
+        **_Guided.TUNABLE,
+        'gain': 1.0,
+        'fraction': 1.0,
     }
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
@@ -71,11 +71,11 @@ class Lead(_Guided):
     ``turn`` is the share of the time for the first turn that is taken off the flight.
     """
 
-    SPACE: ClassVar[Mapping[str, Range]] = {
-        **_Guided.SPACE,
-        'gain': Range(1.0, 0.2, 1.5),
-        'fraction': Range(1.0, 0.5, 1.0),
-        'turn': Range(0.3, 0.05, 1.0),
+    TUNABLE: ClassVar[Mapping[str, float]] = {
+        **_Guided.TUNABLE,
+        'gain': 1.0,
+        'fraction': 1.0,
+        'turn': 0.3,
     }
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
@@ -112,10 +112,10 @@ class Proportional(_Guided):
     Far off the line of sight it turns to it first.
     """
 
-    SPACE: ClassVar[Mapping[str, Range]] = {
-        **_Guided.SPACE,
-        'constant': Range(3.0, 1.0, 8.0),
-        'fraction': Range(1.0, 0.5, 1.0),
+    TUNABLE: ClassVar[Mapping[str, float]] = {
+        **_Guided.TUNABLE,
+        'constant': 3.0,
+        'fraction': 1.0,
     }
 
     def wanted(self, sight: Sight) -> tuple[float, float]:

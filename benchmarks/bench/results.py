@@ -18,7 +18,6 @@ import numpy as np
 from benchmarks.bench.interleaved import OURS, Samples
 from benchmarks.machine import machine, versions
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.files import write_whole
 
 OWN = ('note', 'beaten', 'failed', 'capped')  # fields that the file does not have
 LATE = 'ticks late by over a period'  # counted by rows of many planners, besides their times
@@ -230,4 +229,4 @@ class Result:
         if self._file is not None:
             content = {**self._head, 'rows': [row.as_json() for row in self.rows]}
             text = json.dumps(content, indent=1, allow_nan=False) + '\n'
-            write_whole(self._file, lambda new: new.write_text(text))
+            self._file.write_text(text)

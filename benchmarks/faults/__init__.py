@@ -23,12 +23,10 @@ if TYPE_CHECKING:
     from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.matrix import FaultCase, MatrixRow
 
-DEFAULT_SOAK = 30.0  # [min]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    parser.add_argument('--long', action='store_true', help='every case: about 25 minutes')
+    parser.add_argument('--long', action='store_true', help='every case: about 35 minutes')
     parser.add_argument('--only', nargs='+', metavar='ROW', help='rows by name; see --list')
     parser.add_argument('--list', action='store_true', help='list the rows and do nothing')
     parser.add_argument('--json', metavar='FILE', help='write the rows and cases there')
@@ -37,14 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=('wait_set', 'events'),
         default='wait_set',
         help='of the nodes: their parameter of that name (default: wait_set)',
-    )
-    parser.add_argument(
-        '--soak',
-        nargs='?',
-        type=float,
-        const=DEFAULT_SOAK,
-        metavar='MINUTES',
-        help='instead: one planner at 20 Hz on odometry at 1 kHz (default: 30 minutes)',
     )
 
 
@@ -55,10 +45,6 @@ def run(args: argparse.Namespace) -> int:
     if find_spec('rclpy') is None:
         hint = f'install ROS 2, or {command_for_extra("ros")}'
         raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)
-    if args.soak is not None:
-        from benchmarks.faults.soak import soaked
-
-        return soaked(args.soak, args.executor)
     cases = _wanted(args.only)
     if args.list:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))

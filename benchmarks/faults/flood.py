@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 from benchmarks.faults import stimulus
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.run.tethered import tether
+from orbimpc_ros.tool.run.processes import tether
 
 AT_ONCE = 0.1  # [s] to catch up with, at most
 

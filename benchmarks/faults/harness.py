@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import KEPT, Observer
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
@@ -25,7 +25,6 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.kernels.__main__ import PARTS
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery
 from orbimpc_ros.tool.run.processes import Process
@@ -142,9 +141,6 @@ class Harness(Session):
         self._begun = self._due = time.monotonic()
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
-        self._transforms: Any = None
-        if self._values.get('tf'):
-            self._transforms = self.node.create_publisher(TransformStamped, TF, qos(KEPT))
         self._clock = self.node.create_publisher(Clock, '/clock', qos(KEPT))
         self.start()
 
@@ -187,10 +183,6 @@ class Harness(Session):
         if self._simulated:
             self._clock.publish(Clock(clock=messages.time_message(self.now)))
         goal = stimulus.goal_at(time.monotonic() - self._begun, self.now)
-        if self._transforms is not None:
-            transform = stimulus.transform_at(self.now)
-            goal.header.frame_id = transform.header.frame_id
-            self._publish(self._transforms, transform, self.spoiled.transform)
         self._publish(self.goal, goal, self.spoiled.goal)
         if self.odometry is not None:
             odometry = stimulus.odometry_at(time.monotonic() - self._begun, self.now)
@@ -209,20 +201,17 @@ class Harness(Session):
         """Publish odometry again."""
         self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
 
-    def refusals(self, values: Mapping[str, Any]) -> list[str]:
-        """Set parameters of the running planner, one by one; return the reasons for refusals."""
-        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
-        request = SetParameters.Request(parameters=parameters)
-        results = self.call(SetParameters, '/planner/set_parameters', request).results
-        return [result.reason for result in results if not result.successful]
-
     def set_live(self, **values: Any) -> None:
         """Set parameters of the running planner.
 
         Raises:
             OrbimpcError: they are refused.
         """
-        if refused := self.refusals(values):
+        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        request = SetParameters.Request(parameters=parameters)
+        results = self.call(SetParameters, '/planner/set_parameters', request).results
+        refused = [result.reason for result in results if not result.successful]
+        if refused:
             raise OrbimpcError(f'refused: {refused}')
 
 

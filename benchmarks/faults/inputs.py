@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,7 +14,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy
 
 from benchmarks.faults import stimulus
-from benchmarks.faults.harness import PATIENCE, STEP, Harness
+from benchmarks.faults.harness import STEP, Harness
 from benchmarks.faults.injection import MIDWAY, RUNNING, SOLVING, START, Fault, fault_case
 from benchmarks.faults.monitor import Monitor, complaint
 from benchmarks.faults.stimulus import HUGE, Spoiled, Spoiler, shifted, with_field
@@ -26,7 +25,6 @@ from orbimpc_ros.ros.process import qos
 STALE = 0.3  # [s] odom_timeout: 1.5 steps
 LADDER = FALLBACK_TICKS * STEP  # [s] that a shifted plan may be flown
 LOST = 0.4 + LADDER  # [s] goal_timeout of the harness, and the last plan after it
-TIMEOUT = 0.2  # [s] transform_timeout
 HEALTH = 1.2  # [s] in which counts are reported
 REPORT = 1.0  # [s] in which a mismatch must be reported
 MEET = 0.6  # [s] that discovery may take
@@ -85,49 +83,10 @@ def _unset() -> list[Fault]:
     return [_odometry('stamps not set', with_field('header.stamp', Time()), times=RUNNING)]
 
 
-def _mixed() -> list[Fault]:
-    """Return old messages and doubles among good ones: counted, and planned on all the same."""
-
-    def uncounted(harness: Harness, _since: float) -> str:
-        harness.spin(HEALTH)
-        pairs = itertools.product(('odom', 'goal'), ('duplicate', 'reordered'))
-        lacking = [': '.join(pair) for pair in pairs if not harness.monitor.counted(*pair)]
-        return f'not counted: {", ".join(lacking)}' if lacking else ''
-
-    spoiled = Spoiled(stimulus.interleaved(), stimulus.interleaved())
-    return [
-        Fault('old among new', _spoils(spoiled), allowed=5.0, strict=False, event=None,
-              flaw=uncounted, times=(MIDWAY,))
-    ]  # fmt: skip
-
-
 def _garbage() -> list[Fault]:
     return [
         _odometry('no odometry message', stimulus.garbled),
         _goal('no goal message', stimulus.garbled),
-    ]
-
-
-def _transforms() -> list[Fault]:
-    """Return goals in another frame with bad transforms from there: as if there were no goals."""
-
-    def uncounted(name: str) -> Callable[[Harness, float], str]:
-        def flaw(harness: Harness, _since: float) -> str:
-            harness.spin(PATIENCE, lambda: harness.monitor.counted(f'{name} transform'))
-            counted = harness.monitor.counted(f'{name} transform')
-            return '' if counted else f'no {name} transform counted'
-
-        return flaw
-
-    ahead = shifted(10.0, 10.5)  # extrapolated until their time has come
-    spoiled = [
-        ('missing', Spoiled(goal=with_field('header.frame_id', 'nowhere')), LOST, MIDWAY),
-        ('stale', Spoiled(transform=stimulus.lost), LOST + TIMEOUT, MIDWAY),
-        ('extrapolated', Spoiled(transform=ahead), LOST, START),
-    ]
-    return [
-        Fault(name, _spoils(each), wait=wait, flaw=uncounted(name), times=(when,))
-        for name, each, wait, when in spoiled
     ]
 
 
@@ -152,15 +111,6 @@ def _jumps() -> list[Fault]:
         return begin
 
     return [Fault(name, jumping(by), strict=False, times=RUNNING) for name, by in jumps.items()]
-
-
-def _leaps() -> list[Fault]:
-    """Return goals that are elsewhere in every message: refused or clamped, and reported."""
-    return [
-        Fault(f'goal leaps {distance:g} m', _spoils(Spoiled(goal=stimulus.leaping(distance))),
-              strict=False, event=complaint('goal'), times=RUNNING)
-        for distance in (1e6, 30.0, 1e3)
-    ]  # fmt: skip
 
 
 def _infeasible() -> list[Fault]:
@@ -216,25 +166,19 @@ def _sources() -> list[Fault]:
     ]  # fmt: skip
 
 
-ALTERED = 'benchmarks.faults.altered'
 FAULT_CASES = (
     fault_case('odometry', 'stale odometry', lambda: [_odometry('no odometry', stimulus.lost)],
                RUNNING),
     fault_case('goal', 'stale goal', lambda: [_goal('no goal', stimulus.lost)]),
     fault_case('stamps', 'future, repeated, malformed stamps', _stamps, RUNNING),
     fault_case('unset', 'stamps that are not set, after good ones', _unset),
-    fault_case('mixed', 'duplicates and older stamps among good ones', _mixed),
     fault_case('garbage', 'bytes that are no message', _garbage),
     fault_case('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents,
                (START, MIDWAY, SOLVING)),
     fault_case('frozen', 'clock frozen: safe after odom_timeout', _frozen, simulated=True),
     fault_case('jumps', 'clock jumps or is reset', _jumps, (MIDWAY, MIDWAY), simulated=True),
-    fault_case('transforms', 'transforms missing, stale, extrapolated', _transforms,
-               (MIDWAY, MIDWAY), parameters={'tf': True}, module=ALTERED),
     fault_case('twist', 'velocities in the wrong frame: reported', _velocities, allowed=TURNED,
                unit='s', parameters={}),
-    fault_case('leaps', 'goal teleports, out of reach: refused and reported', _leaps,
-               allowed=1.2 / STEP),
     fault_case('infeasible', 'no plan: shifted plan, then safe', _infeasible),
     fault_case('qos', 'a quality of service that does not match: reported', _mismatch,
                allowed=REPORT, unit='s'),

@@ -126,11 +126,6 @@ class Monitor:
 
         return _first(self.health, complains)
 
-    def counted(self, *words: str) -> bool:
-        """Return whether diagnostics have a counter whose name contains all of some words."""
-        names = {name for each in self.health for name in each.values}
-        return any(all(word in name for word in words) for name in names)
-
     @property
     def solve_ms(self) -> float:
         """Return how long the last solve took [ms]."""

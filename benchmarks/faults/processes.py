@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows on whole processes: parameters, deadlines, modes, floods, exceptions, signals, restarts."""
+"""Rows on whole processes: deadlines, floods, exceptions, signals, restarts."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
@@ -33,93 +31,26 @@ from benchmarks.faults.harness import (
     Place,
     Session,
 )
-from benchmarks.faults.injection import AFTER, MIDWAY, SEEDS, SLOW, until_due
-from benchmarks.faults.inputs import ALTERED, STALE
+from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
+from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
 from benchmarks.faults.stimulus import HEALTHY, SLIP, Spoiled, with_field
-from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.ros.parameters import PLANNER
-from orbimpc_ros.ros.parameters.spec import ParameterSpec
+from benchmarks.machine import resident
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.settings import config
 
-BAD_INPUT, SETS = 2, (4, 200)  # nonsense parameters, in the short and in the long form
-REFUSED = 2.0  # [s] in which a node with nonsense for parameters must have ended
+ALTERED = 'benchmarks.faults.altered'  # the planner's module, made to raise
 LEAVE = 5.0  # [s] in which a process must have ended
 FAREWELLS = 3  # safe commands at the end
 LATCH = 0.2  # [s] command_timeout
 FLOOD, SETTLED, LATE = 5000.0, 1.0, 5.0  # [Hz], [s] to be discovered, [ms] beyond a period
+SOAK, SOAK_STEP, MEBIBYTE, GROWTH = 1000.0, 0.05, 2.0**20, 2.0  # [Hz], [s], [bytes], [MiB]
 SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy machine
-FLIPS, FLIP, REPORT = 15, 0.1, 2.0  # changes of mode, [s] between them, [s] to be reported
-UNDERWAY = 0.1  # [s] a change of mode may take, and a command that went out before
 
 
-# --- parameters
-
-
-def nonsense(row: ParameterSpec, draw: random.Random) -> Any:
-    """Return a value that a parameter must not have."""
-    wrong: list[Any] = [math.nan, math.inf, -math.inf, 'nonsense']
-    if row.choices:
-        return draw.choice(['nonsense', 'x' * 1000, 3, True])
-    if isinstance(row.default, bool):
-        return draw.choice([3, 0.5, 'nonsense'])
-    if isinstance(row.default, str):
-        return draw.choice([3, 0.5, True])
-    if isinstance(row.default, tuple):
-        return draw.choice([[math.nan] * 3, [1e300] * 3, 'nonsense', 7, [1.0, math.inf, 2.0, 3.0]])
-    if math.isfinite(row.high):
-        wrong.append(type(row.default)(row.high + max(1.0, abs(row.high))))
-    if math.isfinite(row.low):
-        wrong.append(type(row.default)(row.low - max(1.0, abs(row.low))))
-    return draw.choice(wrong)
-
-
-def _starts(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Nodes that are started with one bad value: one line, code 2, no command."""
-    with Session(fixtures.place(), Limits(1.0, math.pi)) as session:
-        for number in range(SETS[long]):
-            yield _started(session, random.Random(number))
-        session.spin(0.5)
-        yield Outcome('commands of all of them', len(session.monitor.commands))
-
-
-def _started(session: Session, draw: random.Random) -> Outcome:
-    node, rows = draw.choice((('planner', PLANNER), ('sim', SIM)))
-    row = draw.choice(rows)
-    value = nonsense(row, draw)
-    begin = time.monotonic()
-    process = session.launch(PACKAGES[node], {row.name: value})
-    code = process.wait(PATIENCE)  # a busy machine is late, and no more
-    took = time.monotonic() - begin
-    process.stop()
-    lines = process.output.strip().splitlines()
-    failure = '' if code == BAD_INPUT else f'exit code {code}'
-    if len(lines) != 1 or row.name not in process.output:
-        failure = f'{failure} printed {lines[:3]}'.strip()
-    return Outcome(f'{node} {row.name} = {str(value)[:20]}', 0, took, failure)
-
-
-def _live(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Nonsense for a running planner: refused, and nothing changes."""
-    harness = fixtures.shared({})
-    harness.until_planned()
-    request = GetParameters.Request(names=[row.name for row in PLANNER])
-    before = harness.call(GetParameters, '/planner/get_parameters', request)
-    begin = time.monotonic()
-    for number in range(SETS[long]):
-        draw = random.Random(number)
-        row = draw.choice(PLANNER)
-        value = nonsense(row, draw)
-        failure = '' if harness.refusals({row.name: value}) else 'accepted'
-        yield Outcome(f'{row.name} = {str(value)[:20]}', failure=failure)
-    changed = before != harness.call(GetParameters, '/planner/get_parameters', request)
-    harness.until_planned()
-    unsafe, failure = harness.monitor.broken(begin), 'values have changed' if changed else ''
-    yield Outcome('all of them', unsafe, failure=failure)
+# --- no time
 
 
 def _no_time(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
@@ -144,31 +75,6 @@ def _slowest(harness: Harness, since: float) -> float:
     gap = max(later.at - tick.at for tick, later in itertools.pairwise(ticks))
     slowest = 1e-3 * max(float(tick.values['solve_time_ms']) for tick in ticks)
     return max(slowest / STEP, gap / STEP - 1.0)
-
-
-def _modes(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """A mode that flips ten times a second: silent in the other one, and reported."""
-    for seed in SEEDS if long else SEEDS[:1]:
-        with fixtures.harness({'gated': True}, seed=seed) as harness:
-            mode = harness.node.create_publisher(Bool, 'engaged', qos())
-            harness.until(partial(_subscribed, mode), 'a subscriber of the mode')
-            mode.publish(Bool(data=True))
-            harness.until_planned()
-            begin = time.monotonic()
-            for flip in range(FLIPS):
-                mode.publish(Bool(data=bool(flip % 2)))
-                harness.spin(FLIP)
-            reported = harness.until_first(complaint('the mode has changed'), begin) - begin
-            silent = time.monotonic() + UNDERWAY
-            harness.spin(UNDERWAY + AFTER * STEP)
-            spoken = sum(each.at > silent for each in harness.monitor.commands)
-            mode.publish(Bool(data=True))
-            harness.until_planned()
-            yield Outcome('at 10 Hz', spoken + harness.monitor.broken(), reported)
-
-
-def _subscribed(publisher: Any) -> bool:
-    return bool(publisher.get_subscription_count() > 0)
 
 
 # --- floods
@@ -203,6 +109,20 @@ def _flood(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
             harness.until_planned()
         late = 1e3 * (np.percentile(np.diff(ticks), 99) - STEP)
         yield Outcome('5 kHz', harness.monitor.broken(begin), max(0.0, float(late)))
+
+
+def _soak(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """A planner at 20 Hz on odometry at 1 kHz for long: its memory does not grow."""
+    with fixtures.harness({'step': SOAK_STEP}) as harness:
+        harness.until_planned()
+        with flooded(harness, SOAK):
+            begin = time.monotonic()
+            harness.until_planned()
+            harness.spin(120.0 if long else 4.0)
+            settled = resident(harness.planner.pid)
+            harness.spin(600.0 if long else 4.0)
+            grown = (resident(harness.planner.pid) - settled) / MEBIBYTE
+        yield Outcome('1 kHz', harness.monitor.broken(begin), max(0.0, grown))
 
 
 # --- ends of the planner
@@ -378,10 +298,10 @@ def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 FAULT_CASES = (
-    FaultCase('mode', 'a mode that flips at 10 Hz: reported, else silent', REPORT, _modes, 's'),
     FaultCase('deadline', 'no time to search: longest solve, or time missed', SLOWEST, _no_time),
     FaultCase('flood', 'odometry at 5 kHz: p99 from tick to tick, beyond the period', LATE, _flood,
               'ms'),
+    FaultCase('soak', 'odometry at 1 kHz for long: growth of memory', GROWTH, _soak, 'MiB'),
     FaultCase('exceptions', 'exceptions in callbacks: safe, then given up', 1.0, _exceptions),
     FaultCase('sigint', 'SIGINT: three safe commands, exit 0', LEAVE, _signalled(signal.SIGINT),
               's'),
@@ -390,6 +310,4 @@ FAULT_CASES = (
     FaultCase('sigkill', 'planner killed: the vehicle is stopped', LATCH, _killed, 's'),
     FaultCase('hung', 'planner hangs for a while: stopped, then flies on', LATCH, _hung, 's'),
     FaultCase('restart', 'planner killed and restarted: the rope is caught', 0.0, _restarted),
-    FaultCase('starts', 'nonsense parameters: exit code 2, no command', REFUSED, _starts, 's'),
-    FaultCase('live', 'nonsense parameters live: refused', 0.0, _live),
 )  # fmt: skip

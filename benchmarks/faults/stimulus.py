@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
@@ -21,7 +21,6 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 
 FRAMES = Frames('odom', 'base_link')
-GOALS = 'map'  # the frame of goals where there are transforms
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
@@ -51,18 +50,12 @@ def goal_at(seconds: float, stamp: int) -> PoseStamped:
     return messages.goal_message(Stamp(stamp, FRAMES), np.array([swing, RADIUS]))
 
 
-def transform_at(stamp: int) -> TransformStamped:
-    """Return that the goals' own frame, if they have one, coincides with the world's."""
-    return TransformStamped(header=messages.header(stamp, GOALS), child_frame_id=FRAMES.world)
-
-
 @dataclass(frozen=True)
 class Spoiled:
-    """Changes of odometry, goals and transforms on their way; None leaves them as they are."""
+    """Changes of odometry and goals on their way; None leaves them as they are."""
 
     odometry: Spoiler | None = None
     goal: Spoiler | None = None
-    transform: Spoiler | None = None
 
 
 HEALTHY = Spoiled()
@@ -119,20 +112,6 @@ def repeated() -> Spoiler:
     return spoil
 
 
-def interleaved() -> Spoiler:
-    """Return a mixture of good messages, older ones, and the last good one again."""
-    sent: list[Any] = []
-
-    def spoil(message: Any, draw: random.Random) -> list[Any]:
-        sent.append(message)
-        turn = len(sent) % 4
-        if turn == 0:
-            return shifted(-2.0, -0.2)(message, draw)
-        return [copy.deepcopy(sent[-2])] if turn == 2 else [message]
-
-    return spoil
-
-
 def scaled_quaternion(path: str) -> Spoiler:
     """Return a change of a quaternion to zero, or by 1 % in length."""
 
@@ -141,18 +120,6 @@ def scaled_quaternion(path: str) -> Spoiler:
         factor = draw.choice((0.0, 1.01, 0.99, 1e200))
         for name in 'xyzw':
             setattr(pose.orientation, name, factor * getattr(pose.orientation, name))
-        return [message]
-
-    return spoil
-
-
-def leaping(distance: float) -> Spoiler:
-    """Return a shift of goals by a distance [m] in random directions."""
-
-    def spoil(message: Any, draw: random.Random) -> list[Any]:
-        angle = draw.uniform(0.0, 2.0 * math.pi)
-        message.pose.position.x += distance * math.cos(angle)
-        message.pose.position.y += distance * math.sin(angle)
         return [message]
 
     return spoil

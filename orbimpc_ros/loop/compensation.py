@@ -80,15 +80,15 @@ def state_of(
 ) -> State:
     """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
 
-    At translation order 1 sigma_0 is the measured share of full speed, but for one case: where
-    ``max_rate`` limits changes of speed, from what was commanded. A vehicle in a dead band, in a
-    drift or uphill would never be told more than a step from the speed that it has.
+    At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate`` the
+    one that commands have led to: a gust is no change of speed that a plan has to make up for, and
+    a vehicle in a dead band would never be told more than a step from the speed that it has.
 
     Args:
         problem: gives the orders, the step and the full speed.
         odometry: the measurement.
-        applied: the share of thrust or speed that is commanded now, in [0, 1]; None before the
-            first command.
+        applied: the share of thrust or speed that commands have led to, in [0, 1]; None before
+            the first one.
         disturbance: a wind or an acceleration, shape (n,); None for none.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         reached: the share of full speed that changes of speed count from, where they are limited;
@@ -103,7 +103,7 @@ def state_of(
         speed = airspeed(odometry, disturbance, velocity_source)
         fraction = min(1.0, max(0.0, speed / problem.forward))
         velocity = None
-        if applied is not None and problem.max_rate and not problem.turns_are_angles:
+        if applied is not None and problem.max_rate:
             fraction = applied
     coasted = None
     if problem.rotation_order == 2:
@@ -770,6 +770,8 @@ class Compensator:
     ) -> State:
         """Return the state of a plan that starts there: see :func:`state_of`."""
         applied = None if self.coming is None else self.coming.speed_fraction
+        if applied is not None and self._problem.turns_are_angles and not self._problem.inertial:
+            applied = self.history.applied(odometry.time, self.response.speed)
         known = applied, self.disturbance, self._velocity_source
         return state_of(self._problem, odometry, *known, reached, wanted, hazards)
 

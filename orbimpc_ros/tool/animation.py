@@ -13,9 +13,8 @@ from PIL import Image
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool import figures
-from orbimpc_ros.tool.files import write_whole
 from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, MAKER, ORANGE, look
+from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, ORANGE, look
 
 DOTS_PER_INCH = 90
 FRAMES = 150  # at most, or one a tick
@@ -51,25 +50,19 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
 
 
 def write_gif(history: History, file: Path, dark: bool = False) -> None:
-    """Write a flight as an animation that repeats for ever.
-
-    Raises:
-        OSError: the disk does not take it; an animation that was there stays.
-    """
+    """Write a flight as an animation that repeats for ever."""
     with look(dark):
         shown = [Image.fromarray(frame) for frame in _frames(history)]
     # One palette for all frames: colours must not flicker.
     palette = shown[len(shown) // 2].quantize(COLORS, Image.Quantize.MAXCOVERAGE)
     images = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in shown]
-    how: Any = {
-        'format': 'GIF',
-        'save_all': True,
-        'append_images': images[1:],
-        'duration': [FRAME] * (len(images) - 1) + [LAST],
-        'loop': 0,
-        'comment': MAKER.encode(),
-    }
-    write_whole(file, lambda new: images[0].save(new, **how))
+    images[0].save(
+        file,
+        save_all=True,
+        append_images=images[1:],
+        duration=[FRAME] * (len(images) - 1) + [LAST],
+        loop=0,
+    )
 
 
 def _frames(history: History) -> Iterator[Array]:

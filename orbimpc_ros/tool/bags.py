@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Bags as rosbag2 has them: MCAP read and written with checksums, SQLite and compressed ones read.
+"""Bags as rosbag2 has them: MCAP read and written with checksums, SQLite read.
 
 MCAP goes through the ``mcap`` library, which has the time of sending of each message, verifies
-checksums and reads a file whose recorder was killed; all else goes through ``rosbags``.
+checksums and reads a file whose recorder was killed; SQLite goes through ``rosbags``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
-from orbimpc_ros.tool import files, topics
+from orbimpc_ros.tool import topics
 from orbimpc_ros.tool.files import opened
 from orbimpc_ros.tool.topics import Topic
 
@@ -40,11 +40,12 @@ LARGEST_CONTENT = 1 << 28  # [bytes] of the messages that are read
 LATEST = 2**63  # [ns]: stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
+SUFFIXES = ('.mcap', '.db3')
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
-class Raw(NamedTuple):
-    """A serialised message.
+class Message(NamedTuple):
+    """A message in a bag.
 
     Attributes:
         topic: it came on.
@@ -52,6 +53,7 @@ class Raw(NamedTuple):
         stamp: under which it was recorded [ns].
         sent: when it was sent; the stamp if that is not known [ns].
         data: in CDR.
+        content: decoded; None where only bytes are read.
     """
 
     topic: str
@@ -59,16 +61,7 @@ class Raw(NamedTuple):
     stamp: int
     sent: int
     data: bytes
-
-
-class Message(NamedTuple):
-    """A decoded message: a :class:`Raw` with its content instead of its bytes."""
-
-    topic: str
-    type: str
-    stamp: int
-    sent: int
-    content: Any
+    content: Any = None
 
 
 # --- the content of messages, from bags and from DDS alike
@@ -124,7 +117,7 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
         if not names or each.topic.rpartition('/')[2] in names:
             with _reading(path):
                 content = store().deserialize_cdr(each.data, each.type)
-            yield Message(*each[:-1], content)
+            yield each._replace(content=content)
 
 
 def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
@@ -147,7 +140,7 @@ def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[
     return [(name, content) for before, _, name, content in parted if before == namespace]
 
 
-def raw(path: Path) -> list[Raw]:
+def raw(path: Path) -> list[Message]:
     """Return the messages on the topics that we know, in the order of their stamps, as bytes.
 
     A bag whose recorder was killed is read up to its last complete chunk, and a line reports that.
@@ -156,9 +149,9 @@ def raw(path: Path) -> list[Raw]:
         BadInput: missing, damaged, too large, of another version, or not a bag.
     """
     files, closed = _files(path)
-    found, size = list[Raw](), 0
+    found, size = list[Message](), 0
     with _reading(path):
-        for each in _of_mcap(files, closed) if _is_mcap(path, files) else _of_rosbags(path):
+        for each in _of_mcap(files, closed) if _is_mcap(files) else _of_rosbags(path):
             size += len(each.data)
             if size > LARGEST_CONTENT:
                 raise BadInput.stating(str(path), f'{size} bytes of messages', ALLOWED)
@@ -176,14 +169,12 @@ def notes(path: Path) -> dict[str, str]:
         BadInput: no bag, or damaged.
     """
     files, closed = _files(path)
-    with _reading(path):
-        if _is_mcap(path, files):
-            with _mcap(files[0], closed) as reader:
-                for record in reader.iter_metadata():
-                    if record.name == NOTES:
-                        return record.metadata
-        found = _information(path).get('custom_data') or {}
-        return {str(name): str(text) for name, text in found.items()}
+    if not _is_mcap(files):
+        return {}
+    with _reading(path), _mcap(files[0], closed) as reader:
+        found = (each for each in reader.iter_metadata() if each.name == NOTES)
+        return next((each.metadata for each in found), {})
+    return {}  # it ended before its notes
 
 
 @contextmanager
@@ -199,16 +190,13 @@ def _reading(path: Path) -> Iterator[None]:
 
 def _files(path: Path) -> tuple[list[Path], bool]:
     """Return a bag's files, and whether its recorder came to close it."""
-    if not path.is_dir():
-        if path.suffix not in ('.mcap', '.db3'):
-            raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
+    if path.is_dir():
+        files = sorted(path.glob('*.mcap')) or sorted(path.glob('*.db3'))
+        closed = (path / METADATA).exists()
+    elif path.suffix in SUFFIXES:
         files, closed = [path], path.suffix == '.db3' or (path.parent / METADATA).exists()
-    elif (path / METADATA).exists():
-        with _reading(path / METADATA):
-            names = _information(path)['relative_file_paths']
-            files, closed = [path / Path(name).name for name in names], True
     else:
-        files, closed = sorted([*path.glob('*.mcap'), *path.glob('*.db3')]), False
+        raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
     if not files:
         raise BadInput.stating(str(path), 'without a file of messages', NEEDED)
     for file in files:
@@ -217,37 +205,25 @@ def _files(path: Path) -> tuple[list[Path], bool]:
     return files, closed
 
 
-def _information(path: Path) -> dict[str, Any]:
-    """Return what the metadata of a bag hold; nothing without any."""
-    if not (path.is_dir() and (path / METADATA).exists()):
-        return {}
-    found = files.read(str(path / METADATA), LATEST)['rosbag2_bagfile_information']
-    if not 1 <= found['version'] <= METADATA_VERSION:
-        raise BadInput(f'{path}: version', found['version'], f'1 to {METADATA_VERSION}')
-    return cast(dict[str, Any], found)
+def _is_mcap(files: Sequence[Path]) -> bool:
+    return files[0].suffix == '.mcap'
 
 
-def _is_mcap(path: Path, files: Sequence[Path]) -> bool:
-    """Return whether a bag is of MCAP, and not compressed outside of that by rosbag2."""
-    mode = _information(path).get('compression_mode') or 'none'
-    return files[0].suffix == '.mcap' and mode.lower() == 'none'
-
-
-def _of_rosbags(path: Path) -> Iterator[Raw]:
+def _of_rosbags(path: Path) -> Iterator[Message]:
     with Reader(path) as reader:
         wanted = [each for each in reader.connections if topics.known(each.topic, each.msgtype)]
         for each, stamp, data in reader.messages(wanted) if wanted else ():
-            yield Raw(each.topic, each.msgtype, stamp, stamp, bytes(data))
+            yield Message(each.topic, each.msgtype, stamp, stamp, bytes(data))
 
 
-def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Raw]:
+def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Message]:
     """Yield the known messages of MCAP files in the order in which they were written."""
     for file in files:
         with _mcap(file, closed) as reader:
             for schema, channel, each in reader.iter_messages(log_time_order=False):
                 if schema is not None and topics.known(channel.topic, schema.name):
                     sent = each.publish_time or each.log_time
-                    yield Raw(channel.topic, schema.name, each.log_time, sent, each.data)
+                    yield Message(channel.topic, schema.name, each.log_time, sent, each.data)
 
 
 @contextmanager
@@ -265,6 +241,17 @@ def _mcap(file: Path, closed: bool) -> Iterator[NonSeekingReader]:
 # --- writing
 
 
+def serialised(message: Any, kind: str) -> bytes:
+    """Return a ROS message in CDR, the same bytes every time.
+
+    The middleware leaves in the padding whatever was in memory.
+    """
+    from rclpy.serialization import serialize_message
+
+    raw = serialize_message(message)
+    return bytes(store().serialize_cdr(store().deserialize_cdr(raw, kind), kind))
+
+
 class BagWriter:
     """Writes a new MCAP bag, which ``ros2 bag`` reads.
 
@@ -276,7 +263,7 @@ class BagWriter:
 
     def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
-        self.folder, self._topics, self._notes = folder, listed, dict(notes)
+        self.folder, self._topics = folder, listed
         self._counts = dict.fromkeys((topic.name for topic in listed), 0)
         self._first, self._last = LATEST, 0
         self._stream = (folder / f'{folder.name}.mcap').open('wb')
@@ -284,8 +271,7 @@ class BagWriter:
             self._stream, WRITTEN_CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._writer.start(profile='ros2', library='orbimpc_ros')
-        # Also here: metadata.yaml is written only when the bag is closed.
-        self._writer.add_metadata(NOTES, self._notes)
+        self._writer.add_metadata(NOTES, dict(notes))
         self._channels = {topic.name: self._channel(topic) for topic in listed}
 
     def _channel(self, topic: Topic) -> int:
@@ -340,7 +326,6 @@ class BagWriter:
             'compression_mode': '',
             'relative_file_paths': [file],
             'files': [{'path': file, **span}],
-            'custom_data': self._notes or None,
             'ros_distro': 'jazzy',
         }
 

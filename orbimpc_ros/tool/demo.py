@@ -76,18 +76,18 @@ def run(args: argparse.Namespace) -> int:
         for values in flights.values():
             _require_engine(values['vehicle'])
     folder = new_folder(args.out, args.scenario)
-    places = {name: folder / name if name else folder for name in flights}
+    bags = {}
     with writing_to(folder):
         for name, values in flights.items():
-            places[name].mkdir(exist_ok=True)
-            fly(values, places[name], own)
-        paths = [place / 'bag' for place in places.values()]
-        flown = (
-            {name: history.of_bag(paths[0], name) for name in own}
-            if own
-            else {name: history.of_bag(places[name] / 'bag') for name in flights}
-        )
-        return report(folder, paths, flown)
+            place = folder / name
+            place.mkdir(exist_ok=True)
+            fly(values, place, own)
+            bags[name] = place / 'bag'
+        if own:
+            flown = {name: history.of_bag(bags[''], name) for name in own}
+        else:
+            flown = {name: history.of_bag(bag) for name, bag in bags.items()}
+        return report(folder, [*bags.values()], flown)
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:

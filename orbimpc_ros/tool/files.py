@@ -6,9 +6,8 @@ from __future__ import annotations
 import json
 import re
 import sys
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -82,12 +81,11 @@ StrictLoader.add_implicit_resolver(
 )
 
 
-def read(source: str, largest: float = MAX_NUMBER) -> Any:
+def read(source: str) -> Any:
     """Return the content of a JSON or YAML file, or of standard input for ``-``.
 
     Args:
         source: the file's path.
-        largest: magnitude allowed of numbers.
 
     Raises:
         BadInput: not readable, larger than 256 KiB, malformed.
@@ -101,25 +99,24 @@ def read(source: str, largest: float = MAX_NUMBER) -> Any:
                 raw = stream.read()
         if len(raw) > LARGEST:
             raise BadInput.stating(name, 'too large', f'at most {LARGEST} bytes are read')
-        return parse(raw.decode(), name, largest)
+        return parse(raw.decode(), name)
     except UnicodeDecodeError:
         raise BadInput.stating(name, 'not UTF-8', 'UTF-8 text is needed') from None
 
 
-def parse(text: str, name: str, largest: float = MAX_NUMBER) -> Any:
+def parse(text: str, name: str) -> Any:
     """Return the content of JSON or YAML text.
 
     Args:
         text: the document.
         name: where it comes from, for the message.
-        largest: magnitude allowed of numbers.
 
     Raises:
         BadInput: malformed.
     """
     try:
         content = _content(text)
-        _require_plain(content, largest)
+        _require_plain(content)
     except BadInput:
         raise
     except yaml.YAMLError as error:
@@ -149,18 +146,18 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _require_plain(value: Any, largest: float, path: str = '') -> None:
+def _require_plain(value: Any, path: str = '') -> None:
     """Require mappings with names, lists and scalars, with numbers of sane size."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
                 raise BadInput.stating(f'field {key!r}', 'not a name', 'names are needed as keys')
-            _require_plain(inner, largest, f'{path}.{key}' if path else key)
+            _require_plain(inner, f'{path}.{key}' if path else key)
     elif isinstance(value, list):
         for inner in value:
-            _require_plain(inner, largest, path)
-    elif isinstance(value, (int, float)) and abs(value) > largest:
-        raise BadInput(path, str(value), f'finite, of a magnitude of at most {largest:g}')
+            _require_plain(inner, path)
+    elif isinstance(value, (int, float)) and abs(value) > MAX_NUMBER:
+        raise BadInput(path, str(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
     elif value is not None and not isinstance(value, (str, int, float)):
         raise BadInput(path, str(value), 'numbers, words, lists and mappings')
 
@@ -169,22 +166,32 @@ def _require_plain(value: Any, largest: float, path: str = '') -> None:
 
 
 def require_writable(culprit: str, file: Path) -> None:
-    """See to it before the work that its result can be written, as far as can be known by then.
+    """Create the file for a result before the work, so that it will not be in vain.
 
     Args:
         culprit: what names the file, such as an option.
-        file: to write, or to replace.
+        file: what is in it stays until the result comes.
 
     Raises:
-        BadInput: it is a folder, or nothing can be written beside it.
+        BadInput: it cannot be written.
     """
-    if file.is_dir():
-        raise BadInput.stating(f'{culprit} {file}', 'a folder', 'a file is needed')
     try:
-        with tempfile.TemporaryFile(dir=file.parent):
-            pass
+        file.open('a').close()
     except OSError as error:
         raise BadInput.stating(f'{culprit} {file}', why(error), WRITABLE) from None
+
+
+def folder_at(path: Path) -> Path:
+    """Return a folder for results; created if it is not there.
+
+    Raises:
+        BadInput: it cannot be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput.stating(f'--out {path}', why(error), WRITABLE) from None
+    return path
 
 
 def new_folder(out: str, name: str) -> Path:
@@ -193,28 +200,16 @@ def new_folder(out: str, name: str) -> Path:
     Raises:
         BadInput: it cannot be created.
     """
-    for number in range(1, 10_000):
-        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except FileExistsError:
-            if not folder.is_dir():
-                break
-        except OSError as error:
-            raise BadInput.stating(f'--out {out}', why(error), WRITABLE) from None
-    raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
-
-
-def shown(path: Path) -> Path:
-    """Return a path as people type it: relative where it is below the present folder."""
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    folder, number = Path(out).resolve() / name, 1
+    while folder.exists():
+        number += 1
+        folder = folder.with_name(f'{name}-{number}')
+    return folder_at(folder)
 
 
 @contextmanager
 def writing_to(folder: Path) -> Iterator[None]:
-    """Report a disk that takes no more as the failure of the job that writes into a folder.
+    """Name the folder of a job where a disk takes no more.
 
     Raises:
         OrbimpcError: in one line; what was written before stays.
@@ -225,19 +220,7 @@ def writing_to(folder: Path) -> Iterator[None]:
         raise OrbimpcError(f'{folder}: {why(error)}') from None
 
 
-def write_whole(file: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all.
-
-    Args:
-        file: to write; what is there is replaced at once.
-        write: fills the file whose path it is given.
-
-    Raises:
-        OSError: the disk does not take it; nothing has changed.
-    """
-    new = file.with_name(f'.{file.name}.new')
-    try:
-        write(new)
-        new.replace(file)
-    finally:
-        new.unlink(missing_ok=True)
+def shown(path: Path) -> Path:
+    """Return a path as people type it: relative where it is below the present folder."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path

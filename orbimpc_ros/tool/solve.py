@@ -22,7 +22,6 @@ from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_o
 from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files
-from orbimpc_ros.tool.files import write_whole
 
 LIMIT = 30.0  # [s]
 
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     as_json = args.json or not sys.stdout.isatty()
     print(json.dumps(found, indent=1, allow_nan=False) if as_json else table(case, plan, found))
     if args.certificate:
-        _write(args.certificate, certificate_of(*case, plan.proof).text())
+        Path(args.certificate).write_text(certificate_of(*case, plan.proof).text() + '\n')
     return 0
 
 
@@ -101,11 +100,7 @@ def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> N
     except (Unproved, BadInput) as error:  # the latter without Clarabel
         raise Infeasible(f'{why}; {WORD}; {error}') from None
     if path:
-        _write(path, made.text())
-
-
-def _write(path: str, text: str) -> None:
-    write_whole(Path(path), lambda file: file.write_text(text + '\n'))
+        Path(path).write_text(made.text() + '\n')
 
 
 def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:

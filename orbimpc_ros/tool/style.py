@@ -18,7 +18,6 @@ from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
 
 from orbimpc_ros.tool import palette
-from orbimpc_ros.tool.files import write_whole
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
 NAMES = ('INK', 'BLUE', 'SKY', 'ORANGE', 'GREEN', 'RED', 'GREY')
@@ -26,7 +25,6 @@ PRINT = (*(getattr(palette, name) for name in NAMES), '#B5B5B5')
 DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
 PAGE = '#0D1117'  # dark
 DOTS_PER_INCH = 200
-MAKER = 'orbimpc'  # noted in every picture
 
 
 def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
@@ -61,15 +59,10 @@ def look(dark: bool = False) -> AbstractContextManager:
 
 
 def save(figure: Figure, file: Path, dark: bool = False) -> None:
-    """Write a figure as PNG, in the look in which it was drawn, with its maker in its metadata.
-
-    Raises:
-        OSError: the disk does not take it; a picture that was there stays.
-    """
+    """Write a figure as PNG, in the look in which it was drawn."""
     FigureCanvasAgg(figure)
-    how: Any = {'dpi': DOTS_PER_INCH, 'format': 'png', 'metadata': {'Software': MAKER}}
     with look(dark):  # some ticks are only made now
-        write_whole(file, lambda new: figure.savefig(new, **how))
+        figure.savefig(file, dpi=DOTS_PER_INCH)
 
 
 def in_both_looks(draw: Callable[[bool], Figure], file: Path) -> None:

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from orbimpc_ros.mpc.errors import BadInput
 
@@ -16,6 +17,12 @@ class Topic(NamedTuple):
     name: str
     type: str
     latched: bool = False
+
+    @property
+    def message(self) -> Any:
+        """Return the class of its messages."""
+        package, _, kind = self.type.split('/')
+        return getattr(import_module(f'{package}.msg'), kind)
 
 
 SHARED = (

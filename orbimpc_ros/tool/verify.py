@@ -1,87 +1,53 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc verify``: lower bounds proved again, in exact arithmetic.
+"""``orbimpc verify``: certificates gone through in exact arithmetic, of a file or in a bag.
 
-A file's certificate is verified as it is. A bag's ticks are solved again, for the problem that each
-of them was about; that the bound which was published then holds is certified now. So are the claims
-that nothing is feasible, and that nothing catches the goal before a time.
+A certificate states its problem, so that it is verified as it is, without a planner. A bag has
+those that the planner published (``publish_certificate``): of the bounds of its ticks, that nothing
+is feasible, and that nothing catches the goal before a time.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
-import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from orbimpc_ros.loop.intercept import steps_before
-from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import document, reading
 from orbimpc_ros.mpc.proof.document import Refutation
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
-from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
-from orbimpc_ros.tool import bags, files
+from orbimpc_ros.tool import files
 from orbimpc_ros.tool.arguments import add_namespace
-from orbimpc_ros.tool.files import write_whole
 
-if TYPE_CHECKING:
-    from orbimpc_ros.loop.planner import Decision
-    from orbimpc_ros.tool.replay.resolving import ReplayedTick
-
-COST, CATCH = 'cost', 'catch'
-HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
+HOLDS, FAILS = 'holds', 'DOES NOT HOLD'
 
 
-class TickVerdict(NamedTuple):
-    """What became of a tick's bound.
+class Row(NamedTuple):
+    """What became of a certificate.
 
     Attributes:
-        tick: its number, None of a file.
         of: what is bounded: a cost, which is infinite where nothing is feasible, or a time [s].
-        claimed: the bound that was published; None if none was.
-        proved: the bound that holds; None without a certificate.
-        leaves: of the certificate.
-        outcome: in a word or two.
-        words: why there is no certificate, or none can be, if that is so.
+        claimed: the bound that it states.
+        proved: the bound that it proves.
+        leaves: of its trees.
+        outcome: whether it holds.
+        words: more about that.
     """
 
-    tick: int | None
-    of: str
-    claimed: float | None = None
-    proved: float | None = None
+    of: str = 'cost'
+    claimed: float = math.nan
+    proved: float = math.nan
     leaves: int = 0
-    outcome: str = NOTHING
+    outcome: str = FAILS
     words: str = ''
 
     def __str__(self) -> str:
-        name = '' if self.tick is None else f'{self.tick:>6}  '
-        claimed, proved = (f'{_shown(each):<24}' for each in (self.claimed, self.proved))
-        return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
-
-
-class Recorded(NamedTuple):
-    """The certificates that a planner published.
-
-    Attributes:
-        bounds: by the bounds that they claim.
-        refutations: by what they are of, as text: all that they state, and how many trees.
-        refused: why messages are no certificates.
-    """
-
-    bounds: dict[float, Any]
-    refutations: dict[str, Any]
-    refused: tuple[str, ...] = ()
+        bounds = ''.join(f'{each!r:<24}' for each in (self.claimed, self.proved))
+        return f'{self.of:<7}{bounds}{self.leaves:>6}  {self.outcome}{self.words}'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,37 +56,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--problem', metavar='FILE', help='that the certificate is to be of, as given to solve'
     )
-    parser.add_argument('--tick', type=int, metavar='K', help='of a bag: this tick alone')
     add_namespace(parser)
-    parser.add_argument('--params', metavar='FILE', help='of a bag that has no notes of its own')
-    parser.add_argument('--out', metavar='DIR', help="write the ticks' certificates there")
+    parser.add_argument('--out', metavar='DIR', help='write the certificates of a bag there')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify, print a row for each bound, and return 1 if one of them does not hold."""
+    """Verify, print a row for each certificate, and return 1 if one of them does not hold."""
     path = Path(args.path)
-    first = '' if path.suffix == '.json' else '  tick  '
-    found: list[TickVerdict] = []
-    for row in [_file(path, args)] if path.suffix == '.json' else _bag(path, args):
-        if not found:  # after what may be wrong with a file
-            print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
-        found.append(row)
+    rows = iter([_file(path, args)]) if path.suffix == '.json' else _bag(path, args)
+    counts: Counter[str] = Counter()
+    for row in rows:
+        if not counts:  # after what may be wrong with a file
+            print(f'{"of":<7}{"claimed":<24}{"proved":<24}leaves')
+        counts[row.outcome] += 1
         print(row, flush=True)
-    counts = Counter(row.outcome for row in found)
     print(', '.join(f'{count} {outcome}' for outcome, count in counts.items()))
     return 1 if counts[FAILS] else 0
 
 
-def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
+def _file(path: Path, args: argparse.Namespace) -> Row:
     try:
         known = reading.read(path)
-        row = _verified(None, known)
+        row = _verified(known)
     except reading.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
-    if args.problem:
-        case = case_of(files.read(args.problem))
-        if not _is_of(known, case):
-            raise BadInput.stating('certificate', 'refused', f'it is not of {args.problem}')
+    if args.problem and not _is_of(known, case_of(files.read(args.problem))):
+        raise BadInput.stating('certificate', 'refused', f'it is not of {args.problem}')
     return row
 
 
@@ -134,181 +95,30 @@ def _is_of(known: Any, case: Case) -> bool:
     return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 
 
-def _verified(tick: int | None, known: Any) -> TickVerdict:
+def _verified(known: Any) -> Row:
     verdict = document.verified(known)
-    catch = 'radius' in known.get('refuted', ())
+    radius = known.get('refuted', {}).get('radius')
+    of, words = ('cost', '') if radius is None else ('catch', f', within {radius!r} m')
     outcome = HOLDS if verdict.holds else FAILS
-    of = CATCH if catch else COST
-    words = f'{outcome}, within {known["refuted"]["radius"]!r} m' if catch else ''
-    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, words)
+    return Row(of, verdict.claimed, verdict.proved, verdict.leaves, outcome, words)
 
 
-def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
-    from orbimpc_ros.tool.replay.report import ticks_of  # needs ROS, which a file does not
+def _bag(path: Path, args: argparse.Namespace) -> Iterator[Row]:
+    """Yield what becomes of each certificate in a bag."""
+    from orbimpc_ros.tool import bags
 
-    recorded = _recorded(path, args.namespace)
-    for words in recorded.refused:
-        yield TickVerdict(None, COST, outcome=FAILS, words=f'{FAILS}: a message is {words}')
-    for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
-        if number == 0:
-            gc.freeze()  # each full collection would look through all that was imported
-        if args.tick in (None, number):
-            yield _tick(number, each, recorded, args)
-            yield from _catch(number, each, recorded, args)
-        if args.tick == number:
-            return
-
-
-def _recorded(path: Path, namespace: str) -> Recorded:
-    """Return the certificates that a planner published."""
-    found, refused = Recorded({}, {}), []
+    number = 0
     for each in bags.read(path, {'certificate'}):
-        if each.topic != f'{namespace}/certificate':
-            continue
-        try:
-            known = reading.parsed(bytes(each.content.data))
-            if known['format'] == document.OLD:
-                continue  # what it was about is proved again
-            if 'refuted' in known:
-                found.refutations[_claim(known)] = known
-            else:
-                found.bounds[float(known['lower_bound'])] = known
-        except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-            refused.append(f'no certificate: {error}')
-    return found._replace(refused=tuple(refused))
-
-
-def _claim(known: dict[str, Any], trees: int | None = None) -> str:
-    """Return what a refutation is of, as text; with another number of trees on demand."""
-    count = len(known['refuted']['trees']) if trees is None else trees
-    bare = {**known, 'refuted': {**known['refuted'], 'trees': count}}
-    return json.dumps(bare, sort_keys=True)
-
-
-def _tick(
-    number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
-) -> TickVerdict:
-    """Certify what was published on a tick, of the problem that its inputs pose."""
-    if each.recorded.answer.status == Status.INFEASIBLE:
-        return _infeasible(number, each.decision, recorded, args)
-    claimed, tick, plan = each.recorded.answer.lower_bound, each.decision, each.decision.plan
-    row = TickVerdict(number, COST, claimed)
-    if claimed is None or not claimed > 0.0:
-        return row
-    if plan is None:
-        return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
-    assert tick.problem is not None
-    assert tick.state is not None
-    assert tick.goals is not None
-    posed, cost = Case(tick.problem, tick.state, tick.goals), plan.objective
-    known = recorded.bounds.get(claimed)
-    if not _is_about(each.recorded.answer.earliest_catch, tick):
-        return _of_the_tracked(row, known, tick)
-    if claimed > cost + TOLERANCE * (cost + plan.proof.cost_unit):
-        words = f'{FAILS}: a trajectory costs {cost!r}'
-        return row._replace(outcome=FAILS, words=words)
-    if known is not None and _is_of(known, posed):
-        return _as_published(row, known)
-    proof = replace(plan.proof, lower_bound=claimed)
-    return _certified(row, args, lambda: certificate_of(*posed, proof))
-
-
-def _is_about(earliest: float | None, tick: Decision) -> bool:
-    """Return whether a tick now flies the catch that it flew then, or none, as far as is known.
-
-    Each catch is a problem of its own, and a deadline can end the search for the earliest.
-    """
-    if earliest is None or tick.catch is None:
-        return True
-    return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
-
-
-def _of_the_tracked(row: TickVerdict, known: Any, tick: Decision) -> TickVerdict:
-    """Return what becomes of a bound that is not about the catch that is flown now.
-
-    What was published with it proves it, where that is of the problem that is flown without any.
-    """
-    assert tick.catch is not None
-    assert tick.state is not None
-    sought = tick.catch.sought
-    problem = replace(sought.problem, approach=Approach())
-    if known is not None and _is_of(known, Case(problem, tick.state, sought.goals)):
-        return _as_published(row, known)
-    words = 'no certificate: it was about another catch, or none, when its time was up'
-    return row._replace(outcome=NONE, words=words)
-
-
-def _infeasible(
-    number: int, tick: Decision, recorded: Recorded, args: argparse.Namespace
-) -> TickVerdict:
-    """Certify that nothing was feasible on a tick, of the problem that its inputs pose."""
-    row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
-    if sought is None:
-        return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
-    known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), 1))
-    if known is not None:
-        return _as_published(row, known)
-    return _certified(row, args, lambda: refutation_of(sought))
-
-
-def _catch(
-    number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
-) -> Iterator[TickVerdict]:
-    """Certify before which time no trajectory catches the goal, where a tick claims one."""
-    claimed, catch = each.recorded.answer.catch_bound, each.decision.catch
-    if claimed is None or not math.isfinite(claimed):
-        return
-    row = TickVerdict(number, CATCH, claimed)
-    if catch is None:
-        yield row._replace(outcome=FAILS, words=f'{FAILS}: no catch is looked for now')
-        return
-    sought = catch.sought
-    count = steps_before(claimed, sought.problem.step)
-    if catch.time < claimed * (1.0 - TOLERANCE):
-        words = f'{FAILS}: a plan catches it at {catch.time!r}'
-        yield row._replace(outcome=FAILS, words=words)
-    elif count:
-        known = recorded.refutations.get(_claim(Refutation(sought, ()).document(), count))
-        if known is not None:
-            yield _as_published(row, known)
-        else:
-            yield _certified(row, args, lambda: catches_refuted(sought, count))
-
-
-def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
-    """Return what becomes of a claim whose certificate was published with it."""
-    try:
-        return _verified(row.tick, known)
-    except reading.Refused as error:
-        return row._replace(outcome=FAILS, words=f'{FAILS}: {error}')
-
-
-def _certified(
-    row: TickVerdict,
-    args: argparse.Namespace,
-    make: Callable[[], document.Certificate | Refutation],
-) -> TickVerdict:
-    """Return what becomes of a claim whose certificate is made now."""
-    try:
-        made = make()
-        found = _verified(row.tick, reading.parsed(made.text().encode()))
-    except Unproved as error:
-        return row._replace(outcome=NONE, words=str(error))
-    except reading.Refused as error:
-        return row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
-    if found.outcome == FAILS:  # no trajectory is known to cost less
-        words = f'no certificate: another search proves {found.proved!r}'
-        found = found._replace(outcome=NONE, words=words)
-    if args.out:
-        _write(Path(args.out), row, made)
-    return found
-
-
-def _write(folder: Path, row: TickVerdict, made: document.Certificate | Refutation) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    text, name = made.text() + '\n', f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-    write_whole(folder / name, lambda file: file.write_text(text))
-
-
-def _shown(value: float | None) -> str:
-    return '' if value is None else repr(value)
+        if each.topic == f'{args.namespace}/certificate':
+            text = bytes(each.content.data)
+            if args.out:
+                file = files.folder_at(Path(args.out)) / f'certificate_{number:05d}.json'
+                file.write_bytes(text + b'\n')
+            number += 1
+            try:
+                yield _verified(reading.parsed(text))
+            except reading.Refused as error:
+                yield Row(words=f': {error}')
+    if not number:
+        hint = 'set publish_certificate for the planner'
+        raise BadInput.stating(str(path), 'without certificates', hint)

@@ -3,8 +3,8 @@
 
 The loop is closed as over DDS in lock-step: what the simulator would publish is what the planner's
 own parts take in, and what they answer is what the vehicle flies. One bag per flight; afterwards
-``orbimpc replay`` must find nothing that differs. Where a change of the planner is meant,
-``orbimpc replay BAG --update`` accepts it with the same inputs.
+``orbimpc replay`` must find nothing that differs. Where a change of the planner is meant, the bags
+are made anew.
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool.bags import BagWriter, serialised
 from orbimpc_ros.tool.offline import OfflinePlanner
-from orbimpc_ros.tool.replay.report import serialised
 from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.topics import TYPES, topics_of
 

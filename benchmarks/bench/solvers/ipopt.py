@@ -6,7 +6,6 @@ r"""IPOPT through CasADi: the nonlinear program with a round floor, one cold sta
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -18,26 +17,25 @@ from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
 
 QUIET: dict[str, Any] = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
-# Bounds are not relaxed, as is IPOPT's habit: a cost below that of every legal plan says nothing.
-OPTIONS = {'ipopt.tol': 1e-9, 'ipopt.bound_relax_factor': 0.0, 'ipopt.max_iter': 500}
 TINY = 1e-20  # keeps a root smooth
 
 
-class NonlinearProgram:
-    """The nonlinear program of a planar problem of orders (1, 1), length and arrival left out.
+class Ipopt:
+    """A planar problem of orders (1, 1), from the present heading, held.
 
     Args:
-        problem: to state.
-        options: of CasADi and IPOPT.
+        problem: to state; length and arrival are left out.
+        tolerance: IPOPT's.
 
     Raises:
         Declined: a polygonal floor, which takes integers.
     """
 
-    def __init__(self, problem: Problem, options: Mapping[str, Any]) -> None:
+    def __init__(self, problem: Problem, tolerance: float) -> None:
         if problem.floor.shape == 'polygon':
             raise Declined('polygonal floors are not stated')
-        self._condensed, steps = Condensed(problem), problem.horizon
+        self._condensed, self._steps = Condensed(problem), problem.horizon
+        steps = problem.horizon
         z, linear, first = ca.SX.sym('z', steps, 2), ca.SX.sym('q', steps, 2), ca.SX.sym('a', 1, 2)
         quadratic = ca.DM(self._condensed.hessian)
         least = problem.floor.fraction**2 if problem.floor.exists else -np.inf
@@ -47,57 +45,31 @@ class NonlinearProgram:
             sizes = ca.sqrt(ca.sum2(z * z) * ca.sum2(before * before) + TINY)
             turned = ca.sum2(z * before) - np.cos(problem.widest_turn) * sizes
             limits.append((turned, 0.0, np.inf))
-        self._low = np.repeat([low for _, low, _ in limits], steps)
-        self._high = np.repeat([high for *_, high in limits], steps)
+        self._bounds = {
+            'lbg': np.repeat([low for _, low, _ in limits], steps),
+            'ubg': np.repeat([high for *_, high in limits], steps),
+        }
         program = {
             'x': ca.vec(z),
             'p': ca.vertcat(ca.vec(linear), first.T),
             'f': 0.5 * ca.trace(z.T @ quadratic @ z) + ca.sum1(ca.sum2(linear * z)),
             'g': ca.vertcat(*(limit for limit, _, _ in limits)),
         }
-        self._solver = ca.nlpsol('plan', 'ipopt', program, {**QUIET, **options})
-
-    def solve(self, state: State, goals: Array, start: Array) -> tuple[Array | None, float]:
-        """Return axes z_1..z_N, shape (N, 2), and their cost; None and NaN without convergence.
-
-        Args:
-            state: start of the plan.
-            goals: g_1..g_N, shape (N, 2) [m].
-            start: axes to start from, shape (N, 2).
-        """
-        linear, constant = self._condensed.affine(state, goals)
-        found = self._solver(
-            x0=start.ravel(order='F'),
-            p=np.append(linear.ravel(order='F'), state.attitude[:, 0]),
-            lbg=self._low,
-            ubg=self._high,
-        )
-        if not self._solver.stats()['success']:
-            return None, np.nan
-        return np.asarray(found['x']).reshape(2, -1).T, float(found['f']) + constant
-
-
-class Ipopt:
-    """One start from the present heading, held.
-
-    Args:
-        problem: to solve.
-        tolerance: IPOPT's.
-    """
-
-    def __init__(self, problem: Problem, tolerance: float) -> None:
-        self._steps = problem.horizon
-        self._program = NonlinearProgram(problem, {'ipopt.tol': tolerance})
-        self._value = np.nan
+        self._solver = ca.nlpsol('plan', 'ipopt', program, {**QUIET, 'ipopt.tol': tolerance})
 
     def prepare(self, state: State, goals: Array) -> None:
         """Set the data of an instance."""
-        self._data = state, goals, np.tile(state.attitude[:, 0], (self._steps, 1))
+        linear, self._constant = self._condensed.affine(state, goals)
+        axis = state.attitude[:, 0]
+        known = np.append(linear.ravel(order='F'), axis)
+        self._data = {'x0': np.repeat(axis, self._steps), 'p': known, **self._bounds}
 
     def solve(self) -> None:
         """Solve the program."""
-        _, self._value = self._program.solve(*self._data)
+        self._found = self._solver(**self._data)
 
     def solution(self) -> Solution:
-        """Return the local optimum's cost."""
-        return Solution(self._value)
+        """Return the local optimum's cost; NaN without convergence."""
+        if not self._solver.stats()['success']:
+            return Solution(np.nan)
+        return Solution(float(self._found['f']) + self._constant)

@@ -166,13 +166,33 @@ def carried(attitude: Array, headings: Array) -> Array:
         attitude: Q_0, shape (n, n).
         headings: z_1..z_K, shape (K, n).
     """
-    matrices = []
-    for z in headings:
-        size = float(np.linalg.norm(z))
-        if size >= HEADING_UNDEFINED:
-            attitude = turned_onto(attitude, z / size)
-        matrices.append(size * attitude)
-    return np.array(matrices)
+    sizes = np.linalg.norm(headings, axis=1)
+    there = np.flatnonzero(sizes >= HEADING_UNDEFINED)
+    axes = headings[there] / sizes[there, None]
+    turned = [attitude]
+    if headings.shape[1] == 2:
+        turned += [_from_heading_2(axis) for axis in axes]
+    else:
+        for onto, turn in zip(
+            axes, _least_turns(np.vstack([attitude[None, :, 0], axes])), strict=True
+        ):
+            turned.append(turned_onto(turned[-1], onto) if turn is None else turn @ turned[-1])
+    latest = np.searchsorted(there, np.arange(len(headings)), side='right')
+    return sizes[:, None, None] * np.array(turned)[latest]
+
+
+def _least_turns(axes: Array) -> list[Array | None]:
+    """Return the least rotation from each of unit vectors, shape (K + 1, 3), onto the next.
+
+    None for turns by more than a right angle, of which no series keeps its precision.
+    """
+    before, after = axes[:-1], axes[1:]
+    cosines = np.einsum('kc,kc->k', before, after)
+    x, y, z = _cross(_wide(before), _wide(after)).T
+    none = np.zeros(len(x))
+    across = np.array([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(2, 0, 1)
+    turns = np.eye(3) + across + across @ across / np.maximum(1.0 + cosines, 1.0)[:, None, None]
+    return [turn if c > 0.0 else None for turn, c in zip(turns, cosines.tolist(), strict=True)]
 
 
 def to_quaternion(rotation: Array) -> Array:

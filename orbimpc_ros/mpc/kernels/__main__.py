@@ -3,10 +3,8 @@
 
 from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
-
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Box, Floor, Problem
+from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.search.shells import Shells
@@ -14,7 +12,6 @@ from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
-from orbimpc_ros.mpc.solve.spatial_bnb import SpatialSearch
 
 
 def round_floors() -> None:
@@ -27,10 +24,9 @@ def the_rest() -> None:
     """Compile all else."""
     Verifier(Problem())
     HullRiccati(Problem(), 1e-6)
-    SO3Multipliers(Problem(dimension=3))
+    SO3Multipliers(Problem(dimension=3), beside=True)
     PlaceProgram(Problem())
     Scout(Problem())
-    SpatialSearch(Problem(dimension=3, obstacles=(Box(np.ones(3), 2.0 * np.ones(3)),)), 1e-6)
 
 
 PARTS = (round_floors, the_rest) if COMPILED else ()

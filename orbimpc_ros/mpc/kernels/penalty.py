@@ -25,7 +25,6 @@ HALVINGS = 30
 DESCENT = 1e-4  # share of a Newton step's promise that a step must keep
 ROUNDING = 1e-13
 GROWTH = 3.0
-SLICE = 1_000_000  # multiplications in about a millisecond
 QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
 
 

@@ -152,9 +152,9 @@ def scratch(n: int, m: int = 0) -> Scratch:
     )
 
 
-def no_sides() -> tuple[Array, np.ndarray, Array, Array]:
+def no_sides() -> tuple[np.ndarray, Array, Array]:
     """Return what :class:`Terms` has where there are no rows on positions."""
-    return np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
+    return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
 
 
 @compiled

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.translation import step_of
@@ -98,6 +98,11 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
 
     At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
     """
+    asked = 'climb', problem, goals.tobytes()
+    return state.once(asked, lambda: sealed(_climbed(problem, state, goals)))
+
+
+def _climbed(problem: Problem, state: State, goals: Array) -> Array:
     z, (given, pointing) = np.empty((problem.horizon + 1, 3)), begun(problem, state)
     z[: len(given)] = given
     once = step_of(problem.translation, problem.step, problem.forward)

@@ -6,9 +6,10 @@ Mathematics: docs/mathematics.md, 1.5.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.geometry.rotations import nearest
 from orbimpc_ros.mpc.problem.obstacle import MovingObstacle, tracked
+
+T = TypeVar('T')
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +121,17 @@ class State(ByContent):
         return any(self.disturbance.tolist())
 
     @cached_property
-    def known(self) -> list[tuple[Any, Any]]:
-        """Return what was worked out of this very state: problems, and what they make of it."""
+    def _known(self) -> list[tuple[Any, Any]]:
         return []
+
+    def once(self, asked: Any, work_out: Callable[[], T]) -> T:
+        """Return what is asked of this very state, worked out at the first time."""
+        for known, found in self._known:
+            if known == asked:
+                return cast('T', found)
+        found = work_out()
+        self._known.append((asked, found))
+        return found
 
 
 @lru_cache(maxsize=8)

@@ -55,12 +55,7 @@ class Traffic(NamedTuple):
 
 def traffic_of(problem: Problem, state: State) -> Traffic | None:
     """Return what is round or moves; None if nothing does. Of a state it is worked out once."""
-    for asked, found in state.known:
-        if asked == problem:
-            return found
-    found = _met(problem, state)
-    state.known.append((problem, found))
-    return found
+    return state.once(problem, lambda: _met(problem, state))
 
 
 def _met(problem: Problem, state: State) -> Traffic | None:

@@ -36,7 +36,8 @@ from orbimpc_ros.mpc.proof.splits import (
 from orbimpc_ros.mpc.proof.stated import DECIDED, FIRST, FREE, SEGMENT, WANTED
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
 
-PROVED, REFUTED, UNSOUND = range(3)  # the least of the leaves' bounds, nothing is in any, or none
+# The least of the leaves' bounds, nothing is in any, none, or not all leaves have been seen.
+PROVED, REFUTED, UNSOUND, PAUSED = range(4)
 
 
 class Leaves(NamedTuple):
@@ -67,6 +68,22 @@ class Sections(NamedTuple):
     tether: int
     share: int
     meet: int
+
+
+class Walk(NamedTuple):
+    """How far a walk through the M nodes of a tree is; new with zeros.
+
+    Attributes:
+        waiting: nodes to be seen, shape (M,).
+        parent: of each node, shape (M,).
+        counts: how many wait, and how many leaves have a bound, shape (2,).
+        least: of their bounds, shape (1,).
+    """
+
+    waiting: Any
+    parent: Any
+    counts: Any
+    least: Any
 
 
 class Work(NamedTuple):
@@ -275,8 +292,12 @@ def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
 
 
 @generic
-def tree_bound(stated, allowed, order, nodes, at, leaves, sections, depth, region, work):
+def tree_bound(
+    stated, allowed, order, nodes, at, leaves, sections, depth, region, work, walk, most
+):
     """Return the least bound of a tree's leaves, how many have one, and what that comes to.
+
+    A walk through the tree may pause: another call with the same arguments takes it on.
 
     Args:
         stated: the problem.
@@ -289,20 +310,26 @@ def tree_bound(stated, allowed, order, nodes, at, leaves, sections, depth, regio
         depth: of nodes, set by :func:`depths_of`, shape (M,).
         region: to be written, a row for each depth.
         work: to be written.
+        walk: how far it is through the tree.
+        most: leaves after which it pauses.
 
     Returns:
-        The least; the number of leaves that have one; ``PROVED``, ``REFUTED`` or ``UNSOUND``.
+        The least; how many leaves have one; ``PROVED``, ``REFUTED``, ``UNSOUND`` or ``PAUSED``.
     """
-    least, found, root, sets = 0 * stated.sets.full, 0, stated.root, stated.sets
-    radii = stated.bodies.extents[:, 2 * stated.n]
-    known = begin(root, sets, allowed.is_free, order, region.part[0], region.span[0])
-    if known != HELD:
-        return least, 0, REFUTED if known == GONE else UNSOUND
-    if np.any(leaves.shor > 0):  # else no leaf's curvature has to be weighed against it
-        set_hessian(stated.order, stated.motion, stated.costs, work.squares)
-    number, waiting = 1, np.zeros(len(nodes), np.int64)
-    parent = np.zeros(len(nodes), np.int64)
+    root, sets, waiting, parent = stated.root, stated.sets, walk.waiting, walk.parent
+    least, number, found = walk.least[0], walk.counts[0], walk.counts[1]
+    radii, seen = stated.bodies.extents[:, 2 * stated.n], 0
+    if number == 0:
+        known = begin(root, sets, allowed.is_free, order, region.part[0], region.span[0])
+        if known != HELD:
+            return least, 0, REFUTED if known == GONE else UNSOUND
+        if np.any(leaves.shor > 0):  # else no leaf's curvature has to be weighed against it
+            set_hessian(stated.order, stated.motion, stated.costs, work.squares)
+        number, waiting[0] = 1, 0
     while number > 0:
+        if seen == most:
+            walk.least[0], walk.counts[0], walk.counts[1] = least, number, found
+            return least, found, PAUSED
         number -= 1
         t = waiting[number]
         d, node = depth[t], nodes[t]
@@ -319,7 +346,7 @@ def tree_bound(stated, allowed, order, nodes, at, leaves, sections, depth, regio
                 waiting[number], parent[node[CHILD] + i] = node[CHILD] + i, t
                 number += 1
             continue
-        empty = node[KIND] == EMPTY
+        empty, seen = node[KIND] == EMPTY, seen + 1
         if not 0 <= node[ROW] < len(leaves.point):
             return least, 0, UNSOUND
         value, sound = leaf_bound(stated, region, d, leaves, sections, node[ROW], empty, work)

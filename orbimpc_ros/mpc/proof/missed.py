@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.proof.flight import rolled
-from orbimpc_ros.mpc.proof.rows import about, control_of, side_of
+from orbimpc_ros.mpc.proof.places import Places, controls_of
+from orbimpc_ros.mpc.proof.rows import about, side_of
 from orbimpc_ros.mpc.proof.sets import nearest_floor
 from orbimpc_ros.mpc.proof.splits import Region
 from orbimpc_ros.mpc.proof.stated import DECIDED, FREE, SEGMENT, Stated
@@ -56,58 +56,6 @@ class Missed(NamedTuple):
     feasible: bool
 
 
-class Places:
-    """Where headings lead the control points that bodies are beside of, as bodies see them.
-
-    Args:
-        stated: the problem.
-
-    Attributes:
-        free: where they are without headings, shape (J, N, 4, n) [m]; where there are fewer than
-            four, the first one again.
-        reach: what each heading adds, shape (J, N, 4, N) [m].
-        rows: which of them there are, shape (J, N, 4).
-    """
-
-    def __init__(self, stated: Stated) -> None:
-        n, count, bodies = stated.n, stated.root.span.shape[1], stated.bodies
-        flown, steered = np.zeros((4, count + 1, n)), np.zeros((4, count + 1, count))
-        rolled(stated.motion, stated.start, np.zeros((count, n)), flown)
-        rolled(stated.motion, np.zeros((len(stated.start), count)), np.eye(count), steered)
-        self.flown, self.steered = flown[:2], steered[:2]
-        shape = len(bodies.of), count, POINTS
-        self.free, self.reach = np.zeros((*shape, n)), np.zeros((*shape, count))
-        self.rows = np.zeros(shape, bool)
-        degree, lead = stated.motion.degree, stated.motion.lead
-        for j, k, at in np.ndindex(*shape):
-            i = control_of(bodies.of[j], k, degree, at)
-            self.rows[j, k, at] = i >= 0
-            if i < 0:
-                self.free[j, k, at], self.reach[j, k, at] = self.free[j, k, 0], self.reach[j, k, 0]
-                continue
-            late = int(2 * i > degree)
-            led = (-lead if late else lead) if 0 < i < degree else 0.0
-            free, reach = (each[0, k + late] + led * each[1, k + late] for each in (flown, steered))
-            self.free[j, k, at], self.reach[j, k, at] = free - bodies.centres[j, k, at], reach
-        self._bodies, self._n = bodies, n
-
-    def entered(self, x: Array) -> tuple[Array, Array]:
-        """Return by how far headings lead into each body, and the directions out of balls.
-
-        Args:
-            x: R_1 e1..R_N e1, shape (N, n).
-
-        Returns:
-            Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
-        """
-        places, n = self.free + self.reach @ x, self._n
-        ways, away = separation(places)
-        radii = self._bodies.extents[:, 2 * n, None]
-        along = np.concatenate([-places, places], axis=-1)
-        into = (self._bodies.extents[:, None, None, : 2 * n] - along).max(axis=2).min(axis=-1)
-        return np.where(radii > 0.0, radii - away, into) + self._bodies.margins[0], ways
-
-
 class MissedProgram:
     """The least that is missed by R_1 e1..R_N e1, and bounds t_k of |R_k e1|.
 
@@ -119,8 +67,13 @@ class MissedProgram:
 
     def __init__(self, stated: Stated, unit: float, step: float) -> None:
         self._stated, self._unit, self._step = stated, unit, step
-        self.places = Places(stated)
         count, n = stated.root.span.shape[1], stated.n
+        flown, steered = np.zeros((4, count + 1, n)), np.zeros((4, count + 1, count))
+        rolled(stated.motion, stated.start, np.zeros((count, n)), flown)
+        rolled(stated.motion, np.zeros((len(stated.start), count)), np.eye(count), steered)
+        self.flown, self.steered = flown[:2], steered[:2]
+        reach = controls_of(stated.motion, self.steered)
+        self.places = Places(stated.bodies, controls_of(stated.motion, self.flown), reach)
         self._z = np.arange(count * n).reshape(count, n)
         self._t, self._v = count * n + np.arange(count), count * (n + 1)
         self._free = int(stated.decided != FREE)  # the first heading that is not decided
@@ -135,7 +88,7 @@ class MissedProgram:
     @property
     def beyond(self) -> ProofTree | None:
         """Return what may refute a catch of a goal that no headings lead to; None without one."""
-        off = self.places.flown[0, -1] - self._stated.ends.goals[-1, :-1]
+        off = self.flown[0, -1] - self._stated.ends.goals[-1, :-1]
         away = float(np.linalg.norm(off))
         if self._stated.ends.radius < 0.0 or away == 0.0:
             return None
@@ -144,7 +97,7 @@ class MissedProgram:
     @property
     def reach(self) -> Array:
         """Return what each R_k e1 adds to s_N, shape (N,) [m]."""
-        return self.places.steered[0, -1]
+        return self.steered[0, -1]
 
     def _leaf(self, **multipliers: Array) -> ProofTree:
         count = len(self._t)
@@ -169,13 +122,13 @@ class MissedProgram:
 
     def _cones(self) -> list[Rows]:
         """Return (t_k, z_k), chords, (v, s_N - g_N), (v, p_N), (v + radius, s_N - g_N), slopes."""
-        ends, unit, places = self._stated.ends, self._unit, self.places
-        off = places.flown[0, 1:] - ends.goals[:, :-1]
+        ends, unit = self._stated.ends, self._unit
+        off = self.flown[0, 1:] - ends.goals[:, :-1]
         groups = [self._disk(k) for k in range(self._free, len(self._t))]
         groups += [self._chord(k) for k in self._tied]
-        arrivals = (off[-1], 1.0 / unit), (places.flown[1, -1], self._step / unit)
+        arrivals = (off[-1], 1.0 / unit), (self.flown[1, -1], self._step / unit)
         for i, (left, scale) in enumerate(arrivals[: ends.arrives]):
-            groups.append(self._within(scale * places.steered[i, -1], scale * left, 0.0))
+            groups.append(self._within(scale * self.steered[i, -1], scale * left, 0.0))
         if ends.radius >= 0.0:
             groups.append(self._within(self.reach / unit, off[-1] / unit, ends.radius / unit))
         if ends.sine > 0.0:
@@ -210,7 +163,7 @@ class MissedProgram:
         ends, unit = self._stated.ends, self._unit
         a, b = self._blank(3), np.empty(3)
         for row, (i, scale) in enumerate(((2, ends.cosine), (0, ends.sine), (1, ends.sine))):
-            a[row, self._z[:, i]] = -scale * self.places.steered[0, k + 1] / unit
+            a[row, self._z[:, i]] = -scale * self.steered[0, k + 1] / unit
             b[row] = scale * off[i] / unit
         a[0, self._v] = -1.0
         b[0] += ends.goals[k, -1] / unit

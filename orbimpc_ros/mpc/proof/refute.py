@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.proof.missed import Missed, MissedProgram, Side
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
 from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.rows import about
-from orbimpc_ros.mpc.proof.splits import GONE, HELD, ICOSAHEDRON, begin, part_of
+from orbimpc_ros.mpc.proof.splits import GONE, HELD, ICOSAHEDRON, Cut, begin, part_of
 from orbimpc_ros.mpc.proof.stated import FREE, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
@@ -45,15 +45,6 @@ LEAST = 1e-9  # of a curvature
 MARGIN = 0.15  # of a sector, to either end
 AROUND = 4  # arcs of all directions
 DEEPEST = 200  # nodes above a leaf
-
-
-class Cut(NamedTuple):
-    """A split of a node: its kind, the choice, how many parts, and where they meet."""
-
-    kind: int
-    choice: int
-    parts: int
-    at: float = 0.0
 
 
 def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
@@ -128,7 +119,7 @@ class RefutationSearch:
         stated = self._stated = Statement(problem).of(*posed[1:])
         self._unit, self._count = problem.length_unit, problem.horizon
         self._program = MissedProgram(stated, self._unit, problem.step)
-        self._curvatures = np.maximum(np.sum(self._program.places.steered[0, 1:] ** 2, 1), LEAST)
+        self._curvatures = np.maximum(np.sum(self._program.steered[0, 1:] ** 2, 1), LEAST)
         choices = (2 + len(stated.bodies.of)) * self._count
         self._region = region_of(DEEPEST, choices, stated.n, float)
         self._work = work_of(problem, stated.width, float)

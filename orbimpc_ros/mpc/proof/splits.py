@@ -50,6 +50,15 @@ class Region(NamedTuple):
     corners: Any
 
 
+class Cut(NamedTuple):
+    """A split of a node: its kind, the choice, how many parts, and where they meet."""
+
+    kind: int
+    choice: int
+    parts: int
+    at: float = 0.0
+
+
 class Order(NamedTuple):
     """From where directions are counted, and whether steps that can be exchanged are in order."""
 
@@ -220,8 +229,7 @@ def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
     Returns:
         ``HELD``; ``GONE`` if nothing is left of it; ``WRONG`` if the node is not split right.
     """
-    kind, c, count = node[KIND], node[CHOICE], allowed.steps
-    part, span = region.part[depth], region.span[depth]
+    c, part, span = node[CHOICE], region.part[depth], region.span[depth]
     if not 0 <= c < len(part):
         return WRONG
     known, before = region.part[depth - 1, c], region.span[depth - 1]
@@ -235,11 +243,32 @@ def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
             for a in range(3):
                 for b in range(3):
                     region.corners[depth, e, a, b] = region.corners[depth - 1, e, a, b]
+    made = region.corners[depth]
+    return narrowed(allowed, root, sets, order, node, at, i, part, span, made)
+
+
+@generic
+def narrowed(allowed, root, sets, order, node, at, i, part, span, corners):
+    """Narrow what is known of a node to its part i; return ``HELD`` or ``GONE``.
+
+    Args:
+        allowed: see :func:`part_of`, as for the others.
+        root: see there.
+        sets: see there.
+        order: see there.
+        node: see there.
+        at: see there.
+        i: see there.
+        part: of each choice, shape (C,), set in place.
+        span: shape (C, 2), set in place.
+        corners: shape (C, 3, 3), set in place.
+    """
+    kind, c, count = node[KIND], node[CHOICE], allowed.steps
     part[c] = i if kind in (SIDES, FACES) else 0
     if kind in (SIDES, FACES):
         return HELD
     if kind in (PATCHES, QUARTERS):
-        _set_patch(root.patches, node, i, region.corners[depth - 1, c], region.corners[depth, c])
+        _set_patch(root.patches, node, i, corners[c])
         return HELD
     if kind == ARCS:
         share = sets.full / node[CHILDREN]
@@ -259,8 +288,8 @@ def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
 
 
 @generic
-def _set_patch(patches, node, i, whole, made):
-    """Set the corners of a part of all directions, or of a patch, shape (3, 3)."""
+def _set_patch(patches, node, i, made):
+    """Set the corners of a part of all directions, or of the patch that is given, shape (3, 3)."""
     if node[KIND] == PATCHES:
         first = 0 if node[CHILDREN] == ICOSAHEDRON else ICOSAHEDRON
         for j in range(3):
@@ -268,7 +297,7 @@ def _set_patch(patches, node, i, whole, made):
                 made[j, e] = patches[first + i, j, e]
         return
     for e in range(3):
-        a, b, c = whole[0, e], whole[1, e], whole[2, e]
+        a, b, c = made[0, e], made[1, e], made[2, e]
         ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
         if i == 0:
             made[0, e], made[1, e], made[2, e] = a, ab, ca

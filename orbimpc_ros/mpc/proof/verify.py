@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -19,13 +20,23 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED, compiled
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.bound import PROVED, REFUTED, Leaves, Sections, Work, tree_bound
+from orbimpc_ros.mpc.proof.bound import (
+    PAUSED,
+    PROVED,
+    REFUTED,
+    Leaves,
+    Sections,
+    Walk,
+    Work,
+    tree_bound,
+)
 from orbimpc_ros.mpc.proof.limits import NO_LIMITS, Limits, limits_of
 from orbimpc_ros.mpc.proof.splits import ICOSAHEDRON, Allowed, Order, Region, depths_of
 from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
+SLICE = 4000  # points of steps between two looks at the time: that takes 2 to 5 ms
 HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
 _depths, _bound = compiled(depths_of), compiled(tree_bound)
 
@@ -47,8 +58,14 @@ class Verifier:
             still = one(np.zeros((count, self._statement.width)), leaf)
             self._bound(start, np.zeros((count, n)), still, NO_LIMITS)
 
-    def bound(self, state: State, goals: Array, tree: ProofTree) -> float:
-        """Return a cost that no trajectory undercuts; -inf if a tree proves none.
+    def bound(
+        self,
+        state: State,
+        goals: Array,
+        tree: ProofTree,
+        late: Callable[[], bool] | None = None,
+    ) -> float:
+        """Return a cost that no trajectory undercuts; -inf if a tree proves none, or none in time.
 
         Infinity if it proves that there is no trajectory.
 
@@ -56,11 +73,19 @@ class Verifier:
             state: where trajectories start.
             goals: g_1..g_N, shape (N, n) [m].
             tree: in the units of the problem.
+            late: whether time is up; a tree is taken in slices of a few milliseconds.
         """
         limits = limits_of(self._statement.problem, state, goals)
-        return self._bound(state, goals, tree, limits)
+        return self._bound(state, goals, tree, limits, late)
 
-    def _bound(self, state: State, goals: Array, tree: ProofTree, limits: Limits) -> float:
+    def _bound(
+        self,
+        state: State,
+        goals: Array,
+        tree: ProofTree,
+        limits: Limits,
+        late: Callable[[], bool] | None = None,
+    ) -> float:
         problem = self._statement.problem
         stated = self._statement.of(state, goals, limits)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
@@ -71,8 +96,12 @@ class Verifier:
             return -math.inf
         if self._region.part.shape[0] <= most or self._region.part.shape[1] != choices:
             self._region = region_of(2 * most + 1, choices, problem.dimension, float)
+        parts = *parts_of(stated, tree), depth, self._region, self._work
+        walk, most = walk_of(tree, float), 1 + SLICE // problem.horizon
         try:
-            found = _bound(stated, *parts_of(stated, tree), depth, self._region, self._work)
+            found = _bound(stated, *parts, walk, most)
+            while found[-1] == PAUSED and not (late and late()):
+                found = _bound(stated, *parts, walk, most)
         except HOSTILE:
             return -math.inf
         return _verdict(*found)
@@ -110,8 +139,8 @@ def exact_bound(
     region = region_of(most + 1, choices, problem.dimension, object)
     work = work_of(problem, statement.width, object)
     try:
-        parts = parts_of(stated, in_fractions(tree))
-        return _verdict(*tree_bound(stated, *parts, depth, region, work))
+        parts = *parts_of(stated, in_fractions(tree)), depth, region, work
+        return _verdict(*tree_bound(stated, *parts, walk_of(tree, object), len(tree.nodes)))
     except HOSTILE:
         return -math.inf
 
@@ -173,6 +202,13 @@ def region_of(depths: int, choices: int, n: int, kind: Any) -> Region:
     shape = depths, choices
     corners = np.zeros((depths, choices if n == 3 else 1, 3, 3), kind)
     return Region(np.zeros(shape, np.int64), np.zeros((*shape, 2), kind), corners)
+
+
+def walk_of(tree: ProofTree, kind: Any) -> Walk:
+    """Return how far a walk through a tree is before it begins."""
+    count = len(tree.nodes)
+    waiting, parent = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    return Walk(waiting, parent, np.zeros(2, np.int64), np.zeros(1, kind))
 
 
 def work_of(problem: Problem, width: int, kind: Any) -> Work:

@@ -149,8 +149,7 @@ class Engine:
                 improve(quad, ring, tree, self._tolerance, room)
             if request.late or request.enough.met(self._found(quad)):
                 break
-        in_time = request.leaves_time_for(int(tree.counts[MADE]))
-        return replace(self._found(quad), proof=proof_of(tree, self._spare) if in_time else None)
+        return replace(self._found(quad), proof=proof_of(tree, self._spare))
 
     def _start(self, quad: Quadratic, ring: Ring, request: Request) -> None:
         """Improve the guess, or the unconstrained optimum; else to go straight on.

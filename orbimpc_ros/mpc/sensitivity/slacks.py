@@ -23,8 +23,9 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of, shortfall
-from orbimpc_ros.mpc.solve.passages import Passages
+from orbimpc_ros.mpc.proof.stated import Statement
+from orbimpc_ros.mpc.solve.regions import Regions
+from orbimpc_ros.mpc.solve.request import Request
 
 ACTIVE = 1e-5  # slack that counts as none: solvers leave less
 AXES = 'xyz'
@@ -62,8 +63,9 @@ def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Itera
     yield from _rates(problem, state, plan)
     if problem.max_acceleration:
         yield from _changes(problem, state, plan)
-    yield from _chosen(problem, plan)
-    yield from _passed(problem, state, plan)
+    yield from _slow(problem, plan)
+    if problem.obstacles or state.hazards:
+        yield from _beside(problem, state, goals, plan)
     if problem.has_cones:
         yield from _cones(problem, state, goals, plan)
     if problem.approach.exists:
@@ -142,35 +144,37 @@ def _across(heading: Array, other: Array) -> Array:
     return across / (np.linalg.norm(across) * np.linalg.norm(heading))
 
 
-def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
-    """The half-spaces that a floor or an obstacle is kept by."""
-    reach = problem.maps.reach[:, 1:]
-    choices = disjunctions_of(problem)
-    boxes = [choice for choice in choices if choice.on == 'position']
-    for choice in choices:
-        values = choice.values(plan.rotations[:, :, 0], plan.positions)
-        for k, normal in _run_out(choice, values):
-            if choice.on == 'heading':
-                yield Slack('floor', k, _at(plan, k, normal))
-            else:
-                box = boxes.index(choice) * len(problem.boxes) // len(boxes)
-                gradient = on_axes(np.outer(reach[k - 1], normal))
-                yield Slack(f'obstacle {box}', k, gradient)
+def _slow(problem: Problem, plan: Plan) -> Iterator[Slack]:
+    """The half-space of a floor that each heading is kept by the most."""
+    floor, headings = problem.floor, plan.rotations[1:, :, 0]
+    for k in np.flatnonzero(floor.margin(headings) < ACTIVE).tolist():
+        normal = headings[k] / np.linalg.norm(headings[k])
+        if not floor.radius:
+            cells = floor.cells(problem.dimension)
+            beyond = [cell.normal @ headings[k] - cell.offset for cell in cells]
+            normal = cells[int(np.argmax(beyond))].normal
+        yield Slack('floor', k + 1, _at(plan, k + 1, normal))
 
 
-def _passed(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """The planes between the vehicle and what is round or moves, at the points that touch them."""
+def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
+    """The planes between the vehicle and bodies, at the points that touch them."""
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.length_unit
-    if traffic is None:
-        return
-    passages, headings = Passages(problem, state, traffic), plan.rotations[1:, :, 0]
-    for number, cell in passages.tangents(headings, nothing):
-        passage = passages.choices[number]
-        points = passage.rows @ headings + passage.free
-        body, step = divmod(number // 2, problem.horizon)
-        for i in np.flatnonzero(passage.shortfall([cell], points)[0] > -nothing):
-            gradient = on_axes(np.outer(passage.rows[i], cell.normal))
-            yield Slack(traffic.names[body], step + 1, gradient)
+    names = [f'obstacle {i}' for i in range(len(problem.boxes))]
+    names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
+    headings, stiff = plan.rotations[1:, :, 0], np.full((problem.horizon, problem.horizon), np.inf)
+    regions = Regions(problem, Statement(problem), Request(state, goals), stiff)
+    near = regions.beside(headings, nothing)
+    controls, count = problem.translation.degree + 1, problem.horizon
+    for choice, held in regions.tangents(headings, near, {}).items():
+        body, step = divmod(choice, count)
+        still = body - 2 < len(problem.boxes)
+        if still and problem.no_corner_cutting and step == 0 < count - 1:
+            continue  # its end is the beginning of the next one
+        for row, _ in held:
+            if row.normal @ (row.shares @ headings) - row.offset < nothing:
+                gradient = on_axes(np.outer(row.shares, row.normal))
+                begins = still and (row.place - count) % controls == 0
+                yield Slack(names[body - 2], step + (not begins), gradient)
 
 
 def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
@@ -211,19 +215,6 @@ def _gliding(problem: Problem, away: Array, k: int) -> Slack:
     outward = away[:2] / max(aside, ACTIVE * problem.length_unit)
     gradient = np.outer(problem.maps.reach[k - 1, 1:], np.array([*(-sine * outward), cosine]))
     return Slack('glide_slope', k, on_axes(gradient), cosine * aside + sine * float(away[2]))
-
-
-def _run_out(choice: Disjunction, values: Array) -> Iterator[tuple[int, Array]]:
-    """Yield steps without slack, each with the normal of the cell that is kept by the most."""
-    if choice.radius:
-        sizes = np.linalg.norm(values, axis=1)
-        missed, normals = choice.radius - sizes, values / sizes[:, None]
-    else:
-        by_cell = shortfall(choice.cells, values)
-        best = int(by_cell.max(axis=1).argmin())
-        missed, normals = by_cell[best], np.tile(choice.cells[best].normal, (len(values), 1))
-    for i in np.flatnonzero(missed > -ACTIVE):
-        yield choice.steps[i], normals[i]
 
 
 def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:

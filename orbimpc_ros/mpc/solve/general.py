@@ -9,7 +9,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 if TYPE_CHECKING:
-    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
+    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound
 
 
 class General:
@@ -22,12 +22,12 @@ class General:
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
-        self._search: DisjunctiveSearch | None = None
+        self._search: BranchAndBound | None = None
 
     def solve(self, request: Request) -> Found:
-        """Solve as :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.DisjunctiveSearch` does."""
+        """Solve as :class:`orbimpc_ros.mpc.solve.branch_and_bound.BranchAndBound` does."""
         if self._search is None:
-            from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # takes Clarabel
+            from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # takes Clarabel
 
-            self._search = DisjunctiveSearch(self._problem, self._tolerance)
+            self._search = BranchAndBound(self._problem, self._tolerance)
         return self._search.solve(request)

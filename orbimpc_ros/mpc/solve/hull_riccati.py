@@ -77,7 +77,7 @@ class HullRiccati:
         )
 
     def solve(self, request: Request) -> Found:
-        """Return the optimum; the rest as in ``disjunctive_bnb.DisjunctiveSearch``."""
+        """Return the optimum; the rest as in ``branch_and_bound.BranchAndBound``."""
         found, settled = self.relaxed(request)
         if settled or request.hurried:
             return found

@@ -23,18 +23,16 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.cost import length_weights
-from orbimpc_ros.mpc.model.dynamics import adrift, translation_rollout
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
-from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.solve.disjunction import disjunctions_of
-from orbimpc_ros.mpc.solve.passages import Passages
+from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
-from orbimpc_ros.mpc.solve.relaxation import Point
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 try:
@@ -65,7 +63,7 @@ class PacedSpeeds:
         self._problem, self._condensed = problem, Condensed(problem)
         freed, made = replace(problem, max_acceleration=0.0), method_among if among else method_for
         self._method = made(freed, tolerance, coasting=coasting)
-        self._choices = disjunctions_of(replace(problem, floor=Floor()))  # of bodies that stand
+        self._statement, self._stiff = Statement(problem), np.full((problem.horizon,) * 2, np.inf)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -146,23 +144,11 @@ class PacedSpeeds:
 
     def _beside(self, request: Request, headings: Array) -> Iterator[Side]:
         """Yield the half-spaces on whose sides headings, shape (N, n), pass all bodies."""
-        problem, state = self._problem, request.state
-        z = np.vstack([state.rotation[:, 0], headings])
-        positions, _ = translation_rollout(problem, state, z)
-        free = positions[1:] - problem.maps.reach[:, 1:] @ headings
-        for each in self._choices:
-            values = each.values(z, positions)
-            cell = each.cells[int(np.argmin(each.shortfall(each.cells, values).max(axis=1)))]
-            for k in each.steps:
-                reach = problem.maps.reach[k - 1, 1:]
-                yield reach, cell.normal, cell.offset - float(cell.normal @ free[k - 1])
-        traffic = traffic_of(problem, state)
-        if traffic is not None:
-            passages = Passages(problem, state, traffic)
-            for j, cell in passages.tangents(headings, math.inf):
-                for point, normal, least in passages.choices[j].halfspaces(cell):
-                    assert isinstance(point, Point)
-                    yield point.row, normal, least
+        regions = Regions(self._problem, self._statement, request, self._stiff)
+        near = regions.beside(headings, math.inf)
+        for held in regions.tangents(headings, near, {}).values():
+            for row, _ in held:
+                yield row.shares, row.normal, row.offset
 
     def _limits(
         self, request: Request, axes: Array, beside: list[Side]

@@ -12,7 +12,7 @@ Mathematics: docs/mathematics.md, 4.12.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -30,18 +30,10 @@ from orbimpc_ros.mpc.kernels.places import (
     active_set,
     minimise,
 )
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import (
-    Halfspace,
-    Multipliers,
-    Point,
-    Relaxation,
-    Relaxed,
-)
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
 
 SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
@@ -53,15 +45,13 @@ class PlaceProgram:
 
     Args:
         problem: what to solve.
-        slots: what half-spaces may be put on from solve to solve.
 
     Attributes:
         multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
-        chords: see there.
     """
 
-    def __init__(self, problem: Problem, slots: Sequence[Slot] = ()) -> None:
-        self.problem, self._slots = problem, tuple(slots)
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
         self.multipliers: Multipliers | None = None
         steps, n = problem.horizon, problem.dimension
         self._condensed = Condensed(problem)
@@ -71,10 +61,9 @@ class PlaceProgram:
         turned = np.diff(np.eye(steps + 1), axis=0)[int(problem.turns_are_angles) :, 1:]
         turned = turned if problem.max_rate else turned[:0]
         controls = control_maps(problem)[:, :, 1:]
-        reach = problem.maps.reach[:, 1:]
-        maps = np.concatenate([np.eye(steps), reach, turned, controls.reshape(-1, steps)])
-        self._points, self.chords = 2 * steps + len(turned), len(turned)
-        balls = np.concatenate([np.arange(steps), 2 * steps + np.arange(len(turned))])
+        maps = np.concatenate([np.eye(steps), controls.reshape(-1, steps), turned])
+        last = len(maps) - len(turned)
+        balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T
         self._known = Places(hessian, maps, 0.5 * (gram + gram.T), balls)
         self._held = active_set(steps, len(maps), n)
@@ -107,9 +96,6 @@ class PlaceProgram:
         problem, self._request, state = self.problem, request, request.state
         self._q, self._constant = self._condensed.affine(state, request.goals)
         self._free = self._known.maps @ (-self._inverse @ self._q)
-        still = np.zeros((problem.horizon + 1, problem.dimension))
-        still[0] = state.rotation[:, 0]
-        self._coasting = dynamics.translation_rollout(problem, state, still)[0][1:]
         self._centres = np.zeros((len(self._known.balls), problem.dimension))
         self._radii = np.ones(len(self._centres))
         self._radii[problem.horizon :] = problem.chord
@@ -118,30 +104,26 @@ class PlaceProgram:
         self._edges = _edges(problem, state) if problem.first_turn_is_a_cone else None
 
     def relax(
-        self,
-        request: Request,
-        halfspaces: Iterable[Halfspace] = (),
-        chords: Array | None = None,
+        self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
         if request is not self._request:
             self._bind(request)
-        halfspaces = list(halfspaces)
-        asked, count, bound = self._asked(halfspaces, chords), 0, -np.inf
+        asked, count, bound = self._asked(rows, chords), 0, -np.inf
         while True:
             status, value, count = minimise(self._known, asked, self._held, count, SLICE)
             bound = max(bound, value + self._constant)
             if status != INTERRUPTED or request.late:
                 break
-        self.multipliers = self._multipliers(count)
+        self.multipliers = self._multipliers(count, len(rows))
         if status == REFUTED:
             raise Infeasible('no trajectory satisfies the constraints')
         if status != SOLVED:
-            return self._anew(request, halfspaces, chords, bound)
+            return self._anew(request, rows, chords, bound)
         return Relaxation(self._coordinates(request.state), bound)
 
     def _anew(
-        self, request: Request, halfspaces: list[Halfspace], chords: Array | None, bound: float
+        self, request: Request, rows: Sequence[Row], chords: Array | None, bound: float
     ) -> Relaxation:
         """Leave what rounding has ended to the general program, unless there is a deadline."""
         if request.hurried:
@@ -149,36 +131,35 @@ class PlaceProgram:
         if self._general is None:
             from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
 
-            self._general = Program(self.problem, self._slots)
+            self._general = Program(self.problem)
         try:
-            return self._general.relax(request, halfspaces, chords)
+            return self._general.relax(request, rows, chords)
         finally:
             self.multipliers = self._general.multipliers
 
-    def _multipliers(self, count: int) -> Multipliers:
-        held, steps = self._held, self.problem.horizon
-        rows, normals, sizes = held.rows[:count], held.normals[:count], held.u[:count]
-        return Multipliers(held.values[:steps].copy(), rows.copy(), normals.copy(), sizes.copy())
+    def _multipliers(self, count: int, asked: int) -> Multipliers:
+        held, (steps, n) = self._held, (self.problem.horizon, self.problem.dimension)
+        sizes, tether = np.zeros(asked), np.zeros((steps, n))
+        for i, row in enumerate(held.rows[:count].tolist()):
+            if 0 <= row < asked:  # what follows are the edges of a first turn's cone
+                sizes[row] += held.u[i]
+            elif row < -steps:  # tangents to the balls of chords, the last of the last step
+                tether[-1 - row - len(self._known.balls)] -= held.u[i] * held.normals[i]
+        nothing = np.zeros((0, n)), np.zeros((0, 0))
+        return Multipliers(held.values[:steps].copy(), sizes, *nothing, tether, 0.0 * tether)
 
     def _coordinates(self, state: State) -> Array:
         """Return the rotation coordinates of the last solution, shape (N, d)."""
         axes = self._held.values[: self.problem.horizon].copy()
         return axes if self.problem.dimension == 2 else coordinates(carried(state.attitude, axes))
 
-    def _asked(self, halfspaces: Iterable[Halfspace], chords: Array | None) -> Asked:
+    def _asked(self, rows: Sequence[Row], chords: Array | None) -> Asked:
         steps, n = self.problem.horizon, self.problem.dimension
-        places, normals, offsets = [], [], []
-        for at, normal, offset in halfspaces:
-            if isinstance(at, Point):
-                places.append(self._points + at.number)
-            else:
-                slot = self._slots[at]
-                on_position = slot.on == 'position'
-                places.append(slot.step - 1 + steps * on_position)
-                if on_position:
-                    offset -= float(normal @ self._coasting[slot.step - 1])
-            normals.append(normal)
-            offsets.append(offset)
+        places, normals, offsets = (
+            [row.place for row in rows],
+            [row.normal for row in rows],
+            [row.offset for row in rows],
+        )
         if self._edges is not None:
             places += [0] * len(self._edges)
             normals += list(self._edges)
@@ -187,12 +168,12 @@ class PlaceProgram:
         if chords is not None:
             radii = radii.copy()
             radii[steps:] = np.minimum(radii[steps:], chords)
-        rows = (
+        known = (
             np.array(places, np.int64),
             np.array(normals).reshape(-1, n),
             np.array(offsets, float),
         )
-        return Asked(self._q, self._free, self._centres, radii, *rows)
+        return Asked(self._q, self._free, self._centres, radii, *known)
 
 
 def _edges(problem: Problem, state: State) -> Array:

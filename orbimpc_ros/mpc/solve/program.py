@@ -1,15 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The convex program behind every plan: set up once, then only updated in place and solved.
 
-The state enters b and a few entries of A, and the goals q; half-spaces that a search imposes enter
-other entries of A and b (:mod:`orbimpc_ros.mpc.solve.statement`). A tick is an update and a solve.
+The state enters b and a few entries of A, and the goals q (:mod:`orbimpc_ros.mpc.solve.statement`).
+A tick is an update and a solve; half-spaces that a search imposes take a solver set up anew.
 
 Mathematics: docs/mathematics.md, 4.8.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count
 from orbimpc_ros.mpc.model.cost import (
     attitude_weight,
     first_length,
@@ -29,8 +28,7 @@ from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
-from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import NO_CONES, Halfspace, Multipliers, Point, Relaxation
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.statement import Statement
 
@@ -41,37 +39,26 @@ NEAR = 1e-9  # on constraints, of an answer that is not accurate otherwise
 ROUGH = 1e-4  # on constraints, of an answer that is good enough to branch on
 FAR = 1.0  # a goal is far from this many horizons on
 
-Cut = tuple[Array, Array, float]  # a row over R_1 e1..R_N e1, a unit normal, an offset
-
 
 class Program:
     """The convex program of a problem, set up for repeated solves.
 
     Args:
         problem: what to solve.
-        slots: what half-spaces may be put on from solve to solve.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
         tolerance: Clarabel's, on feasibility and on the gap.
 
     Attributes:
         multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
-        chords: see there.
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        slots: Sequence[Slot] = (),
-        *,
-        coasting: bool = False,
-        tolerance: float = 1e-9,
+        self, problem: Problem, *, coasting: bool = False, tolerance: float = 1e-9
     ) -> None:
-        self.problem, self._slots, self._tolerance = problem, tuple(slots), tolerance
-        statement = self._statement = Statement(problem, slots, coasting=coasting)
-        self.chords, self._data = statement.chords, statement.data
+        self.problem, self._tolerance = problem, tolerance
+        statement = self._statement = Statement(problem, coasting=coasting)
+        self._data = statement.data
         self._heaviest = float(position_weights(problem).max())
-        axes = problem.weights.input == problem.weights.attitude == 0.0
-        self._seen = problem.dimension if axes else coordinate_count(problem.dimension)
         self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)
         self._scale, self._p = 1.0, self._data['P']
         self._solver: Any = solver_for(self._data, tolerance)
@@ -81,7 +68,6 @@ class Program:
         self._limits = at_rest, *moving
         self._request: Request | None = None
         self.multipliers: Multipliers | None = None
-        self._asked: list[int] = []  # the rows of the half-spaces in force
 
     def _bind(self, request: Request) -> None:
         """Put state and goals into the data of the solves to come."""
@@ -123,26 +109,23 @@ class Program:
         self._q[statement.last] += braking[: len(statement.last)] / scale
 
     def relax(
-        self,
-        request: Request,
-        halfspaces: Iterable[Halfspace] = (),
-        chords: Array | None = None,
+        self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
         if request is not self._request:
             self._bind(request)
-        a, b, cuts = self._imposed(halfspaces)
+        a, b = self._a.copy(), self._b.copy()
         if chords is not None:
             self._statement.narrow(b, chords)
         out_of_time = request.out_of_time
-        if cuts:
-            relaxed = self._solve_anew(a, b, self._scale, out_of_time, cuts)
+        if rows:
+            relaxed = self._solve_anew(a, b, self._scale, out_of_time, rows)
         else:
             relaxed = self._solve_in_place(a, b, out_of_time)
         if request.late:
             return relaxed
         if not relaxed.is_accurate:
-            if cuts:
+            if rows:
                 return relaxed
             before = self.multipliers
             anew = self._solve_anew(a, b, self._scale, out_of_time)
@@ -151,25 +134,8 @@ class Program:
             best = relaxed if anew.x is None else anew
             return Relaxation(best.x, max(relaxed.bound, anew.bound), best.dual_value)
         if relaxed.bound < SMALL * self._scale:
-            return self._bound_anew(relaxed, a, b, out_of_time, cuts)
+            return self._bound_anew(relaxed, a, b, out_of_time, rows)
         return relaxed
-
-    def _imposed(self, halfspaces: Iterable[Halfspace]) -> tuple[Array, Array, list[Cut]]:
-        """Return the entries of A and b with half-spaces in their slots, and those without one."""
-        a, b, cuts = self._a.copy(), self._b.copy(), list[Cut]()
-        self._asked, end = [], self._linear
-        for slot, normal, offset in halfspaces:
-            if isinstance(slot, Point):
-                self._asked.append(end + len(cuts))
-                cuts.append((slot.row, normal, offset))
-                continue
-            row, entries = self._statement.slots[slot]
-            self._asked.append(row)
-            put = self._slots[slot]
-            if put.on == 'position':  # the variable is the displacement
-                offset -= float(normal @ self._origins[put.step - 1])
-            a[entries], b[row] = -normal, -offset
-        return a, b, cuts
 
     def _solve_in_place(
         self, a: Array, b: Array, out_of_time: Callable[[], bool] | None
@@ -186,7 +152,7 @@ class Program:
         a: Array,
         b: Array,
         out_of_time: Callable[[], bool] | None,
-        cuts: Sequence[Cut],
+        rows: Sequence[Row],
     ) -> Relaxation:
         """Return a relaxation as accurate in proportion as where the cost is large.
 
@@ -194,7 +160,7 @@ class Program:
         against the cost. Solved once more with the cost scaled up, it is.
         """
         before = self.multipliers
-        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time, cuts)
+        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time, rows)
         if relaxed.bound > scaled.bound:
             self.multipliers = before
         best = min((relaxed, scaled), key=self._cost)
@@ -212,31 +178,30 @@ class Program:
         b: Array,
         scale: float,
         out_of_time: Callable[[], bool] | None,
-        cuts: Sequence[Cut] = (),
+        rows: Sequence[Row] = (),
     ) -> Relaxation:
         """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
 
-        That settles nearly all that an update in place could not solve. Rows over R_1 e1..R_N e1
-        may come on top.
+        That settles nearly all that an update in place could not solve.
         """
         matrix = self._data['A'].copy()
         matrix.data = a
         q = self._q * (self._scale / scale)
         data = {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
         certifier = self._certifier
-        if cuts:
-            data = self._cut(data, cuts)
+        if rows:
+            data = self._cut(data, rows)
             certifier = Certifier({**data, 'P': self._p})
         answer = run(solver_for(data, self._tolerance), out_of_time)
         return self._relaxation(answer, data['A'].data, data['b'], q, scale, certifier)
 
-    def _cut(self, data: dict[str, Any], cuts: Sequence[Cut]) -> dict[str, Any]:
-        """Return data with half-spaces on top that all headings have a part in."""
-        rows = np.zeros((len(cuts), data['A'].shape[1]))
+    def _cut(self, data: dict[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
+        """Return data with half-spaces on top."""
+        shares, normals = (np.array([row[i] for row in rows]) for i in (1, 2))
+        entries = np.zeros((len(rows), data['A'].shape[1]))
         axes = self._statement.x[:, : self.problem.dimension]
-        for i, (row, normal, _) in enumerate(cuts):
-            rows[i, axes] = -np.outer(row, normal)
-        return extended(data, rows, -np.array([offset for *_, offset in cuts]))
+        entries[:, axes] = -shares[:, :, None] * normals[:, None]
+        return extended(data, entries, -np.array([row.offset for row in rows]))
 
     def _relaxation(
         self,
@@ -271,30 +236,13 @@ class Program:
         own = bound if accurate else -np.inf
         return Relaxation(self._statement.coordinates(x, self._request.state), bound, own)
 
-    @property
-    def _linear(self) -> int:
-        """Return how many rows are equations or inequalities; those of cones follow."""
-        return int(self._data['dims'].zero + self._data['dims'].nonneg)
-
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
-        z = scale * np.asarray(answer.z)
-        sizes, end = np.maximum(z[self._asked], 0.0), self._linear
-        z = np.delete(z, slice(end, end + len(z) - len(self._b)))  # without rows on top
-        duals, rows = self._statement.duals(z), np.flatnonzero(sizes)
-        tensions = np.sqrt(np.einsum('kc,kc->k', duals.tethers, duals.tethers))
-        tied = -1 - self.problem.horizon - np.arange(self.chords)
-        outward = duals.tethers / np.maximum(tensions, TINY)[:, None]
-        normals = np.zeros((len(rows), self.problem.dimension))  # none of half-spaces
-        return Multipliers(
-            np.asarray(answer.x)[self._statement.x[:, : self._seen]],
-            np.concatenate([rows, tied]),
-            np.concatenate([normals, outward]),
-            np.concatenate([sizes[rows], tensions]),
-            duals.pull,
-            duals.leans,
-            duals.props,
-            duals.ways if self.problem.weights.length else NO_CONES,
-        )
+        x, z = np.asarray(answer.x), scale * np.asarray(answer.z)
+        end = int(self._data['dims'].zero + self._data['dims'].nonneg)
+        on_top = slice(end, end + len(z) - len(self._b))
+        assert self._request is not None
+        sizes = np.maximum(z[on_top], 0.0)
+        return self._statement.multipliers(x, np.delete(z, on_top), sizes, self._request.state)
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:

@@ -17,9 +17,8 @@ METHODS = [
     ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
     ('search.shells', 'Shells'),
-    ('solve.spatial_bnb', 'SpatialSearch'),
     ('solve.planar_catch', 'PlanarCatch'),
-    ('solve.disjunctive_bnb', 'DisjunctiveSearch'),
+    ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
 
@@ -53,6 +52,6 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
         paced = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
         within: Method = paced(problem, tolerance, coasting=coasting, among=True)
         return within
-    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may take Clarabel
+    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # may take Clarabel
 
-    return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)
+    return BranchAndBound(problem, tolerance, coasting=coasting, among=True)

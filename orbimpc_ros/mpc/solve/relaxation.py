@@ -6,7 +6,7 @@ Mathematics: docs/mathematics.md, 4.8.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -17,22 +17,42 @@ from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.request import Request
 
 
-class Point(NamedTuple):
-    """A control point of the motion within a step, less what the state alone decides of it.
+class Row(NamedTuple):
+    """A half-space normal . (what R_1 e1..R_N e1 add to a place) >= offset.
 
     Attributes:
-        number: of the control points of all steps.
-        row: what R_1 e1..R_N e1 add to it, shape (N,).
+        place: 0..N - 1 of headings, then the control points of all steps.
+        shares: of R_1 e1..R_N e1 in it, shape (N,).
+        normal: unit vector, shape (n,).
+        offset: of what the state alone decides taken off.
     """
 
-    number: int
-    row: Array
+    place: int
+    shares: Array
+    normal: Array
+    offset: float
 
 
-NO_PULL, NO_CONES = np.zeros(0), np.zeros((0, 0))
+class Multipliers(NamedTuple):
+    """What holds the solution of a relaxation, or proves that there is none.
 
-# What it is put on, a slot or a control point v, a unit normal and an offset: normal . v >= offset.
-Halfspace = tuple[int | Point, Array, float]
+    All but the point and the sizes are as :class:`~orbimpc_ros.mpc.proof.tree.ProofTree` has them.
+
+    Attributes:
+        point: where the Lagrangian is least: all that the cost sees of R_1..R_N, shape (N, d).
+        sizes: of the multipliers of the rows that were asked for, >= 0, shape (M,).
+        pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m, n).
+        slide: of the glide slope, shape (N, 3) or (0, 0).
+        tether: of how far R e1 moves in a step, shape (N, n).
+        share: of what else holds a single R_k e1, but for rows, shape (N, n).
+    """
+
+    point: Array
+    sizes: Array
+    pull: Array
+    slide: Array
+    tether: Array
+    share: Array
 
 
 @dataclass(frozen=True)
@@ -63,56 +83,25 @@ class Relaxation:
         return self.x is not None and self.dual_value > -np.inf
 
 
-class Multipliers(NamedTuple):
-    """What holds the solution of a relaxation, or proves that there is none.
-
-    Attributes:
-        point: where the Lagrangian is least: all that the cost sees of R_1..R_N, shape (N, d).
-        rows: of the half-spaces asked for, then of the edges of a cone; -1 - b of a tangent to
-            ball b; the first N balls hold R_1 e1..R_N e1, the others their chords, shape (S,).
-        normals: of rows and tangents, shape (S, n).
-        sizes: of the multipliers, >= 0, shape (S,).
-        pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
-        leans: of the cones of a first turn, tilt, glide slope and approach, shape (C, n).
-        props: of how far along their axes least headings are, >= 0, shape (P,).
-        ways: over SO(3), along which lengths are at least what they count, no longer than 1,
-            shape (N, n).
-    """
-
-    point: Array
-    rows: np.ndarray
-    normals: Array
-    sizes: Array
-    pull: Array = NO_PULL
-    leans: Array = NO_CONES
-    props: Array = NO_PULL
-    ways: Array = NO_CONES
-
-
 class Relaxed(Protocol):
-    """A convex program of a problem, to be solved with half-spaces in some of its slots.
+    """A convex program of a problem, to be solved with any half-spaces on its places.
 
     Attributes:
         multipliers: of the last relaxation, as far as they are known; None where they are not.
-        chords: how many steps a chord bounds whose multipliers are among them.
     """
 
     multipliers: Multipliers | None
-    chords: int
 
     def relax(
-        self,
-        request: Request,
-        halfspaces: Iterable[Halfspace] = (),
-        chords: Array | None = None,
+        self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
-        """Solve for a state and goals with some slots filled, the others inert, until time is up.
+        """Solve for a state and goals within half-spaces, until time is up.
 
         What depends on state and goals alone is worked out once for a request.
 
         Args:
             request: state, goals and deadline.
-            halfspaces: what slots are filled with.
+            rows: half-spaces.
             chords: how far R e1 may move in the steps that a chord bounds, shape (K,), where that
                 is to be less than the problem says.
 

@@ -45,9 +45,6 @@ class Enough(NamedTuple):
 NEVER_ENOUGH = Enough()
 
 
-AFTERWARDS = 20_000  # headings of tangents to count after a deadline: in 2 to 5 ms
-
-
 class Request(NamedTuple):
     """What a method is asked for; a tuple, for one is made at every tick.
 
@@ -77,22 +74,6 @@ class Request(NamedTuple):
     def late(self) -> bool:
         """Return whether the deadline has passed."""
         return self.out_of_time is not None and self.out_of_time()
-
-    def leaves_time_for(self, tangents: int) -> bool:
-        """Return whether to tell of so many tangents of N headings; see :func:`countable`."""
-        return countable(tangents * len(self.goals), self.out_of_time)
-
-
-def countable(headings: int, out_of_time: Callable[[], bool] | None) -> bool:
-    """Return whether there is time to tell and to count what the bound of a search rests on.
-
-    For a long search that can take as long as the search itself.
-
-    Args:
-        headings: of all tangents.
-        out_of_time: polled only where it matters.
-    """
-    return headings <= AFTERWARDS or out_of_time is None or not out_of_time()
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 """The convex program over SO(3) in machine code, where numba is installed.
 
 Condensed: positions are eliminated, and a terminal constraint is met by every point of the search,
-so that what is left are orbitopes, lengths and half-spaces on thrust axes. What this cannot settle
-it leaves to the general program, such as the proof that there is no solution.
+so that what is left are orbitopes, lengths and half-spaces. What this cannot settle it leaves to
+the general program, such as the proof that there is no solution.
 
 Mathematics: docs/mathematics.md, 4.7.
 """
@@ -11,7 +11,7 @@ Mathematics: docs/mathematics.md, 4.7.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
-from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, SLICE, Iterate, begun
+from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, PROVED, SETTLED, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
 from orbimpc_ros.mpc.model.cost import (
@@ -30,21 +30,14 @@ from orbimpc_ros.mpc.model.cost import (
     length_weights,
     wanted_coordinates,
 )
+from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
-from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import (
-    NO_CONES,
-    NO_PULL,
-    Halfspace,
-    Multipliers,
-    Point,
-    Relaxation,
-    Relaxed,
-)
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
+SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
 EASY = 12  # a horizon up to which hardly a solve was seen to stall
 USUAL = 100.0  # forces of problems near their goal
@@ -64,18 +57,15 @@ class SO3Multipliers:
 
     Args:
         problem: what to solve.
-        slots: what half-spaces may be put on: headings only.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
+        beside: whether half-spaces will be put on control points.
 
     Attributes:
         multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
-        chords: none.
     """
 
-    chords = 0
-
-    def __init__(self, problem: Problem, slots: Sequence[Slot] = (), *, coasting: bool = False):
-        self.problem, self._slots = problem, tuple(slots)
+    def __init__(self, problem: Problem, *, coasting: bool = False, beside: bool = False) -> None:
+        self.problem = problem
         self.multipliers: Multipliers | None = None
         self._given = problem.rotation_order - 1  # at order 2, R_1 is not free
         self._coasting = coasting and bool(self._given)
@@ -86,6 +76,8 @@ class SO3Multipliers:
         self._thrust = thrust_axis(problem, condensed)
         self._others = other_axes(problem, condensed)
         self._length = length_weight(problem)
+        reach = control_maps(problem)[:, :, 1:].reshape(-1, problem.horizon)
+        self._reach = reach.copy() if beside else np.zeros((0, 0))
         self._make_room()
         self._request: Request | None = None
         self._general: Relaxed | None = None
@@ -99,20 +91,25 @@ class SO3Multipliers:
     def _make_room(self) -> None:
         """Set up what the kernel works on; rho, if there is one, has the first place."""
         n = self._places = self.problem.horizon - self._given + self._coasting
-        self._inverse = np.zeros((2, n, n))
-        for own, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
-            own[self._coasting :, self._coasting :] = maps.inverse
-        self._start, self._slide = np.zeros((n, 9)), np.zeros((n, 9))
+        own, places = slice(self._coasting, n), n + len(self._reach)
+        self._inverse = np.zeros((2, places, places))
+        for whole, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
+            whole[own, own] = maps.inverse
+        if len(self._reach):
+            moved = np.vstack([np.eye(n), self._reach])
+            whole = moved @ self._thrust.inverse @ moved.T
+            self._inverse[0] = 0.5 * (whole + whole.T)
+        self._start, self._slide = np.zeros((n, 9)), np.zeros((places, 9))
         self._lengths = length_weights(self.problem)[-n:].copy()
         if self._coasting:
             self._lengths[0] = 0.0  # linear in rho
         self._axes = np.zeros((self.problem.horizon + 5, 3))
         self._rest = np.zeros((3, 6))
         self._work, self._held = scratch(n), multipliers(n, 0)
+        self._pressed = dict[int, tuple[Row, float]]()  # multipliers of rows of the last solve
         rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
-        self._unbound = Terms(
-            self._inverse, self._slide, self._lengths, rows, offsets, self._coasting, *no_sides()
-        )
+        known = self._lengths, rows, offsets, self._coasting, self._reach
+        self._unbound = Terms(self._inverse, self._slide, *known, *no_sides())
 
     @property
     def _may_need_general(self) -> bool:
@@ -121,18 +118,23 @@ class SO3Multipliers:
         A terminal constraint may be out of reach, and so may half-spaces on the R_1 of a coasting
         body. Over long horizons the method of multipliers stalls now and then.
         """
-        refutable = self._coasting and bool(self._slots)
+        refutable = self._coasting and self.problem.floor.exists
         return refutable or self.problem.terminal == 'constraint' or self.problem.horizon > EASY
 
     def _build_general(self) -> Relaxed:
         from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
 
-        self._general = Program(self.problem, self._slots, coasting=self._coasting)
+        self._general = Program(self.problem, coasting=self._coasting)
         return self._general
 
     @staticmethod
-    def solves(problem: Problem, slots: Sequence[Slot] = ()) -> bool:
-        """Return whether this applies to a problem, and is fast on this machine."""
+    def solves(problem: Problem, *, beside: bool = False) -> bool:
+        """Return whether this applies to a problem, and is fast on this machine.
+
+        Args:
+            problem: what to solve.
+            beside: whether half-spaces will be put on control points.
+        """
         return (
             COMPILED
             and problem.dimension == 3
@@ -140,7 +142,7 @@ class SO3Multipliers:
             and problem.max_rate == problem.arrival_weight == 0.0
             and not problem.has_cones
             and not problem.approach.exists
-            and all(slot.on == 'heading' for slot in slots)
+            and not (beside and (problem.rotation_order == 2 or problem.terminal != 'penalty'))
             and problem.horizon >= 2 * max(problem.rotation_order, problem.translation_order)
             and suits_dense_code(problem)
         )
@@ -189,10 +191,7 @@ class SO3Multipliers:
         self._slide /= np.sqrt(curvature)
 
     def relax(
-        self,
-        request: Request,
-        halfspaces: Iterable[Halfspace] = (),
-        chords: Array | None = None,
+        self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`; chords bound nothing here.
 
@@ -200,35 +199,37 @@ class SO3Multipliers:
         """
         if request is not self._request:
             self._bind(request)
-        imposed, self.multipliers = list(halfspaces), None
+        self.multipliers = None
         if self._coasting and abs(self._start[0, 0]) > STEEPEST:
             if request.hurried and self._general is None:
                 return Relaxation(None, -np.inf)
-            return self._leave(request, imposed)
-        terms = self._terms(imposed)
-        bound = -np.inf
-        for _ in range(2):
+            return self._leave(request, rows)
+        terms, bound = self._terms(rows), -np.inf
+        for warm in (True, False):
+            self._take_up(rows, terms, warm=warm)
             progress, status = self._minimise(terms, request)
             if progress.numbers[BEST] > bound:
                 bound = float(progress.numbers[BEST])
-                self.multipliers = self._told(request, imposed)
+                self.multipliers = self._told(request, rows, empty=status == PROVED)
+            if status == PROVED:
+                raise Infeasible('no headings in their balls are beyond the half-spaces')
             if status == SETTLED:
-                tree = None if imposed else self._proof(request)
+                self._put_down(rows)
+                tree = None if rows else self._proof(request)
                 proved = self._proved(bound)
                 return Relaxation(self._rotations(progress.x), proved, proof=tree)
-            self._held = multipliers(self._places, 0)  # what was held misled: once more without
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
         if hurried:  # to set the general program up takes longer than a deadline can wait
             return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
-        return self._leave(request, imposed)
+        return self._leave(request, rows)
 
-    def _leave(self, request: Request, imposed: list[Halfspace]) -> Relaxation:
+    def _leave(self, request: Request, rows: Sequence[Row]) -> Relaxation:
         """Leave a solve to the general program."""
         general = self._general or self._build_general()
         try:
-            return general.relax(request, imposed)
+            return general.relax(request, rows)
         finally:
             self.multipliers = general.multipliers
 
@@ -247,22 +248,41 @@ class SO3Multipliers:
         """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
         return self._least + bound - CANCELLED / ROUNDING * self._rounding
 
-    def _told(self, request: Request, imposed: Sequence[Halfspace]) -> Multipliers | None:
-        """Return what the last solve's bound rests on beside the orbitopes."""
-        pressed, held = self._work.rows.tolist(), []
-        for row, (slot, _, _) in enumerate(imposed):
-            place = self._place(slot)
-            if place >= 0 and pressed[place]:
-                held.append((row, pressed[place]))
-        rows, sizes = np.array([row for row, _ in held], np.int64), np.array([y for _, y in held])
-        normals = np.zeros((len(held), 3))  # of tangents, of which there are none
-        point = self._lowest()
-        return Multipliers(point, rows, normals, sizes, self._pull(request, point), ways=self._ways)
+    def _take_up(self, rows: Sequence[Row], terms: Terms, *, warm: bool) -> None:
+        """Begin with the multipliers of the solve before, or without (what was held misled)."""
+        count = len(terms.heights)
+        held = self._held if warm else multipliers(self._places, 0)
+        known, sides = self._pressed if warm else {}, list[float]()
+        for row in rows:
+            if row.place >= self.problem.horizon:
+                sides.append(known.get(id(row), (row, 0.0))[1])
+        self._held = held._replace(sides=np.array(sides, float))
+        if count > len(self._work.sides):
+            self._work = scratch(self._places, 2 * count)
 
-    def _place(self, slot: int | Point) -> int:
+    def _put_down(self, rows: Sequence[Row]) -> None:
+        """Keep the multipliers of rows on control points for the next solve."""
+        beside = [row for row in rows if row.place >= self.problem.horizon]
+        held = self._held.sides.tolist()
+        self._pressed = {id(row): (row, y) for row, y in zip(beside, held, strict=True)}
+
+    def _told(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
+        """Return what the last solve's bound, or refutation, rests on beside the orbitopes."""
+        steps, at, sizes = self.problem.horizon, 0, np.zeros(len(rows))
+        for i, row in enumerate(rows):
+            if row.place >= steps:
+                sizes[i], at = self._work.sides[at], at + 1
+            elif self._place(row) >= 0:
+                sizes[i] = self._work.rows[self._place(row)]
+        point, share, tether = self._lowest(), np.zeros((steps, 3)), np.zeros((steps, 3))
+        if len(self._ways) and not empty:
+            share = -length_weights(self.problem)[1:, None] * self._ways
+        pull = np.zeros((0, 3)) if empty else self._pull(request, point)
+        return Multipliers(point, sizes, pull, np.zeros((0, 0)), tether, share)
+
+    def _place(self, row: Row) -> int:
         """Return the place of the heading that a half-space is put on, < 0 if that is given."""
-        assert not isinstance(slot, Point)  # of which this has none
-        return self._slots[slot].step - 1 - self._given + self._coasting
+        return row.place - self._given + self._coasting
 
     def _proof(self, request: Request) -> ProofTree:
         """Return the last solve's bound as a proof: its Lagrangian's tangent where it is least.
@@ -271,7 +291,7 @@ class SO3Multipliers:
         """
         point, multipliers = self._lowest(), dict[str, Array]()
         if self._pulls is not None:
-            multipliers['pull'] = self._pull(request, point).reshape(-1, 3)
+            multipliers['pull'] = self._pull(request, point)
         if len(self._ways):
             multipliers['share'] = -length_weights(self.problem)[1:, None] * self._ways
         return one(point, np.zeros(len(point)), **multipliers)
@@ -295,7 +315,7 @@ class SO3Multipliers:
     def _ways(self) -> Array:
         """Return along which way the last solve's bound has each length, shape (N, 3), if any."""
         if not self.problem.weights.length:
-            return NO_CONES
+            return np.zeros((0, 0))
         weighed = self._lengths > 0.0
         ways = np.zeros((self.problem.horizon, 3))
         ways[-len(weighed) :][weighed] = INWARD * self._work.pushes[weighed]
@@ -305,10 +325,10 @@ class SO3Multipliers:
     def _pull(self, request: Request, point: Array) -> Array:
         """Return the multipliers of an arrival, of what is left of slopes and forces at a point."""
         if self._pulls is None:
-            return NO_PULL
+            return np.zeros((0, 3))
         slopes, _ = self._condensed.affine(request.state, request.goals)
         slopes += self._condensed.hessian @ point[:, :3] + self._of_all(self._work.forces)[:, :3]
-        return -(self._pulls @ slopes[self._given :]).ravel()
+        return -(self._pulls @ slopes[self._given :])
 
     def _rotations(self, x: Array) -> Array:
         if self._coasting:
@@ -316,19 +336,27 @@ class SO3Multipliers:
             return np.concatenate([fraction * self._first[None], x[1:]])
         return np.concatenate([self._first[None], x]) if self._given else x
 
-    def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
+    def _terms(self, imposed: Sequence[Row]) -> Terms:
         if not imposed:
             return self._unbound
         rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
-        for slot, normal, offset in imposed:
-            place = self._place(slot)
+        beside = [row for row in imposed if row.place >= self.problem.horizon]
+        for row in imposed:
+            if row.place >= self.problem.horizon:
+                continue
+            place = self._place(row)
             if place >= self._coasting:
-                rows[place], offsets[place] = normal, offset
+                rows[place], offsets[place] = row.normal, row.offset
             elif self._coasting:
-                rows[0, 0], offsets[0] = normal @ self._first[:3], offset
-            elif normal @ self._first[:3] < offset - PRECISION:
+                rows[0, 0], offsets[0] = row.normal @ self._first[:3], row.offset
+            elif row.normal @ self._first[:3] < row.offset - PRECISION:
                 raise Infeasible('R_1 is given, and on the wrong side of a half-space')
-        return self._unbound._replace(rows=rows, offsets=offsets)
+        steps = np.array([row.place - self.problem.horizon for row in beside], np.int64)
+        sides = np.array([row.normal for row in beside]).reshape(-1, 3)
+        heights = np.array([row.offset for row in beside], float)
+        return self._unbound._replace(
+            rows=rows, offsets=offsets, steps=steps, sides=sides, heights=heights
+        )
 
 
 def _within(x: Array) -> Array:

@@ -23,10 +23,10 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
-from orbimpc_ros.mpc.proof.tree import ProofTree, in_users_units
+from orbimpc_ros.mpc.proof.tree import in_users_units
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
-from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
+from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
@@ -233,9 +233,10 @@ class Solver:
         far as there is time to count it.
         """
         cost, bound, checked = self._units.cost, self._units.cost * found.lower_bound, False
-        tree = self._tree(query, found)
+        tree = None if found.proof is None else in_users_units(found.proof, self._units)
         if tree is not None and self._verifier is not None:
-            proved = self._verifier.bound(query.searched, query.goals, tree)
+            posed = query.searched, query.goals
+            proved = self._verifier.bound(*posed, tree, query.out_of_time)
             checked = -np.inf < proved < np.inf
             bound, tree = (proved, tree) if checked else (bound, None)
         else:
@@ -244,13 +245,6 @@ class Solver:
         known = float(bound) if 0.0 < bound < np.inf else 0.0
         known, checked = known * (1.0 - OUTWARD), checked or known == 0.0
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
-
-    def _tree(self, query: _Query, found: Found) -> ProofTree | None:
-        """Return what proves a bound, in the problem's own units, if there is time to verify it."""
-        tree = found.proof
-        if tree is None or not countable(tree.shor.size, query.out_of_time):
-            return None
-        return in_users_units(tree, self._units)
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""

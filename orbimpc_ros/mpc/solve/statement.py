@@ -18,9 +18,8 @@ Mathematics: docs/mathematics.md, 4.8.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -39,32 +38,13 @@ from orbimpc_ros.mpc.model.dynamics import adrift, input_map
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides
-from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import NO_CONES, NO_PULL
+from orbimpc_ros.mpc.solve.relaxation import Multipliers
 
 ORDER = 4  # of the matrices S(R)
 TINY = 1e-300
-INERT = 1.0  # an empty slot reads 0 <= 1
+OUTWARD = 1.0 + 1e-12  # so that what is on the rim of a cone is not outside by rounding
 
 Part = tuple[np.ndarray, np.ndarray, Any]  # rows counted from 0, columns, values or one for all
-
-
-class Duals(NamedTuple):
-    """The multipliers of what a program has beside orbitopes and half-spaces.
-
-    Attributes:
-        pull: of an arrival, shape (m n,).
-        leans: of the cones of a first turn, tilt, glide slope and approach, shape (C, n).
-        props: of least headings along the axes of a tilt or an approach, >= 0, shape (P,).
-        ways: along which lengths are at least what they count, shape (N, n).
-        tethers: of R_{k+1} e1 - R_k e1, where chords are limited, shape (K, n).
-    """
-
-    pull: Array
-    leans: Array
-    props: Array
-    ways: Array
-    tethers: Array
 
 
 class _Rows:
@@ -99,7 +79,6 @@ class Statement:
 
     Args:
         problem: what to solve.
-        slots: rows over R_k e1 or v_k that a search may fill with half-spaces.
         coasting: whether R_1 = rho times the coasted rotation, rho in [0, 1] free.
 
     Attributes:
@@ -107,13 +86,9 @@ class Statement:
         x: columns of x_1..x_N, shape (N, width).
         moved: columns of v_1..v_N, shape (N, n).
         last: columns of p_N, shape (n,) or (0,).
-        chords: how many turns a chord bounds.
-        slots: row and entries of each slot.
     """
 
-    def __init__(
-        self, problem: Problem, slots: Sequence[Slot] = (), *, coasting: bool = False
-    ) -> None:
+    def __init__(self, problem: Problem, *, coasting: bool = False) -> None:
         self.problem, self._coasting = problem, coasting and problem.rotation_order == 2
         n, steps = problem.dimension, problem.horizon
         self._decided = problem.rotation_order - 1
@@ -132,9 +107,8 @@ class Statement:
         self._towards = self._block(int(problem.approach.exists), 1)[:, 0]
         self.last = self._p[-1] if problem.inertial else np.zeros(0, int)
         begin = int(problem.turns_are_angles)  # such a first turn begins at an attitude
-        self.chords = max(0, steps - begin) if problem.max_rate else 0
-        self.slots: list[tuple[int, np.ndarray]] = []
-        self.data = self._stated(slots)
+        self._chords = max(0, steps - begin) if problem.max_rate else 0
+        self.data = self._stated()
 
     def _block(self, count: int, size: int) -> np.ndarray:
         """Return the numbers of new columns, shape (count, size)."""
@@ -165,7 +139,7 @@ class Statement:
             a[self._turned] = state.attitude[:, 0]
         if problem.approach.exists:
             axis = problem.approach.axis(state)
-            a[self._approached], a[self._least[1]] = axis, -axis
+            a[self._approached], a[self._ahead] = axis, -axis
         return a, b
 
     def _put_cones(self, b: Array, state: State, goals: Array, origins: Array) -> None:
@@ -179,7 +153,7 @@ class Statement:
             b[self._sloped + 2] = sides[:, 1]
 
     def narrow(self, b: Array, chords: Array) -> None:
-        """Put chords, shape (chords,), in b."""
+        """Put how far each R e1 that a chord bounds may move, shape (K,), in b."""
         b[self._tied] = chords
 
     def coordinates(self, x: Array, state: State) -> Array:
@@ -214,28 +188,36 @@ class Statement:
 
     # --- multipliers
 
-    def duals(self, z: Array) -> Duals:
-        """Return what multipliers of all rows come to."""
-        n, problem = self.problem.dimension, self.problem
-        pull = z[self._arrival] if problem.terminal == 'constraint' else NO_PULL
-        props: Array = NO_PULL
-        ways: Array = np.zeros((problem.horizon, n))
-        leans: list[Array] = [z[self._cones[:1]]] if problem.first_turn_is_a_cone else []
-        if len(self._t):
-            tilted, props, ways = self._leaning(z)
-            leans.append(tilted)
-        if problem.glide_slope:
-            x, y, height = slope_sides(problem)
-            above = z[self._sloped + 1], z[self._sloped + 2], z[self._sloped]
-            leans.append(np.array([x, y, height]) * np.column_stack(above))
-        if problem.approach.exists:
-            leans.append(z[self._cones[-1:]])
-            props = np.append(props, np.maximum(z[self._least[0]], 0.0))
-        tethers = z[self._tied[:, None] + np.arange(1, 1 + n)]
-        return Duals(pull, np.vstack([NO_CONES.reshape(0, n), *leans]), props, ways, tethers)
+    def multipliers(self, x: Array, z: Array, sizes: Array, state: State) -> Multipliers:
+        """Return what multipliers come to.
 
-    def _leaning(self, z: Array) -> tuple[Array, Array, Array]:
-        """Return the multipliers of a tilt, of least headings within it, and lengths' ways.
+        Args:
+            x: solution, of all columns.
+            z: multipliers of all rows of the program.
+            sizes: those of half-spaces on top, shape (M,).
+            state: where plans start.
+        """
+        problem, n, steps = self.problem, self.problem.dimension, self.problem.horizon
+        pull: Array = np.zeros((0, n))
+        slide: Array = np.zeros((0, 0))
+        share: Array = np.zeros((steps, n))
+        if problem.terminal == 'constraint':
+            pull = z[self._arrival].reshape(-1, n)
+        if problem.first_turn_is_a_cone and n == 3:
+            share[0] += z[self._cones[0]]
+        if len(self._t):
+            share += self._leaning(z)
+        if problem.glide_slope:
+            slide = self._sliding(z)
+        if problem.approach.exists and n == 3:
+            share[-1] += z[self._cones[-1]]
+            share[-1] += max(0.0, z[self._least]) * problem.approach.axis(state)
+        tether = np.zeros((steps, n))
+        tether[steps - self._chords :] = -z[self._tied[:, None] + np.arange(1, 1 + n)]
+        return Multipliers(x[self.x], sizes, pull, slide, tether, share)
+
+    def _leaning(self, z: Array) -> Array:
+        """Return what a tilt, and lengths over rotations, hold of each R_k e1, shape (N, n).
 
         What t >= |z| holds, lengths and z_3 >= cos(tilt) t push; where t is the floor's, by more
         than that. Of either the same share is taken for |z|. What is left of a tilt's is one of
@@ -248,44 +230,46 @@ class Statement:
         sizes = np.sqrt(np.einsum('kc,kc->k', sides, sides))
         most = np.maximum(np.maximum(self._lengths + lean * up, sizes), TINY)
         ways = -sides / most[:, None]
-        if not problem.tilt:
-            return np.zeros((0, n)), NO_PULL, ways
-        taken, props = -lean * up[:, None] * ways, NO_PULL
-        if problem.floor.clearance(3) > 0.0:
-            used = up * (sizes / most)
-            up, props = used, up - used
-        taken[:, 2] += up
-        return taken, props, ways
+        held = -self._lengths[:, None] * ways if self.width == 9 else np.zeros(ways.shape)
+        if problem.tilt:
+            held -= lean * up[:, None] * ways
+            held[:, 2] += up
+        return held
+
+    def _sliding(self, z: Array) -> Array:
+        """Return multipliers of the glide slope, surely in its cone's polar, shape (N, 3)."""
+        x, y, height = slope_sides(self.problem)
+        above = np.column_stack([z[self._sloped + 1], z[self._sloped + 2], z[self._sloped]])
+        slide = -np.array([x, y, height]) * above
+        rim = OUTWARD * height / x * np.hypot(slide[:, 0], slide[:, 1])
+        slide[:, 2] = np.minimum(slide[:, 2], -rim)
+        return slide
 
     # --- data
 
-    def _stated(self, slots: Sequence[Slot]) -> dict[str, Any]:
+    def _stated(self) -> dict[str, Any]:
         rows, counts = _Rows(), []
         self._round: list[int] = []
         for kind in (self._equalities, self._inequalities, self._balls, self._semidefinite):
             before = rows.count
-            kind(rows, slots)
+            kind(rows)
             counts.append(rows.count - before)
         a, b = rows.matrix(self._columns)
         psd = [ORDER] * (counts[3] // (ORDER * (ORDER + 1) // 2))
         dims = SimpleNamespace(zero=counts[0], nonneg=counts[1], soc=self._round, psd=psd)
-        self._locate(a, b)
+        self._locate(a)
         quadratic, linear = self._cost()
         return {'P': quadratic, 'c': linear, 'A': a, 'b': b, 'dims': dims}
 
-    def _locate(self, a: sparse.csc_matrix, b: Array) -> None:
-        """Find the entries that change, and empty the slots."""
+    def _locate(self, a: sparse.csc_matrix) -> None:
+        """Find the entries that change."""
         self._coasted = _entries(a, self._second, self._rho)
         self._turned = _entries(a, self._cones[:1].ravel(), self._along)
         self._approached = _entries(a, self._cones[-1:].ravel(), self._towards)
-        every = [(row, _entries(a, np.array([row]), columns)) for row, columns in self.slots]
         if self.problem.approach.exists:
-            *every, self._least = every
-        self.slots = every
-        for row, entries in self.slots:
-            a.data[entries], b[row] = 0.0, INERT
+            self._ahead = _entries(a, np.array([self._least]), self._z[-1])
 
-    def _equalities(self, rows: _Rows, _: Sequence[Slot]) -> None:
+    def _equalities(self, rows: _Rows) -> None:
         """State x_0, the R_1 that a body rate decides, the model's steps, and an arrival."""
         problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
         each, known = np.arange(self.width), np.zeros(self.width)
@@ -311,8 +295,8 @@ class Statement:
             ends = np.concatenate([self.moved[-1], self.last])
             self._arrival = rows.add(np.zeros(len(ends)), (np.arange(len(ends)), ends, 1.0))
 
-    def _inequalities(self, rows: _Rows, slots: Sequence[Slot]) -> None:
-        """State floor <= t <= 1, z_3 >= cos(tilt) t, 0 <= rho <= 1, slots, a least heading."""
+    def _inequalities(self, rows: _Rows) -> None:
+        """State floor <= t <= 1, z_3 >= cos(tilt) t, 0 <= rho <= 1, a least heading."""
         problem, n = self.problem, self.problem.dimension
         every = np.arange(len(self._t))
         if len(every):
@@ -326,17 +310,12 @@ class Statement:
             self._tilted = rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean))
         if self._coasting:
             rows.add(np.array([0.0, 1.0]), (np.arange(2), self._rho[[0, 0]], np.array([-1.0, 1.0])))
-        held = [
-            (self._z[s.step], 0.0) if s.on == 'heading' else (self.moved[s.step - 1], 0.0)
-            for s in slots
-        ]
         if problem.approach.exists:
-            held.append((self._z[-1], -math.cos(problem.approach.cone) * problem.least_heading))
-        for columns, offset in held:
-            row = rows.add(np.array([offset]), (np.zeros(n, int), columns, -1.0))
-            self.slots.append((int(row[0]), columns))
+            least = math.cos(problem.approach.cone) * problem.least_heading
+            row = rows.add(np.array([-least]), (np.zeros(n, int), self._z[-1], -1.0))
+            self._least = int(row[0])
 
-    def _balls(self, rows: _Rows, _: Sequence[Slot]) -> None:
+    def _balls(self, rows: _Rows) -> None:
         """State |z_k| <= t_k or 1, the glide slope, the cones of turn and approach, and chords."""
         problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
         self._disks = np.zeros(0, int)
@@ -360,7 +339,7 @@ class Statement:
                 head = self._heads(rows, z, widest, axis=along)
                 cones.append(head[0] + np.arange(1, 1 + n))
         self._cones = np.array(cones, int).reshape(-1, n)
-        turned = self._z[-self.chords - 1 :] if self.chords else self._z[:0]
+        turned = self._z[-self._chords - 1 :] if self._chords else self._z[:0]
         self._tied = self._heads(rows, turned[1:], before=turned[:-1])
 
     def _heads(
@@ -396,7 +375,7 @@ class Statement:
         self._round += [1 + n] * count
         return rows.add(offsets.ravel(), *parts)[heads]
 
-    def _semidefinite(self, rows: _Rows, _: Sequence[Slot]) -> None:
+    def _semidefinite(self, rows: _Rows) -> None:
         """State S(R_k) >= 0: upper triangles by columns, off the diagonal times sqrt(2)."""
         if self.width < 9:
             return

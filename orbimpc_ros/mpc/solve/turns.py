@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.disjunction import Slot
+from orbimpc_ros.mpc.solve.relaxation import Row
 
 WITHIN = 1.0 - 1e-6  # of the widest turn
 ACCURATE = 5e-7  # [rad], half of what the plan's check allows
@@ -31,10 +31,6 @@ class Turns:
 
     Args:
         problem: gives both.
-
-    Attributes:
-        slots: of half-spaces that hold for all that the vehicle can have turned by a step, from
-            the measured heading; none at rotation order 2, nor for a first turn within a cone.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -47,8 +43,7 @@ class Turns:
         self._turn = 2.0 * math.asin(min(1.0, half))
         first = 2 if problem.first_turn_is_a_cone else 1
         most = min(problem.horizon, math.ceil(math.pi / problem.widest_turn) - 1)
-        steps = range(first, most + 1) if problem.rotation_order == 1 else ()
-        self.slots = [Slot('heading', k) for k in steps]
+        self._steps = range(first, most + 1) if problem.rotation_order == 1 else range(0)
 
     def hold(self, state: State, headings: Array) -> bool:
         """Return whether no turn of headings R_0 e1..R_N e1, shape (N + 1, n), is too wide."""
@@ -59,13 +54,24 @@ class Turns:
         widest = self._problem.widest_turn + ACCURATE
         return bool((2.0 * np.arcsin(np.minimum(1.0, 0.5 * chords[decided:])) <= widest).all())
 
-    def ahead(self, step: int) -> float:
-        """Return what Q_0 e1 . R_k e1 is at least, k turns on."""
-        share = math.cos(step * self._problem.widest_turn)
-        return min(share, self._least * share)
+    def rows(self, state: State, *, narrow: bool = False) -> tuple[Row, ...]:
+        """Return half-spaces that hold for all that the vehicle can have turned by a step.
+
+        None at rotation order 2, nor for a first turn within a cone.
+
+        Args:
+            state: where plans start.
+            narrow: whether the first turn is to be surely in time.
+        """
+        axis, units, found = state.attitude[:, 0], np.eye(self._problem.horizon), list[Row]()
+        for k in self._steps:
+            share = math.cos(k * self._problem.widest_turn)
+            least = self._narrow if narrow and k == 1 else min(share, self._least * share)
+            found.append(Row(k - 1, units[k - 1], axis, least))
+        return tuple(found)
 
     @property
-    def narrow(self) -> float:
+    def _narrow(self) -> float:
         """Return a value of Q_0 e1 . R_1 e1 from which on no first turn is too wide."""
         share = math.cos(self._widest)
         return max(share, self._least * share)
@@ -108,7 +114,7 @@ class Turns:
         """Return a first turn that the cone, or the half-space of a wider one, allows."""
         if self._problem.first_turn_is_a_cone:
             return self._turn
-        return min(self._turn, math.acos(max(-1.0, min(1.0, self.narrow / self._speed))))
+        return min(self._turn, math.acos(max(-1.0, min(1.0, self._narrow / self._speed))))
 
     def _cell(self, unit: Array) -> Cell:
         """Return the tangent of a round floor, or the face nearest to a direction, shape (n,)."""

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool.replay.recording import Published, published
+from orbimpc_ros.tool.replay.recording import Answer, published
 from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 # Solvers of other versions, and numba or not, find the same optimum up to these. An objective is
@@ -23,69 +23,11 @@ SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
 OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
 UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
 PLANNED = Status.OPTIMAL, Status.FEASIBLE
-PROVED = 'status', 'gap'
 WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
 QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
 
 
-@dataclass(frozen=True)
-class Tolerances:
-    """What two answers may differ by; words must be the same.
-
-    But an exact proof is searched as long as there is time after the command, and no bound is
-    published without: where there was none, gaps and ``optimal`` or ``feasible`` are not compared.
-
-    A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
-    points, and the less exactly that is known: what a turn may differ by is divided by its share.
-
-    Attributes:
-        speed: [m/s].
-        force: [N].
-        gap: absolute; what counts as proved. Two that are both left open are not compared: where a
-            search ends before its proof does, rounding decides which nodes came last.
-        step: for which a body rate is commanded [s].
-        order: of the rotation, 1 or 2: so many steps of the plan decide the command.
-    """
-
-    speed: float = SPEED
-    force: float = SPEED
-    gap: float = 1e-4
-    step: float = 1.0
-    order: int = 1
-
-    @classmethod
-    def under(cls, settings: PlannerSettings) -> Tolerances:
-        """Return what a planner's answers may differ by."""
-        problem = settings.problem
-        return cls(
-            speed=SPEED * problem.forward,
-            force=SPEED * problem.forward * settings.mass,
-            gap=settings.gap_tolerance,
-            step=problem.step,
-            order=problem.rotation_order,
-        )
-
-    def of(self, quantity: str, *answers: Published) -> float:
-        """Return what a quantity of some answers may differ by."""
-        gaps = [each.gap for each in answers if each.gap is not None]
-        unproved = any(each.bound_checked is False for each in answers)
-        if quantity in PROVED and unproved and all(each.status in PLANNED for each in answers):
-            return math.inf
-        if quantity == 'gap':
-            open_ = len(gaps) == len(answers) and all(self.gap < gap < math.inf for gap in gaps)
-            return math.inf if open_ else self.gap
-        if quantity == 'objective':  # two searches may end at any plans within what they leave open
-            return max(OBJECTIVE, min(max(gaps, default=0.0), self.gap))
-        if quantity in TURNS:
-            shares = [s for each in answers for s in each.speed_fraction[1 : self.order + 1]]
-            least = min([1.0, *shares])
-            allowed = RATE if quantity == 'body_rate' else ANGLE
-            return allowed / least if least > 0.0 else math.inf
-        return float(getattr(self, quantity, 0.0))
-
-
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """One quantity of one tick, recorded and replayed.
 
     Attributes:
@@ -119,36 +61,55 @@ class Comparison:
         return where + (off if math.isfinite(self.apart) else '')
 
 
-def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> list[Comparison]:
-    """Return the comparisons of all ticks."""
-    tolerances, found = Tolerances.under(settings), list[Comparison]()
+def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> Iterator[Comparison]:
+    """Yield the comparisons of all ticks: one for every quantity that was recorded."""
     for tick, each in enumerate(replayed):
-        then, now = each.recorded, published(each.messages)
-        found += comparisons(tick, then.stamp / SECOND, then.answer, now, tolerances)
-    return found
+        then, now = each.recorded.answer, published(each.messages)
+        for quantity in QUANTITIES:
+            before, after = then.get(quantity), now.get(quantity)
+            if before is not None:
+                apart = distance(quantity, before, after, settings.problem.step)
+                allowed = tolerance(quantity, settings, then, now)
+                time = each.recorded.stamp / SECOND
+                yield Comparison(tick, time, quantity, before, after, apart, allowed)
 
 
-def comparisons(
-    tick: int, time: float, recorded: Published, replayed: Published, tolerances: Tolerances
-) -> Iterator[Comparison]:
-    """Yield a comparison for every quantity that was recorded.
+def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> float:
+    """Return what a quantity of some answers may differ by; words must be the same.
 
-    Args:
-        tick: its number.
-        time: its stamp [s].
-        recorded: the answer in the bag.
-        replayed: the answer now.
-        tolerances: what they may differ by.
+    But an exact proof is searched as long as there is time after the command, and no bound is
+    published without: where there was none, gaps and ``optimal`` or ``feasible`` are not compared.
+    Nor are two gaps that are both left open: where a search ends before its proof does, rounding
+    decides which nodes came last.
+
+    A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
+    points, and the less exactly that is known: what a turn may differ by is divided by its share.
     """
-    for quantity in QUANTITIES:
-        before, now = getattr(recorded, quantity), getattr(replayed, quantity)
-        if before is not None:
-            allowed = tolerances.of(quantity, recorded, replayed)
-            apart = math.inf if now is None else _apart(quantity, before, now, tolerances.step)
-            yield Comparison(tick, time, quantity, before, now, apart, allowed)
+    problem, least_gap = settings.problem, settings.gap_tolerance
+    gaps = [each['gap'] for each in answers if each.get('gap') is not None]
+    planned = all(each.get('status') in PLANNED for each in answers)
+    proved = all(each.get('bound_checked', True) for each in answers)
+    if quantity in ('status', 'gap') and planned and not proved:
+        return math.inf
+    if quantity == 'gap':
+        left_open = len(gaps) == len(answers) and all(least_gap < gap < math.inf for gap in gaps)
+        return math.inf if left_open else least_gap
+    if quantity == 'objective':  # two searches may end at any plans within what they leave open
+        return max(OBJECTIVE, min(max(gaps, default=0.0), least_gap))
+    if quantity in TURNS:  # so many steps of the plan decide the command
+        steps = slice(1, problem.rotation_order + 1)
+        shares = itertools.chain(*(each.get('speed_fraction', [])[steps] for each in answers))
+        least = min([1.0, *shares])
+        allowed = RATE if quantity == 'body_rate' else ANGLE
+        return allowed / least if least > 0.0 else math.inf
+    full = {'speed': problem.forward, 'force': problem.forward * settings.mass}
+    return SPEED * full.get(quantity, 0.0)
 
 
-def _apart(quantity: str, before: Any, now: Any, step: float) -> float:
+def distance(quantity: str, before: Any, now: Any, step: float) -> float:
+    """Return how far two values of a quantity are apart; a step [s] is commanded at a time."""
+    if now is None:
+        return math.inf
     if quantity in WORDS:
         return 0.0 if before == now else math.inf
     if quantity == 'rotation':

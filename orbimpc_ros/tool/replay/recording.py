@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.obstacles import stamp_of as stamp_of_markers
@@ -26,6 +25,7 @@ INPUTS = tuple(topic.name for topic in topics.INPUTS)
 OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
 COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
 Messages = Mapping[str, Any]  # by topic
+Answer = dict[str, Any]  # what the planner published on a tick; what is not known is not in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,69 +46,6 @@ class Input:
     message: Any
 
 
-@dataclass(frozen=True)
-class Published:
-    """What the planner published on a tick, recorded or made anew; what is not known is None.
-
-    Attributes:
-        status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
-        reason: why it is not ``optimal``.
-        cause: what kept it from being planned, one of :class:`orbimpc_ros.mpc.outcome.Cause`.
-        fallback: what stood in for a plan; empty for a plan.
-        speed: commanded [m/s].
-        body_rate: commanded, shape (3,) [rad/s].
-        force: commanded [N].
-        rotation: commanded, as a quaternion, shape (4,).
-        speed_fraction: share of full speed or thrust along the plan, shape (N + 1,); empty without.
-        objective: of the plan; NaN without one.
-        lower_bound: of the objective.
-        gap: of the plan; NaN without one.
-        bound_checked: whether its bound was more than the method's word.
-        earliest_catch: when the plan catches the goal; NaN where it does not [s].
-        catch_bound: before which nothing catches the goal; NaN where none is looked for [s].
-        goal_stamps: of the goals that it was planned for, by topic [ns].
-        goal_counts: goals that had been taken in by then, by topic.
-        traffic_stamps: of what had been heard last of obstacles and other vehicles, by topic [ns].
-        advanced: how far the measurement was advanced to plan from [s].
-        solve_time_ms: what the tick took; 0 if no solver was asked [ms].
-    """
-
-    status: str | None = None
-    reason: str | None = None
-    cause: str | None = None
-    fallback: str | None = None
-    speed: float | None = None
-    body_rate: Array | None = None
-    force: float | None = None
-    rotation: Array | None = None
-    speed_fraction: Sequence[float] = ()
-    objective: float | None = None
-    lower_bound: float | None = None
-    gap: float | None = None
-    bound_checked: bool | None = None
-    earliest_catch: float | None = None
-    catch_bound: float | None = None
-    goal_stamps: Mapping[str, int] = field(default_factory=dict)
-    goal_counts: Mapping[str, int] = field(default_factory=dict)
-    traffic_stamps: Mapping[str, int] = field(default_factory=dict)
-    advanced: float | None = None
-    solve_time_ms: float | None = None
-
-    @property
-    def solved(self) -> bool:
-        """Return whether a solver was asked, as far as is known."""
-        return self.solve_time_ms != 0.0
-
-    @property
-    def planned(self) -> bool:
-        """Return whether it came of odometry and goals, be it without a solver, as far as is known.
-
-        Without one it goes on with the plan before, since every goal is old; what is safe for any
-        other reason names no goal.
-        """
-        return self.solved or bool(self.goal_stamps)
-
-
 NUMBER = (int, float)
 KINDS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), str),
@@ -117,12 +54,16 @@ KINDS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), dict),
     'bound_checked': bool,
     'speed_fraction': list,
-}  # of the values on ``tick``; those of another kind are not known
+}  # of the values on ``tick`` that a replay needs; those of another kind are not known
 
 
-def published(messages: Messages) -> Published:
-    """Return what messages by topic hold."""
-    found: dict[str, Any] = {}
+def published(messages: Messages) -> Answer:
+    """Return what messages by topic hold: the values of a tick by their names on it.
+
+    Besides the ``speed`` [m/s], ``body_rate``, shape (3,) [rad/s], ``force`` [N] and ``rotation``,
+    a quaternion of shape (4,), that were commanded.
+    """
+    found: Answer = {}
     if 'cmd_vel' in messages:
         twist = messages['cmd_vel'].twist
         found |= {'speed': pushed(twist.linear), 'body_rate': point(twist.angular)}
@@ -134,7 +75,21 @@ def published(messages: Messages) -> Published:
     if 'tick' in messages and messages['tick'].status:
         values = fields(messages['tick'])
         found |= {n: values[n] for n, kind in KINDS.items() if isinstance(values.get(n), kind)}
-    return Published(**found)
+    return found
+
+
+def was_solved(answer: Answer) -> bool:
+    """Return whether a solver was asked, as far as is known."""
+    return answer.get('solve_time_ms') != 0.0
+
+
+def was_planned(answer: Answer) -> bool:
+    """Return whether it came of odometry and goals, be it without a solver, as far as is known.
+
+    Without one it goes on with the plan before, since every goal is old; what is safe for any
+    other reason names no goal.
+    """
+    return was_solved(answer) or bool(answer.get('goal_stamps'))
 
 
 @dataclass(frozen=True)
@@ -144,19 +99,12 @@ class RecordedTick:
     Attributes:
         stamp: of the odometry that it answers [ns].
         sent: when its first message was sent, by the clock of the inputs [ns].
-        messages: by topic.
-        answer: what they hold.
+        answer: what its messages hold.
     """
 
     stamp: int
     sent: int
-    messages: Messages
-    answer: Published
-
-    @property
-    def solve_time_ms(self) -> float:
-        """Return what the tick took, as far as is known [ms]."""
-        return self.answer.solve_time_ms or 0.0
+    answer: Answer
 
 
 @dataclass(frozen=True)
@@ -176,14 +124,14 @@ class Recording:
     answers: tuple[RecordedTick, ...]
 
     @property
-    def simulated(self) -> bool:
-        """Return whether somebody published simulated time."""
-        return self.received < len(self.inputs)
-
-    @property
     def received(self) -> int:
         """Return how many messages the planner was sent, besides the time."""
         return sum(each.topic != CLOCK for each in self.inputs)
+
+    @property
+    def simulated(self) -> bool:
+        """Return whether somebody published simulated time."""
+        return self.received < len(self.inputs)
 
 
 def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) -> Recording:
@@ -255,7 +203,7 @@ def _answers(own: Mapping[str, list[Message]]) -> Iterator[RecordedTick]:
         before: Messages = {}
         for sent, contents in _grouped(sorted(sent_messages, key=lambda each: each[0])):
             if any(repr(before.get(topic)) != repr(each) for topic, each in contents.items()):
-                yield RecordedTick(stamp, sent, contents, published(contents))
+                yield RecordedTick(stamp, sent, published(contents))
             before = contents
 
 

@@ -21,7 +21,15 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
-from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
+from orbimpc_ros.tool.replay.recording import (
+    CLOCK,
+    Input,
+    Messages,
+    RecordedTick,
+    Recording,
+    was_planned,
+    was_solved,
+)
 
 
 @dataclass(frozen=True)
@@ -58,24 +66,26 @@ def replayed(
         refusals = tuple(feed.until(recorded))
         messages = _answer(planner, recorded)
         answer = recorded.answer
-        pushed = answer.force if settings.problem.translation_order == 2 else answer.speed
+        pushed = answer.get('force' if settings.problem.translation_order == 2 else 'speed')
         at = recorded.stamp if simulated else recorded.sent
-        planner.went_out(at / SECOND, pushed, answer.body_rate)
+        planner.went_out(at / SECOND, pushed, answer.get('body_rate'))
         assert planner.decision is not None
         yield ReplayedTick(recorded, messages, refusals, planner.decision)
 
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
-    answer = recorded.answer
-    cause = Cause(answer.cause) if answer.cause in list(Cause) else Cause.NONE
+    answer, stamp = recorded.answer, recorded.stamp
+    word = answer.get('cause')
+    cause = Cause(word) if word in list(Cause) else Cause.NONE
     if cause in (Cause.AFRESH, Cause.RESET):
         planner.start_afresh(wind=cause is Cause.RESET)
-    if not answer.planned:
-        return planner.be_safe(recorded.stamp, Reason(cause, answer.reason or ''))
-    if planner.stamp != recorded.stamp:
+    if not was_planned(answer):
+        return planner.be_safe(stamp, Reason(cause, answer.get('reason', '')))
+    if planner.stamp != stamp:
         refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
-        return planner.be_safe(recorded.stamp, refused)
-    return planner.plan(recorded.sent / SECOND, answer.advanced or 0.0, recorded.solve_time_ms)
+        return planner.be_safe(stamp, refused)
+    advanced, took = answer.get('advanced', 0.0), answer.get('solve_time_ms', 0.0)
+    return planner.plan(recorded.sent / SECOND, advanced, took)
 
 
 class Feed:
@@ -98,7 +108,7 @@ class Feed:
         sent = list(takewhile(lambda each: each.sent <= recorded.sent, self._inputs))
         latest = _latest(sent, recorded)
         came = [each for k, each in enumerate(sent) if k <= latest.get(each.topic, -1)]
-        lost = self._lost(came, recorded.answer.goal_counts)
+        lost = self._lost(came, recorded.answer.get('goal_counts', {}))
         for each in came:
             if each not in lost and (refusal := self._take(each)):
                 yield refusal
@@ -160,19 +170,19 @@ def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     The stamps on a tick are those of the messages that it was made of. Where it has none, the times
     of sending decide, up to what a message takes on its way.
     """
-    begun = recorded.sent - round(1e6 * recorded.solve_time_ms)
+    answer = recorded.answer
+    begun = recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0))
     measured = _last(sent, 'odom', recorded.stamp)
     # By a clock of stamps no time passes: what was sent before odometry came in time.
     known = begun if measured < 0 else max(begun, sent[measured].sent)
     latest = {each.topic: k for k, each in enumerate(sent) if each.sent <= known}
-    if measured >= 0 or recorded.answer.solved:  # else it came before, for another answer
+    if measured >= 0 or was_solved(answer):  # else it came before, for another answer
         latest['odom'] = measured
-    answer = recorded.answer
-    for topic, stamp in answer.goal_stamps.items():
+    for topic, stamp in answer.get('goal_stamps', {}).items():
         latest[topic] = _last(sent, topic, stamp)
-    if answer.planned:  # other ticks have no stamps of traffic
+    if was_planned(answer):  # other ticks have no stamps of traffic
         for topic in {each.topic for each in sent} - {*READ, *TRANSFORMS, CLOCK}:
-            heard = answer.traffic_stamps.get(topic)
+            heard = answer.get('traffic_stamps', {}).get(topic)
             latest[topic] = -1 if heard is None else _last(sent, topic, heard)
     return latest
 
@@ -181,55 +191,3 @@ def _last(sent: Sequence[Input], topic: str, stamp: int) -> int:
     """Return the last index under which a topic has a stamp; -1 for none."""
     found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)
-
-
-# --- what a recording lacks
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """How much of a recording is whole.
-
-    Attributes:
-        asked: odometry messages that a planner at each odometry has to answer.
-        unanswered: those of them that have no answer.
-        orphans: planned answers whose odometry is not there.
-    """
-
-    asked: int
-    unanswered: int
-    orphans: int
-
-    def __str__(self) -> str:
-        without = f'{self.unanswered} of {self.asked} odometry messages'
-        return f'{without}; {self.orphans} answers without their odometry'
-
-
-def coverage(recording: Recording, settings: PlannerSettings) -> Coverage:
-    """Return how much of a recording is whole, by the stamps of odometry that answers carry on."""
-    answered = {each.stamp for each in recording.answers}
-    asked = list(_asked(recording, settings))
-    known = {each.stamp for each in recording.inputs if each.topic == 'odom'}
-    orphans = [e for e in recording.answers if e.answer.planned and e.stamp not in known]
-    return Coverage(len(asked), sum(stamp not in answered for stamp in asked), len(orphans))
-
-
-def _asked(recording: Recording, settings: PlannerSettings) -> Iterator[int]:
-    """Yield the stamps of odometry that is acceptable, newer than any before, and has a goal.
-
-    Of several under one time of ``/clock`` the last alone: it has overtaken the others.
-    """
-    newest, goal, due = -1, False, None
-    for each in recording.inputs:
-        moves_on = each.topic == CLOCK or not recording.simulated
-        if moves_on and due is not None:
-            yield due
-            due = None
-        if not acceptable(each, settings):
-            continue
-        goal = goal or each.topic != 'odom'
-        if each.topic == 'odom' and each.stamp > newest:
-            newest = each.stamp
-            due = newest if goal else None
-    if due is not None:
-        yield due

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import OrbimpcError
@@ -34,15 +34,6 @@ PATIENCE = 120.0  # [s] for the answers to a step
 STARTING = 600.0  # [s] and to the first one, before which machine code may be compiled
 
 
-@dataclass(frozen=True)
-class VehicleProcesses:
-    """A vehicle that flies: its namespace and its two processes."""
-
-    namespace: str
-    planner: Process
-    sim: Process
-
-
 def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY) -> None:
     """Run planners and simulators until these are done, and record their messages.
 
@@ -63,32 +54,27 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
     with Interruptions() as interruptions:
         with (
-            _vehicles(namespaces, parameters, folder) as vehicles,
+            _processes(namespaces, parameters, folder) as nodes,
             closing(Recorder(folder / 'bag', topics_of(namespaces), notes, planners)) as recorder,
         ):
-            _watch(vehicles, recorder, interruptions, values)
+            _watch(nodes, recorder, interruptions, values)
         if interruptions.requested:
             raise KeyboardInterrupt
 
 
 @contextmanager
-def _vehicles(
-    namespaces: tuple[str, ...], parameters: Path, folder: Path
-) -> Iterator[tuple[VehicleProcesses, ...]]:
-    started: list[Process] = []
-
-    def start(node: str, namespace: str) -> Process:
-        log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
-        process = Process(PACKAGES[node], parameters, log, namespace=namespace)
-        started.append(process)
-        return process
-
+def _processes(
+    namespaces: Sequence[str], parameters: Path, folder: Path
+) -> Iterator[dict[str, dict[str, Process]]]:
+    """Run the nodes of each vehicle; yield their processes by kind and namespace."""
+    nodes: dict[str, dict[str, Process]] = {'planner': {}, 'sim': {}}
     try:
-        yield tuple(
-            VehicleProcesses(namespace, start('planner', namespace), start('sim', namespace))
-            for namespace in namespaces
-        )
+        for namespace, node in itertools.product(namespaces, nodes):
+            log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
+            nodes[node][namespace] = Process(PACKAGES[node], parameters, log, namespace=namespace)
+        yield nodes
     finally:
+        started = [each for kind in nodes.values() for each in kind.values()]
         for process in started:  # all at once: each takes its time
             if process.running:
                 process.tell(signal.SIGINT)
@@ -97,50 +83,45 @@ def _vehicles(
 
 
 def _watch(
-    vehicles: tuple[VehicleProcesses, ...],
+    nodes: Mapping[str, Mapping[str, Process]],
     recorder: Recorder,
     interruptions: Interruptions,
     values: Values,
 ) -> None:
     """Record until the simulators are done or somebody asks to stop."""
+    planners, sims = nodes['planner'], nodes['sim']
     progress, pacer = ProgressLine(values['max_ticks']), None
     if values['clock'] == 'shared':
         pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
-    while any(each.sim.running for each in vehicles) and not interruptions.requested:
+    while not interruptions.requested:
+        flying = [namespace for namespace, sim in sims.items() if sim.running]
+        if not flying:
+            break
         recorder.spin(SPIN)
         if pacer is not None:
-            pacer.look([each.namespace for each in vehicles if each.sim.running])
-        for each in vehicles:
-            each.planner.require_health()
-        _show(progress, vehicles, recorder, values)
+            pacer.look(flying)
+        for planner in planners.values():
+            planner.require_health()
+        ticks = max(recorder.counts[f'{namespace}/tick'] for namespace in planners)
+        done = f', {len(sims) - len(flying)} of {len(sims)} done' if len(sims) > 1 else ''
+        progress.show(ticks, _flown(ticks, values) + done if ticks else _starting(planners))
     progress.close()
     recorder.drain(QUIET, LAST_WORDS)
-    for each in vehicles:
+    for namespace, sim in sims.items():
         # A simulator that has come to its end reports it, whether it caught anything or not.
-        if not interruptions.requested and not recorder.counts[f'{each.namespace}/captured']:
-            each.sim.require_health()
+        if not interruptions.requested and not recorder.counts[f'{namespace}/captured']:
+            sim.require_health()
 
 
-def _show(
-    progress: ProgressLine,
-    vehicles: tuple[VehicleProcesses, ...],
-    recorder: Recorder,
-    values: Values,
-) -> None:
-    ticks = max(recorder.counts[f'{each.namespace}/tick'] for each in vehicles)
+def _flown(ticks: int, values: Values) -> str:
     time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
-    text = f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
-    if not ticks:
-        text = _starting([each.planner for each in vehicles])
-    elif len(vehicles) > 1:
-        done = sum(not each.sim.running for each in vehicles)
-        text += f', {done} of {len(vehicles)} done'
-    progress.show(ticks, text)
+    return f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
 
 
-def _starting(planners: list[Process]) -> str:
+def _starting(planners: Mapping[str, Process]) -> str:
     """Return what planners that have not answered yet are at: the last that they report of it."""
-    lines = [line for each in planners for line in each.output.splitlines() if COMPILING in line]
+    printed = (each.output.splitlines() for each in planners.values())
+    lines = [line for each in printed for line in each if COMPILING in line]
     return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'the nodes start'
 
 

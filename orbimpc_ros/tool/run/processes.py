@@ -1,9 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Nodes as operating-system processes: started, watched, stopped."""
+"""Nodes as operating-system processes: started, watched, stopped, and gone with their parent.
+
+``python -m`` this module runs another one, or a program, that ends with the process which started
+it.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -13,7 +19,10 @@ from types import FrameType
 from typing import Any
 
 from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.ros.entry import leave_at_signals
 
+PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
+PROGRAM = '--program'  # instead of a module: its path and arguments follow
 PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
 
@@ -26,14 +35,14 @@ class Child:
     """A process of its own, which ends with this one, however that ends.
 
     Args:
-        words: of the command that is run by Python, after :mod:`orbimpc_ros.tool.run.tethered`.
+        words: the module to run with its arguments, or :data:`PROGRAM`, a program and its own.
         log: takes what the process prints.
         domain: of ROS; this process's by default.
     """
 
     def __init__(self, words: Sequence[str], log: Path, domain: int | None = None) -> None:
         self._log = log
-        tethered = [sys.executable, '-m', 'orbimpc_ros.tool.run.tethered', str(os.getpid())]
+        tethered = [sys.executable, '-m', __spec__.name, str(os.getpid())]
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
@@ -129,3 +138,24 @@ class Interruptions:
 
     def _remember(self, number: int, frame: FrameType | None) -> None:
         self.requested = True
+
+
+def tether(parent: int) -> None:
+    """Have this process stopped as soon as its parent is gone, even if that was killed.
+
+    By SIGTERM: a shell has its background jobs ignore SIGINT, and all that these start.
+    """
+    leave_at_signals()
+    if not sys.platform.startswith('linux'):
+        return
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it went before we asked
+        sys.exit(1)
+
+
+if __name__ == '__main__':
+    tether(int(sys.argv.pop(1)))
+    module = sys.argv.pop(1)
+    if module == PROGRAM:
+        os.execv(sys.argv[1], sys.argv[1:])  # what was arranged for this process stays
+    runpy.run_module(module, run_name='__main__', alter_sys=True)

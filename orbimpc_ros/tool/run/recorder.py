@@ -8,7 +8,6 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +50,9 @@ class Recorder:
     """A node that writes what it hears into a bag.
 
     A message goes under the stamp it carries, so that the bag plays at the speed of the run
-    however fast that was simulated; one without a stamp goes under the last stamp before it. The
-    time of sending is kept, too, for the order in which things happened.
+    however fast that was simulated; one without a stamp goes under the last stamp before it, and
+    before the first one is left out. The time of sending is kept, too, for the order in which
+    things happened.
 
     Odometry is subscribed to once every planner has answered a call. DDS announces endpoints in
     the order of their creation: a planner that knows the last one knows every subscription, and
@@ -79,7 +79,6 @@ class Recorder:
         self.counts = dict.fromkeys((topic.name for topic in topics), 0)
         self.latest: dict[str, int] = {}
         self._now: int | None = None  # the last stamp [ns]
-        self._early: list[tuple[str, bytes, int]] = []
         self._bag = BagWriter(folder, topics, notes)
         self._stack = ExitStack()
         self._node, self._executor = self._stack.enter_context(
@@ -115,9 +114,7 @@ class Recorder:
         kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
         profile = QoSProfile(depth=DEPTH, durability=kept)
         take: Any = self._taking(topic)  # rclpy also gives what is known about the message
-        package, _, kind = topic.type.split('/')
-        message = getattr(import_module(f'{package}.msg'), kind)
-        self._node.create_subscription(message, topic.name, take, profile, raw=True)
+        self._node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, about: dict[str, Any]) -> None:
@@ -125,19 +122,10 @@ class Recorder:
             own = carried(data, topic.type)
             self.latest[topic.name] = own or 0
             self._now = self._now if own is None else own
-            if self._now is None:
-                self._early.append((topic.name, data, about['source_timestamp']))
-            else:
-                self._flush()
+            if self._now is not None:
                 self._bag.write(topic.name, self._now, data, about['source_timestamp'])
 
         return take
-
-    def _flush(self) -> None:
-        """Write what came before the first stamp."""
-        for name, data, sent in self._early:
-            self._bag.write(name, self._now or 0, data, sent)
-        self._early.clear()
 
     def publish_clock(self, seconds: float) -> None:
         """Publish a time on /clock, for nodes that have no simulator of their own to do so."""
@@ -162,5 +150,4 @@ class Recorder:
     def close(self) -> None:
         """Stop recording and finish the bag; the node ends even if the disk is full."""
         with self._stack:
-            self._flush()
             self._bag.close()

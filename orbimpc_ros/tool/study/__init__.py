@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +13,10 @@ from orbimpc_ros import __version__
 from orbimpc_ros.mpc.arrays import whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.arguments import add_set
-from orbimpc_ros.tool.files import new_folder, writing_to
+from orbimpc_ros.tool.files import folder_at, new_folder
 
 if TYPE_CHECKING:
-    from orbimpc_ros.tool.study.draws import Draws
-    from orbimpc_ros.tool.study.results import Results
+    from orbimpc_ros.tool.study.flights import Job, Row
 
 RUNS, MOST_RUNS, LARGEST_SEED, MOST_WORKERS = 100, 1_000_000, 2**63 - 1, 1024
 FILE, WHICH = 'retrieval', 'a parameter file, a study file, or the name of one'
@@ -45,8 +45,8 @@ def run(args: argparse.Namespace) -> int:
         KeyboardInterrupt: somebody asked to stop; the results so far are kept.
     """
     from orbimpc_ros.tool.study.draws import draws_of
+    from orbimpc_ros.tool.study.flights import Job, rows_of
     from orbimpc_ros.tool.study.report import draw, report
-    from orbimpc_ros.tool.study.results import Results
 
     _require_sound(args)
     draws, names = draws_of(args.file, args.set), _controllers(args.controllers)
@@ -59,13 +59,19 @@ def run(args: argparse.Namespace) -> int:
         'tuned': _tuned(names, draws.name),
     }
     folder = _folder(args, draws.name)
-    with writing_to(folder):
-        results = Results(folder / FLIGHTS, about, resumed=args.resume)
-        _fly(results, draws, names, args)
-        rows = {name: [results.rows[name, k] for k in range(args.runs)] for name in names}
-        text = report(draws, rows)
-        (folder / REPORT).write_text(text)
-        draw(draws, rows, folder / PICTURE)
+    flown = rows_of(folder / FLIGHTS, about, resumed=args.resume)
+    jobs = [
+        Job(draws.name, name, index, draws.of(args.seed, index), draws.margin)
+        for index in range(args.runs)
+        for name in names
+        if (name, index) not in flown
+    ]
+    if jobs:
+        _fly(flown, jobs, folder / FLIGHTS, args)
+    rows = {name: [flown[name, k] for k in range(args.runs)] for name in names}
+    text = report(draws, rows)
+    (folder / REPORT).write_text(text)
+    draw(draws, rows, folder / PICTURE)
     print(text, end='')
     return 0
 
@@ -84,11 +90,9 @@ def _require_sound(args: argparse.Namespace) -> None:
 def _folder(args: argparse.Namespace, name: str) -> Path:
     if args.out is None:
         return new_folder(OUT, name)
-    folder = Path(args.out).resolve()
-    with writing_to(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
-            raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
+    folder = folder_at(Path(args.out).resolve())
+    if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
+        raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
     return folder
 
 
@@ -109,32 +113,29 @@ def _tuned(names: Sequence[str], study: str) -> dict[str, dict[str, float]]:
     return {name: baselines().tuned_of(study).get(name, {}) for name in names if name != OURS}
 
 
-def _fly(results: Results, draws: Draws, names: Sequence[str], args: argparse.Namespace) -> None:
-    """Fly the flights that the results lack; each is kept as soon as it is over."""
+def _fly(
+    flown: dict[tuple[str, int], Row], jobs: Sequence[Job], file: Path, args: argparse.Namespace
+) -> None:
+    """Fly the flights that are lacking; each is kept as soon as it is over."""
     from orbimpc_ros.tool.run.processes import Interruptions
     from orbimpc_ros.tool.run.progress import ProgressLine
-    from orbimpc_ros.tool.study.flights import Job
-    from orbimpc_ros.tool.study.results import each_flown, workers
+    from orbimpc_ros.tool.study.flights import each_flown, key_of, workers
 
-    jobs = [
-        Job(draws.name, name, index, draws.of(args.seed, index), draws.margin)
-        for index in range(args.runs)
-        for name in names
-        if (name, index) not in results.rows
-    ]
-    if not jobs:
-        return
-    total = args.runs * len(names)
-    done, progress = total - len(jobs), ProgressLine(total)
-    with Interruptions() as interruptions, workers(args.cluster, args.workers) as pool:
+    done = args.runs * len(args.controllers.split(',')) - len(jobs)
+    total = done + len(jobs)
+    progress = ProgressLine(total)
+    with (
+        Interruptions() as interruptions,
+        workers(args.cluster, args.workers) as pool,
+        file.open('a', buffering=1) as out,
+    ):
         progress.show(done, f'{done} of {total} flights')
         for row in each_flown(pool, jobs, lambda: not interruptions.requested):
-            results.add(row)
+            flown[key_of(row)] = row
+            out.write(json.dumps(row) + '\n')
             done += 1
             progress.show(done, f'{done} of {total} flights')
     progress.close()
     if done < total:
-        print(
-            f'kept {done} of {total} flights in {results.file.parent}; --resume goes on with them'
-        )
+        print(f'kept {done} of {total} flights in {file.parent}; --resume goes on with them')
         raise KeyboardInterrupt

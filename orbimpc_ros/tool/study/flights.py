@@ -1,18 +1,29 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""One flight of a study: planner and simulated vehicle in one process, a row of results."""
+"""The flights of a study: planner and vehicle in one process, a row of results for each.
+
+The rows are kept in a file, a line for each flight, so that a study can go on where it ended.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import json
+import multiprocessing
+import os
+import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from orbimpc_ros.loop.planner import Decision, Planner
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -25,9 +36,16 @@ from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.offline import aboard, tell
 
 Row = dict[str, Any]
+Key = tuple[str, int]  # controller, and number of a flight
+PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
+GLANCE = 0.2  # [s] between looks whether somebody asked to stop
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
 _made: dict[str, Planner] = {}  # the last controller, by its settings: making one takes long
+
+
+class FlightFailure(OrbimpcError):
+    """A flight ended with an error instead of a result."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +58,6 @@ class Job:
         index: of the flight.
         values: of all parameters, drawn ones included.
         margin: by how much larger than they are bodies in the traffic are reported [m].
-        tuned: numbers of a baseline; by default those found for the study.
     """
 
     study: str
@@ -48,7 +65,6 @@ class Job:
     index: int
     values: dict[str, Any]
     margin: float = 0.0
-    tuned: Mapping[str, float] | None = None
 
 
 def flown(job: Job) -> Row:
@@ -91,7 +107,7 @@ def flown(job: Job) -> Row:
 def _pilot(job: Job, given: PlannerSettings) -> Planner:
     """Return the controller of a flight, reset."""
     if job.controller != OURS:
-        made: Planner = baselines().baseline_named(job.controller, given, job.study, job.tuned)
+        made: Planner = baselines().baseline_named(job.controller, given, job.study)
         return made
     key = repr(given)
     if key not in _made:
@@ -165,3 +181,101 @@ def _lost(plan: Plan) -> float:
     """Return how far a rotation's thrust is from the planned one, as a share of full thrust."""
     pushed = plan.speed_fraction[1] * plan.projected[1][:, 0]
     return float(np.linalg.norm(pushed - plan.rotations[1][:, 0]))
+
+
+# --- the file of a study: what is studied in its first line, a flight in each further one
+
+
+def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Row]:
+    """Return the rows of a study's file, which is begun or gone on with.
+
+    Args:
+        file: of the study; a line that was cut off is taken out of it.
+        about: what all rows depend on, in JSON's types.
+        resumed: whether to go on with it.
+
+    Raises:
+        BadInput: the file is of another study, damaged, or there already.
+    """
+    if file.exists() != resumed:
+        there = 'no study to go on with' if resumed else 'a study already'
+        raise BadInput(str(file), there, 'another -o DIR' if resumed else '--resume')
+    kept = _kept(file, about) if resumed else {}
+    file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))
+    return kept
+
+
+def _kept(file: Path, about: dict[str, Any]) -> dict[Key, Row]:
+    try:
+        whole = file.read_text().rpartition('\n')[0]
+        head, *rows = map(json.loads, whole.splitlines())
+        kept = {key_of(row): row for row in rows}
+        differ = [name for name in about if head.get(name) != json.loads(json.dumps(about[name]))]
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        raise BadInput(str(file), 'damaged', 'the results of a study') from None
+    if differ:
+        raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
+    return kept
+
+
+def key_of(row: Row) -> Key:
+    """Return by whom a flight was flown, and its number."""
+    return row['controller'], row['index']
+
+
+# --- many flights
+
+
+def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -> Iterator[Row]:
+    """Yield the rows of flights as they come in, as long as ``going()``.
+
+    Raises:
+        FlightFailure: a flight ended with an error, or its process did.
+    """
+    pending: set[Future[Row]] = {pool.submit(flown, job) for job in jobs}
+    try:
+        while pending and going():
+            done, pending = wait(pending, GLANCE, FIRST_COMPLETED)
+            for future in done:
+                try:
+                    row = future.result()
+                except OrbimpcError:
+                    raise
+                except Exception as error:  # whatever a worker, or the way to it, came to
+                    why = f'a flight failed: {type(error).__name__}: {error}'
+                    raise FlightFailure(why) from error
+                yield row
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+@contextmanager
+def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
+    """Give what flies: so many processes of this machine, or the workers of a Dask cluster.
+
+    Args:
+        cluster: address of a running scheduler, such as ``tcp://host:8786``; None for this machine.
+        count: processes on this machine; by default one per core.
+
+    Raises:
+        BadInput: no scheduler answers, or it has no workers.
+    """
+    if cluster is None:
+        context = multiprocessing.get_context('spawn')
+        threads = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'), '1')
+        os.environ.update(threads)  # a process a core leaves none for more threads
+        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        with ProcessPoolExecutor(count, context, *deaf) as pool:
+            yield pool
+        return
+    import distributed
+
+    try:
+        client = distributed.Client(cluster, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except (OSError, asyncio.TimeoutError, TypeError, ValueError) as error:
+        tried = f'{cluster} ({type(error).__name__})'
+        raise BadInput('--cluster', tried, 'the address of a scheduler with workers') from None
+    with client:
+        yield client.get_executor(pure=False)

@@ -23,7 +23,7 @@ COLUMNS = (
     'caught (95 %)',
     'touched',
     'median [s]',
-    'mean [s] (95 %)',
+    'mean [s]',
     f'{OURS} sooner / later',
     'proved optimal',
     'without a plan',
@@ -49,13 +49,13 @@ def _row(draws: Draws, name: str, rows: Rows) -> str:
     flights, times = rows[name], times_of(draws, rows[name])
     ticks = sum(row['ticks'] for row in flights)
     caught = stats.binomtest(sum(bool(row['caught']) for row in flights), len(flights))
-    share, low = caught.proportion_ci(method='wilson'), _interval(times)
+    share = caught.proportion_ci(method='wilson')
     return _cells(
         f'`{name}`',
         f'{caught.statistic:.1%} ({share.low:.1%} to {share.high:.1%})',
         f'{np.mean([bool(row["touched"]) for row in flights]):.1%}',
         f'{np.median(times):.2f}' if caught.statistic > 0.5 else 'never',
-        f'{times.mean():.2f} ({low[0]:.2f} to {low[1]:.2f})',
+        f'{times.mean():.2f}',
         _beside_ours(draws, name, rows),
         f'{sum(row["optimal"] for row in flights) / ticks:.1%}',
         f'{sum(row["unplanned"] for row in flights) / ticks:.1%}',
@@ -70,16 +70,6 @@ def _beside_ours(draws: Draws, name: str, rows: Rows) -> str:
         return ''
     apart = times_of(draws, rows[OURS]) - times_of(draws, rows[name])
     return f'{np.mean(apart < 0.0):.0%} / {np.mean(apart > 0.0):.0%}'
-
-
-def _interval(values: Array) -> tuple[float, float]:
-    """Return the interval of a mean by bootstrap (95 %)."""
-    if np.ptp(values) == 0.0:
-        return float(values[0]), float(values[0])
-    drawn = stats.bootstrap(
-        (values,), np.mean, n_resamples=2000, method='percentile', random_state=0
-    )
-    return float(drawn.confidence_interval.low), float(drawn.confidence_interval.high)
 
 
 def _missed(rows: Rows) -> Iterator[str]:

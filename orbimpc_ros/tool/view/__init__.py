@@ -9,11 +9,9 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable
-from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
-from uuid import uuid4
 
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput
@@ -22,7 +20,6 @@ from orbimpc_ros.tool.arguments import add_namespace
 if TYPE_CHECKING:
     import rerun as rr
 
-    Recordings = Callable[[], rr.RecordingStream]  # each call begins a new one, if it can
     Going = Callable[[], bool]  # until nobody wants to see more
 
 SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY', 'BROWSER')
@@ -45,10 +42,30 @@ def run(args: argparse.Namespace) -> int:
     """Show a bag, or what is running, until somebody asks to stop."""
     if not installed():
         raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
-    from orbimpc_ros.tool.run.processes import Interruptions
+    import rerun as rr
 
-    with Interruptions() as interruptions:
-        _serve(args, lambda: not interruptions.requested)
+    from orbimpc_ros.tool.run.processes import Interruptions
+    from orbimpc_ros.tool.view.server import served
+
+    draw, recording = _drawing(args), rr.RecordingStream('orbimpc')
+    recording.set_log_tick_enabled(False)  # nothing but the stamps of messages is time
+    recording.set_log_time_enabled(False)
+    with Interruptions() as interruptions, served(args.port) as server:
+        print(f'page          {server.page} (Ctrl-C ends it)', flush=True)
+        if not args.no_browser and _has_screen():
+            webbrowser.open(server.page)
+
+        def going() -> bool:
+            server.require_health()
+            return not interruptions.requested
+
+        recording.connect_grpc(server.data)
+        try:
+            draw(recording, going)
+            while going():
+                time.sleep(PAUSE)
+        finally:
+            recording.disconnect()  # before the server goes
     return 0
 
 
@@ -57,49 +74,20 @@ def installed() -> bool:
     return all(find_spec(name) is not None for name in ('rerun', 'rerun_cli'))
 
 
-def _serve(args: argparse.Namespace, going: Going) -> None:
-    """Serve the page and its data for as long as ``going()``."""
-    import rerun as rr
-
-    from orbimpc_ros.tool.view.server import choose, served
-
-    draw, port = _drawing(args), choose(args.port)
-    with served(port) as server, ExitStack() as connections:
-        print(f'page          {server.page} (Ctrl-C ends it)', flush=True)
-        if not args.no_browser and _has_screen():
-            webbrowser.open(server.page)
-
-        def connected() -> rr.RecordingStream:
-            recording = rr.RecordingStream('orbimpc', recording_id=uuid4())
-            recording.set_log_tick_enabled(False)  # nothing but the stamps of messages is time
-            recording.set_log_time_enabled(False)
-            recording.connect_grpc(server.data)
-            connections.callback(recording.disconnect)  # before the server goes
-            return recording
-
-        def alive() -> bool:
-            server.require_health()
-            return going()
-
-        draw(connected, alive)
-        while alive():
-            time.sleep(PAUSE)
-
-
 def _has_screen() -> bool:
     """Return whether a browser can show itself; else one in the terminal would take its place."""
     return sys.platform == 'darwin' or any(os.environ.get(name) for name in SCREENS)
 
 
-def _drawing(args: argparse.Namespace) -> Callable[[Recordings, Going], None]:
+def _drawing(args: argparse.Namespace) -> Callable[[rr.RecordingStream, Going], None]:
     """Return what draws; a bag has been read by then."""
     if args.bag is None:
         from orbimpc_ros.tool.view import live
 
-        return lambda recordings, going: live.draw(args.namespace, recordings, going)
+        return lambda recording, going: live.draw(args.namespace, recording, going)
     from orbimpc_ros.tool import bags, settings
     from orbimpc_ros.tool.view.scene import Scene
 
     values = settings.of_bag(Path(args.bag), args.namespace) or settings.read('{}')
     messages = bags.of_vehicle(Path(args.bag), args.namespace)
-    return lambda recordings, _going: Scene(recordings(), values).draw(messages)
+    return lambda recording, _going: Scene(recording, values).draw(messages)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
@@ -27,8 +28,16 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import attitude, fields, point, seconds
 from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
-from orbimpc_ros.tool.view.layout import CHARTS, THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
+TIMELINE = 'ros_time'
+WORLD, THRUST, TICK, CHARTS = 'world', 'thrust', 'tick', 'charts'
+SHOWN = {
+    'Distance to the goal [m]': ('distance',),
+    'Share of full speed |R e₁|, floor': ('speed', 'floor'),
+    'Gap to the proved bound, log₁₀': ('gap',),
+    'Solve time [ms]': ('solve_time_ms',),
+    'Earliest catch, and its bound [s]': ('earliest_catch', 'catch_bound'),
+}  # lines of each chart, below CHARTS
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # places on the flown path
 SWING = 50  # sightings of the goal
@@ -73,7 +82,6 @@ class Scene:
             'captured': self._take_captured,
         }
         self.configure(values)
-        self._look_at(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]))
 
     @property
     def topics(self) -> Sequence[str]:
@@ -87,10 +95,10 @@ class Scene:
         except BadInput:
             self._problem = Problem()
         self._frames = Frames(thrust_axis=values['thrust_axis'])
-        self._intercepting = values['objective'] == 'intercept'
         self._radius = float(settings.of_sim(values)['capture_radius'])
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
+        self._to.send_blueprint(layout(n, intercepting=values['objective'] == 'intercept'))
         self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
         self._to.log(f'{THRUST}/floor', _lines(floor.outline(n), RED, 0.014), static=True)
         corners = np.zeros((len(self._problem.boxes), 2, 3))
@@ -140,12 +148,11 @@ class Scene:
         self._to.log(f'{WORLD}/goal', ball, trail)
 
     def _begin(self) -> None:
-        """Choose the point of view and the size of things once both ends of the way are known."""
+        """Choose the size of things once both ends of the way are known."""
         if self._unit or not (self._way and self._swing):
             return
         ends = np.array([self._way[0], self._swing[0]])
         self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
-        self._look_at(ends)
         shades = np.repeat(SHADES, 3, axis=0)
         dart = rr.Mesh3D(vertex_positions=self._unit * DART, vertex_colors=shades)
         axes = rr.Arrows3D(
@@ -154,11 +161,6 @@ class Scene:
             radii=0.06 * self._unit,
         )
         self._to.log(f'{WORLD}/vehicle/body', dart, axes, static=True)
-
-    def _look_at(self, points: Array) -> None:
-        dimension = self._problem.dimension
-        layout = blueprint(dimension, eye(dimension, points), intercepting=self._intercepting)
-        self._to.send_blueprint(layout)
 
     def _take_plan(self, message: Any) -> None:
         places = read_itinerary(message, 3, Frames())[1].positions
@@ -251,3 +253,32 @@ def _text(value: Any) -> str:
     if isinstance(value, list):
         return ', '.join(_text(each) for each in value)
     return f'{value:.4g}' if isinstance(value, float) else str(value)
+
+
+def layout(dimension: int, *, intercepting: bool) -> rrb.Blueprint:
+    """Return the page: the world, the set of thrusts, the tick in words, and charts."""
+    charts = [
+        rrb.TimeSeriesView(name=title, contents=[f'/{CHARTS}/{name}' for name in lines])
+        for title, lines in SHOWN.items()
+    ]
+    axes = 'the (a, b) disk' if dimension == 2 else 'the unit ball'
+    thrusts = f'R e₁ of the plan in {axes}: hull, floor'
+    lines = rrb.LineGrid3D(visible=False)
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Spatial3DView(origin=WORLD, name='Vehicle, plan, rope'),
+                rrb.Horizontal(charts[0], charts[1]),
+                row_shares=[9, 3],
+            ),
+            rrb.Vertical(
+                rrb.Spatial3DView(origin=THRUST, name=thrusts, line_grid=lines),
+                rrb.TextDocumentView(origin=TICK, name='Tick'),
+                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),  # without catches
+                row_shares=[9, 9, 6],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state='collapsed'),
+        collapse_panels=True,
+    )

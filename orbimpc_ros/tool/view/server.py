@@ -12,11 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from urllib.parse import quote
-from urllib.request import urlopen
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.run.processes import Child
-from orbimpc_ros.tool.run.tethered import PROGRAM
+from orbimpc_ros.tool.run.processes import PROGRAM, Child
 
 HOST = '127.0.0.1'
 PORT = 9090  # of the page, unless it is taken
@@ -45,29 +43,19 @@ class Server(NamedTuple):
             last = (self.child.output.splitlines() or ['nothing'])[-1]
             raise ServerFailure(f"rerun's server has ended, its last words: {last}")
 
-    def wait(self) -> None:
-        """Wait until the page is there."""
-        end = time.monotonic() + PATIENCE
-        while not self._answers():
-            self.require_health()
-            if time.monotonic() > end:
-                raise ServerFailure(f"no answer of rerun's server at {self.page}")
-            time.sleep(LOOK)
-
-    def _answers(self) -> bool:
-        try:
-            with urlopen(self.page, timeout=PATIENCE):
-                return True
-        except OSError:
-            return False
-
 
 @contextmanager
-def served(port: int) -> Iterator[Server]:
-    """Serve a page at a port, and its data at any that is free."""
+def served(wanted: int | None) -> Iterator[Server]:
+    """Serve a page at a port, by default the usual one or any, and its data at any.
+
+    Raises:
+        BadInput: the port that is wanted is taken or none.
+    """
     import rerun_cli
 
-    data = _any()
+    if wanted is not None and not (1 <= wanted <= 65535 and _free(wanted)):
+        raise BadInput('--port', wanted, 'a free port from 1 to 65535')
+    port, data = wanted or (PORT if _free(PORT) else _any()), _any()
     source = f'rerun+http://{HOST}:{data}/proxy'
     page = f'http://{HOST}:{port}/?url={quote(source, safe="")}'
     # The program itself, not the wheel's script: that would leave it behind when stopped.
@@ -77,27 +65,19 @@ def served(port: int) -> Iterator[Server]:
     with TemporaryDirectory() as place:
         child = Child([PROGRAM, program, *words, *numbers], Path(place) / 'log')
         try:
-            server = Server(page, source, child)
-            server.wait()
+            server, end = Server(page, source, child), time.monotonic() + PATIENCE
+            while _free(port) or _free(data):
+                server.require_health()
+                if time.monotonic() > end:
+                    raise ServerFailure(f"no answer of rerun's server at {page}")
+                time.sleep(LOOK)
             yield server
         finally:
             child.stop(signal.SIGTERM)
 
 
-def choose(page: int | None) -> int:
-    """Return the port to serve at; by default the usual one, or any that is free.
-
-    Raises:
-        BadInput: the one wished for is taken or none.
-    """
-    if page is not None and (not 1 <= page <= 65535 or not _free(page)):
-        raise BadInput('--port', page, 'a free port from 1 to 65535')
-    return page or (PORT if _free(PORT) else _any())
-
-
 def _free(port: int) -> bool:
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         return probe.connect_ex((HOST, port)) != 0
 
 

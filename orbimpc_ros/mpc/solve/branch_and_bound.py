@@ -1,0 +1,373 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Branch and bound over regions, with the convex program at its nodes.
+
+Best first: the open node with the least bound is solved next, so that no node is solved whose bound
+already exceeds the optimum. Before a part is solved it inherits its node's bound raised by one
+exact dual step (:mod:`orbimpc_ros.mpc.solve.regions`). The nodes are those of the proof.
+
+Trajectories come from :mod:`orbimpc_ros.mpc.solve.dives`, those that turn in space first of all
+from a plane (:mod:`orbimpc_ros.mpc.solve.planar_way`).
+
+Mathematics: docs/mathematics.md, 4.9 and 5.4.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
+from orbimpc_ros.mpc.proof.splits import Cut
+from orbimpc_ros.mpc.proof.stated import Statement
+from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
+from orbimpc_ros.mpc.solve.dives import Dives, Incumbent, Posed, arrives, is_accurate
+from orbimpc_ros.mpc.solve.place_program import PlaceProgram
+from orbimpc_ros.mpc.solve.planar_way import PlanarWay
+from orbimpc_ros.mpc.solve.proof_tree import Leaves, Node
+from orbimpc_ros.mpc.solve.regions import Held, Known, Regions
+from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.scouting import Scout
+from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
+from orbimpc_ros.mpc.solve.turns import Turns
+
+NEAR = 0.05  # a round floor missed by less is worth a dive
+NOTHING = 'no trajectory satisfies the constraints'
+MAX_NODES = 20_000
+WORST_CONDITION = 1e12
+HALFWAY = (
+    50.0  # times the tolerance, where many parts cost alike: half of the gap counted as proved
+)
+
+
+class BranchAndBound:
+    """Solves any problem by branch and bound; without choices, by its one relaxation.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+        coasting: whether states come with a ``coasted`` rotation.
+        among: whether states will come with hazards.
+    """
+
+    trusts_guess = True
+
+    def __init__(
+        self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
+    ) -> None:
+        self.problem = problem
+        among = among or len(problem.boxes) < len(problem.obstacles)
+        rounded = problem.dimension == 3 and problem.floor.radius > 0.0
+        slow = problem.has_cones or among or rounded
+        self.tolerance = (HALFWAY if slow else 1.0) * tolerance
+        self._chooses = problem.floor.exists or bool(problem.obstacles)
+        self.takes_guess = self._chooses or among  # one relaxation needs none
+        self._condensed = Condensed(problem)
+        self._inverse = _inverse(self._condensed.hessian)
+        self.turns = Turns(problem) if problem.turns_are_angles else None
+        self._statement = Statement(problem)
+        self.program = _program(problem, coasting, beside=among or bool(problem.obstacles))
+        self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
+        self.scout = Scout(problem) if among else None
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies: it does to every problem."""
+        return True
+
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory and the proof; complete unless time or nodes run out.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints: every branch was refuted.
+        """
+        traffic = traffic_of(self.problem, request.state)
+        if traffic is None and not self._chooses:
+            return self._relaxed(request)
+        ordered = _steps_are_exchangeable(self.problem)
+        known = self.problem, self._statement, request, self._inverse, self.turns
+        regions = Regions(*known, ordered=ordered)
+        posed = Posed(self.problem, self.program, self.turns, request, regions)
+        leaves = Leaves(
+            self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins
+        )
+        run = _Run(posed, leaves, self.tolerance, guided=traffic is not None)
+        planar = [] if self._plane is None else [self._plane.way(request)]
+        return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
+
+    def _relaxed(self, request: Request) -> Found:
+        """Return the optimum of the one relaxation that is all of the problem."""
+        state, goals = request.state, request.goals
+        try:
+            relaxed = self.program.relax(request)
+        except Infeasible:
+            raise Infeasible(NOTHING, self._root(request, empty=True)) from None
+        if relaxed.x is None:
+            return Found(None, np.inf, relaxed.bound, 1)
+        trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
+        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, proof=relaxed.proof)
+        # What was solved to the end needs no second look, which costs a quarter of a tick.
+        solved = abs(found.gap) <= self.tolerance and not request.late
+        accurate = arrives if solved else is_accurate
+        if not accurate(self.problem, goals, trajectory):
+            return Found(None, np.inf, relaxed.bound, 1)
+        return found if found.proof is not None else replace(found, proof=self._root(request))
+
+    def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
+        """Return what the bound of a relaxation rests on where nothing is left to choose."""
+        leaves = Leaves(self.problem, self._condensed, self._inverse, request)
+        root, found = Node(0, -np.inf, None, None), self.program.multipliers
+        if found is not None:
+            root.leaf = leaves.solved(found, (), 0, empty=empty)
+        return leaves.tree([root])
+
+    def _ways(self, request: Request, traffic: Traffic, planar: list[Array]) -> Iterator[Array]:
+        """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from.
+
+        The guessed one, the one in a plane, whose coordinates are given, and the one scouted.
+        """
+        if request.guess is not None:
+            yield request.guess.x[:, : self.problem.dimension]
+        for x in planar:
+            yield x[:, : self.problem.dimension]
+        if self.scout is None or request.late:
+            return
+        scouted = self.scout.way(request.state, request.goals, traffic, request.out_of_time)
+        if scouted is not None:
+            yield scouted
+
+
+def _program(problem: Problem, coasting: bool, *, beside: bool) -> Relaxed:
+    """Return the fastest convex program for a problem, perhaps beside bodies."""
+    if SO3Multipliers.solves(problem, beside=beside):
+        return SO3Multipliers(problem, coasting=coasting, beside=beside)
+    if PlaceProgram.solves(problem):
+        return PlaceProgram(problem)
+    from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
+
+    return Program(problem, coasting=coasting)
+
+
+def _inverse(hessian: Array) -> Array:
+    """Return H^-1, shape (N, N); infinite where H is singular."""
+    if not np.linalg.cond(hessian) <= WORST_CONDITION:  # of no curvature it is not a number
+        return np.full(hessian.shape, np.inf)
+    return np.asarray(np.linalg.inv(hessian))
+
+
+def _steps_are_exchangeable(problem: Problem) -> bool:
+    """Return whether cost and constraints see nothing of z_1..z_{N-1} but their sum and lengths."""
+    weights, orders = problem.weights, (problem.rotation_order, problem.translation_order)
+    return (
+        (problem.dimension, problem.floor.shape, problem.discretisation) == (2, 'polygon', 'euler')
+        and orders == (1, 1)  # the last step of Euler pushes nothing
+        and weights.input == weights.position == weights.attitude == problem.max_rate == 0.0
+        and problem.horizon > 1
+        and not (problem.approach.exists or problem.obstacles)
+    )
+
+
+class _Run:
+    """One search: the open nodes, the best trajectory, the least bound given up.
+
+    Args:
+        posed: what is searched.
+        leaves: what its nodes prove.
+        tolerance: relative gap at which it stops.
+        guided: whether trajectories come from ways, and not from dives before these.
+    """
+
+    def __init__(self, posed: Posed, leaves: Leaves, tolerance: float, *, guided: bool) -> None:
+        self._posed, self._regions, self._leaves = posed, posed.regions, leaves
+        self._tolerance, self._guided = tolerance, guided
+        self._best = Incumbent(posed, tolerance)
+        self._dives = Dives(posed, self._best, passing=guided)
+        self._root: Relaxation | None = None
+        self._closed = np.inf
+        self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
+        self._open = [self._nodes[0]]
+
+    def run(self, known: Sequence[Array] = (), ways: Iterable[Array] = ()) -> Found:
+        """Search, from the best trajectories that pass everything on the same sides as some ways.
+
+        Args:
+            known: rotation coordinates, shape (N, d) each, of trajectories that may be legal.
+            ways: headings R_1 e1..R_N e1, shape (N, n) each.
+        """
+        posed, best, root = self._posed, self._best, self._nodes[0]
+        if root.known is None:
+            raise Infeasible(NOTHING)
+        for x in known:
+            trajectory = posed.flown(x)
+            if not posed.missed(trajectory):
+                best.offer(x, trajectory)
+        if self._guided:  # the root first: its bound holds whatever becomes of them
+            self._expand(heapq.heappop(self._open))
+            for way in ways:
+                self._dives.follow(way, self._rows(root))
+            self._guided = False
+        while self._open and self._open[0].bound < self._limit:
+            if posed.solved >= MAX_NODES or (posed.solved and posed.request.late):
+                break
+            self._expand(heapq.heappop(self._open))
+        lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
+        if lower == np.inf:
+            raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
+        return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
+
+    def _proof(self, lower: float) -> ProofTree | None:
+        """Return what proves a bound: the tree, or its root where that is as good."""
+        root = self._root
+        if root is not None and root.bound >= lower - self._tolerance * abs(lower) and root.proof:
+            return root.proof
+        return self._leaves.tree(self._nodes)
+
+    @property
+    def _limit(self) -> float:
+        """Return the bound from which on a node can neither improve the plan nor the bound.
+
+        What turns too wide leave open at a leaf, no other leaf makes up for.
+        """
+        if self._best.x is None or self._posed.turns is None:
+            return self._best.cutoff
+        return min(self._best.cutoff, self._closed)
+
+    def _expand(self, node: Node) -> None:
+        """Solve a node, and branch on it or take its solution."""
+        posed, rows = self._posed, self._rows(node)
+        try:
+            relaxed = posed.relax(rows.values())
+        except Infeasible:
+            self._note(node, rows, empty=True)
+            if posed.solved == 1:
+                raise Infeasible(NOTHING, self._leaves.tree(self._nodes)) from None
+            return
+        if self._root is None:
+            self._root = relaxed
+        node.better = relaxed.bound >= node.bound
+        node.bound = max(node.bound, relaxed.bound)
+        self._note(node, rows)
+        if relaxed.x is None:  # neither refuted nor solved
+            self._give_up(node)
+            return
+        trajectory = posed.flown(relaxed.x)
+        missed = posed.missed(trajectory)
+        if not missed:
+            self._close(node.bound)
+            self._best.offer(relaxed.x, trajectory)
+            if not relaxed.is_accurate:
+                self._dives.dive(rows, trajectory)
+            elif not posed.turns_in_time(trajectory):
+                self._dives.turn(rows, trajectory)
+            return
+        if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):
+            self._dives.dive(rows, trajectory)
+        if posed.request.late:  # to branch may take as long as to solve
+            self._close(node.bound)
+            return
+        self._branch(node, missed, relaxed.dual_value, trajectory.headings[1:])
+
+    def _rows(self, node: Node) -> dict[int, Held]:
+        """Return the half-spaces of a node, by choice."""
+        if node.rows is None:
+            regions, above, known = self._regions, node.above, self._known(node)
+            if above is None or above.cut is None:
+                node.rows = regions.every(known)
+            else:
+                changed = regions.changed(self._known(above), known, above.cut.choice)
+                node.rows = self._rows(above) | {c: regions.rows(c, known) for c in changed}
+        return node.rows
+
+    def _known(self, node: Node) -> Known:
+        """Return the region of a node, of which there is something left."""
+        if node.known is None:
+            above = node.above
+            assert above is not None
+            assert above.cut is not None
+            at = node.number - above.first
+            node.known = self._regions.part(self._known(above), above.cut, at)
+        assert node.known is not None
+        return node.known
+
+    def _note(self, node: Node, rows: dict[int, Held], *, empty: bool = False) -> None:
+        """Note what the last relaxation, which was that of a node, rests on."""
+        found, node.better = self._posed.program.multipliers, node.better or empty
+        held = tuple(each for held in rows.values() for each in held)
+        if found is not None:
+            node.leaf = self._leaves.solved(found, held, node.depth, empty=empty)
+
+    # --- branching
+
+    def _branch(
+        self, node: Node, missed: dict[int, float], dual_value: float, headings: Array
+    ) -> None:
+        """Cut the choice that raises the bound the most; close a node that cannot be cut."""
+        regions, known = self._regions, self._known(node)
+        promises = {c: (regions.promise(c, by), by) for c, by in missed.items()}
+        for choice in sorted(missed, key=promises.__getitem__, reverse=True):
+            cut = regions.cut(choice, known)
+            if cut is not None:
+                self._part(node, cut, dual_value, headings)
+                return
+        self._close(node.bound)  # a chosen face is missed: the solve was not accurate enough
+
+    def _give_up(self, node: Node) -> None:
+        """Close a node that was not solved, unless it is the root, whose parts may be."""
+        if self._posed.solved == 1 and not self._posed.request.late:
+            known = self._known(node)
+            for choice in range(len(known.part)):
+                cut = self._regions.cut(choice, known)
+                if cut is not None:
+                    self._part(node, cut)
+                    return
+        self._close(node.bound)
+
+    def _part(
+        self, node: Node, cut: Cut, dual_value: float = -np.inf, headings: Array | None = None
+    ) -> None:
+        """Put the parts of a node among those that are open.
+
+        Args:
+            node: to be cut.
+            cut: of one of its choices.
+            dual_value: that belongs to its solution: parabolas of bounds begin there.
+            headings: of the solution, shape (N, n), if there is one.
+        """
+        regions, sides = self._regions, self._regions.sides(self._known(node), cut)
+        gains: Array = np.zeros(cut.parts)
+        refuted = np.full(cut.parts, -1)
+        if headings is not None:
+            gains, refuted = regions.gains(cut.choice, sides, headings)
+        node.cut, node.first = cut, len(self._nodes)
+        for i, row in enumerate(refuted.tolist()):
+            bound = max(node.bound, dual_value + float(gains[i]))
+            part = Node(len(self._nodes), bound, node, None)
+            self._nodes.append(part)
+            if cut.kind == CUT:
+                part.known = regions.part(self._known(node), cut, i)
+                part.gone = part.known is None
+            if part.gone:
+                continue
+            part.own = regions.held(cut.choice, sides[0][i], sides[1][i])
+            if row >= 0:
+                part.refuted = regions.beyond(cut.choice, sides[0][i], sides[1][i], row)
+            elif bound >= self._best.cutoff:
+                self._close(bound)
+            else:
+                heapq.heappush(self._open, part)
+
+    def _is_nearly_round(self, missed: dict[int, float]) -> bool:
+        """Return whether all that is missed is round, and missed by little."""
+        return all(self._regions.is_round(c) and by < NEAR for c, by in missed.items())
+
+    def _close(self, bound: float) -> None:
+        """Note that a node is not searched any further."""
+        self._closed = min(self._closed, bound)

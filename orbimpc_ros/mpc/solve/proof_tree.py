@@ -1,0 +1,266 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The nodes of a search, and the proof that they are.
+
+A node that was solved has the multipliers of its relaxation. One that was not has those of the node
+that it is a part of, and one step along the rows of its own that raise the bound the most.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.proof.splits import Cut
+from orbimpc_ros.mpc.proof.stated import width_of
+from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, NOWHERE, POINTS, ProofTree
+from orbimpc_ros.mpc.solve.regions import CONE, Held, Known
+from orbimpc_ros.mpc.solve.relaxation import Multipliers
+from orbimpc_ros.mpc.solve.request import Request
+
+SWEEPS = 3  # over the rows of a side, the one that raises most first, of nodes not solved
+LATE_NODES = 40  # of a proof that is written once time is up: in 2 or 3 ms
+
+
+class Leaf(NamedTuple):
+    """What a node proves by itself: where its tangent touches, and multipliers.
+
+    Attributes:
+        point: shape (N, d).
+        share: what limits of each R_k e1 alone hold of its slope, shape (N, n).
+        presses: multipliers of rows on the sides of bodies: the depth of the node from which on
+            the side is known, the row, and the multiplier.
+        force: what multipliers of positions and turns add to slopes, shape (N, n).
+        ends: pull, slide and tether of :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
+        empty: whether the multipliers prove that nothing is there.
+    """
+
+    point: Array
+    share: Array
+    presses: tuple[tuple[int, int, float], ...]
+    force: Array
+    ends: tuple[Array, Array, Array]
+    empty: bool
+
+    def pressed(self, held: Held, sizes: Sequence[float], depth: int) -> Leaf:
+        """Return the same with multipliers of half-spaces that are known from a depth on.
+
+        Those of headings count over rotations alone: elsewhere stage sets have them by themselves.
+        """
+        share, force, presses = self.share, self.force, list(self.presses)
+        whole = self.point.shape[1] == 9
+        for (row, number), size in zip(held, sizes, strict=True):
+            if not size:
+                continue
+            if number >= 0:
+                presses.append((depth, number, size))
+                force = force - size * np.outer(row.shares, row.normal)
+            elif whole or number == CONE:
+                share = share + size * np.outer(row.shares, row.normal)
+        return self._replace(share=share, force=force, presses=tuple(presses))
+
+    def raised(self, held: Held, inverse: Array, depth: int) -> Leaf:
+        """Return a tangent that is better for multipliers of a side's rows, those of others held.
+
+        Args:
+            held: the half-spaces of the side.
+            inverse: H^-1, shape (N, N).
+            depth: of the node that they are known from.
+        """
+        rows, point = [row for row, _ in held], self.point.copy()
+        n, sizes, moved = len(rows[0].normal), [0.0] * len(rows), [inverse @ r.shares for r in rows]
+        steep = [float(row.shares @ way) for row, way in zip(rows, moved, strict=True)]
+        short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in rows]
+        gains = np.maximum(short, 0.0) ** 2 / steep
+        for i in SWEEPS * np.argsort(-gains).tolist():
+            row = rows[i]
+            missed = float(row.offset - row.shares @ point[:, :n] @ row.normal)
+            step = max(-sizes[i], missed / steep[i])
+            sizes[i] += step
+            point[:, :n] += step * np.outer(moved[i], row.normal)
+        return self._replace(point=point).pressed(held, sizes, depth)
+
+
+class Node:
+    """A node of the search and of the proof.
+
+    Attributes:
+        number: of the node.
+        bound: no trajectory of it costs less, as far as is known.
+        above: which it is a part of; None of the root.
+        known: what is known of its choices, once it is asked for.
+        gone: whether limits leave nothing of it.
+        depth: 0 of the root.
+        own: half-spaces of the choice that makes it a part.
+        refuted: one of these that cannot be met.
+        rows: half-spaces by choice, once they are asked for.
+        cut: how it is split, None of a leaf.
+        first: number of the first of its parts.
+        leaf: what it proves by itself; None where nothing is known.
+        better: whether that is no less than what the node above proves of it.
+    """
+
+    def __init__(self, number: int, bound: float, above: Node | None, known: Known | None) -> None:
+        self.number, self.bound, self.above, self.known = number, bound, above, known
+        self.depth: int = 0 if above is None else above.depth + 1
+        self.gone = False
+        self.own: Held = ()
+        self.refuted: Held = ()
+        self.rows: dict[int, Held] | None = None
+        self.cut: Cut | None = None
+        self.first = 0
+        self.leaf: Leaf | None = None
+        self.better = False
+
+    def __lt__(self, other: Node) -> bool:
+        """Return whether it is to be solved before another: the deeper one among equals."""
+        return (self.bound, -self.number) < (other.bound, -other.number)
+
+
+class Leaves:
+    """What nodes of one request prove.
+
+    Args:
+        problem: what is solved.
+        condensed: its quadratic.
+        inverse: H^-1, shape (N, N); infinite where H is singular.
+        request: state and goals.
+        bodies: how many there are.
+        origins: from where directions are counted; (0,) where attitudes say so.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        condensed: Condensed,
+        inverse: Array,
+        request: Request,
+        bodies: int = 0,
+        origins: Array = NOWHERE,
+    ) -> None:
+        self._problem, self._condensed, self._inverse = problem, condensed, inverse
+        self._request, self._origins = request, origins
+        self._rows = POINTS * problem.horizon * bodies  # on sides, at each level
+        self._stiff = bool(np.isfinite(inverse).all())
+
+    def solved(self, found: Multipliers, held: Held, depth: int, *, empty: bool = False) -> Leaf:
+        """Return what a relaxation rests on.
+
+        Args:
+            found: its multipliers.
+            held: the half-spaces that it was solved within.
+            depth: of its node.
+            empty: whether it proved that nothing is in the node.
+        """
+        maps, tether, blank = self._problem.maps, found.tether, self._blank()
+        slide = found.slide if found.slide.size else np.zeros(tether.shape)
+        force = maps.reach[:, 1:].T @ slide + tether
+        force[:-1] -= tether[1:]
+        if len(found.pull):
+            force += maps.arrival[: len(found.pull), 1:].T @ found.pull
+        # Where nothing is the cost has no say, and the point may be anywhere.
+        point = blank.point if empty else found.point
+        leaf = Leaf(point, found.share, (), force, (found.pull, slide, tether), empty)
+        return leaf.pressed(held, found.sizes.tolist(), depth)
+
+    def _blank(self) -> Leaf:
+        """Return a leaf without multipliers."""
+        problem = self._problem
+        shape = problem.horizon, problem.dimension
+        arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
+        none: Array = np.zeros(shape)
+        ends = np.zeros((arrives, problem.dimension)), none, none
+        return Leaf(np.zeros((problem.horizon, width_of(problem))), none, (), none, ends, True)
+
+    def best(self, node: Node) -> Leaf | None:
+        """Return what is best known of a node; None where the multipliers are not known."""
+        if node.refuted:
+            return self._blank().pressed(node.refuted, [1.0], node.depth)
+        if (node.leaf is not None and node.better) or node.above is None:
+            return node.leaf
+        above = self.best(node.above)
+        if above is None or not node.own or not self._stiff:
+            return above
+        return above.raised(node.own, self._inverse, node.depth)
+
+    def tree(self, nodes: Sequence[Node], most: int | None = None) -> ProofTree | None:
+        """Return the proof that nodes are; None where the multipliers of something are not known.
+
+        Args:
+            nodes: the parts of each after it, one after another.
+            most: how many nodes it has, the first ones, which prove less; None for as many as
+                there is time for.
+        """
+        count, leaves = len(nodes), dict[int, Leaf]()
+        if most is not None:
+            ends = [each.first + each.cut.parts for each in nodes if each.cut]
+            count = max([1, *(end for end in ends if end <= most)])
+        for node in nodes[:count]:
+            if most is None and self._request.late and count > LATE_NODES:
+                return self.tree(nodes, LATE_NODES)
+            whole = node.cut is not None and node.first + node.cut.parts <= count
+            if whole or node.gone:
+                continue
+            leaf = self.best(node)
+            if leaf is None:
+                return None
+            leaves[node.number] = leaf._replace(share=self._share(leaf))
+        return self._stacked(nodes[:count], leaves)
+
+    def _share(self, leaf: Leaf) -> Array:
+        """Return what a step's thrust alone holds of its slope, and orbitopes do not.
+
+        Without orbitopes it is what cones do not hold, lengths among it; nothing where none does.
+        """
+        if leaf.point.shape[1] == 9 or not leaf.share.any():
+            return leaf.share
+        slopes = leaf.force - leaf.share
+        if not leaf.empty:
+            slopes += self._condensed.affine(self._request.state, self._request.goals)[0]
+            slopes += self._condensed.hessian @ leaf.point[:, : self._problem.dimension]
+        return slopes
+
+    def _stacked(self, nodes: Sequence[Node], leaves: dict[int, Leaf]) -> ProofTree:
+        numbers, at = np.zeros((len(nodes), 5), np.int64), np.zeros(len(nodes))
+        numbers[:] = EMPTY, 0, 0, 0, -1  # of parts that nothing is left of
+        for i, (number, leaf) in enumerate(leaves.items()):
+            numbers[number] = EMPTY if leaf.empty else LEAF, 0, 0, 0, i
+        for node in nodes:
+            if node.cut is not None and node.number not in leaves:
+                kind, choice, parts, at[node.number] = node.cut
+                numbers[node.number] = kind, choice, node.first, parts, -1
+        every = list(leaves.values())
+        found = [
+            (self._rows * (nodes[number].depth - depth) + row, size)
+            for number, leaf in leaves.items()
+            for depth, row, size in leaf.presses
+        ]
+        pull, slide, tether = zip(*(leaf.ends for leaf in every), strict=True)
+        return ProofTree(
+            nodes=numbers,
+            at=at,
+            point=np.array([leaf.point for leaf in every]),
+            shor=np.zeros((len(every), self._problem.horizon)),
+            press_end=np.cumsum([len(leaf.presses) for leaf in every]),
+            press_row=np.array([row for row, _ in found], np.int64),
+            press=np.array([size for _, size in found], float),
+            pull=_used(pull),
+            slide=_used(slide),
+            tether=_used(tether),
+            share=_used([leaf.share for leaf in every]),
+            meet=np.zeros((0, 0)),
+            origins=self._origins,
+            ordered=len(self._origins) > 0,
+        )
+
+
+def _used(values: Sequence[Array]) -> Array:
+    """Return multipliers of leaves stacked; none where all are zero."""
+    stacked = np.array(values, float)
+    return stacked if stacked.size and stacked.any() else NOTHING

@@ -1,0 +1,489 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What is to be chosen for a request, in the terms of proofs: regions, and what they are cut into.
+
+A region has a part of the directions of each heading, and of the sides of each body in each step
+(:mod:`orbimpc_ros.mpc.proof.splits`). Its hull is half-spaces: a heading in a sector or a patch,
+no slower than the floor, is beyond a chord; and the control points of a step that is beside a ball
+of radius rho, on a side with normals within an angle d of c, are beyond
+
+    c . P_i >= rho cos d - D sin d,
+
+where the control points are no farther than D apart. Choices are cut where that raises the bound
+the most: with the multipliers of others held, the dual function along the multiplier t >= 0 of a
+new row a.x >= beta is
+
+    D(t) = D(0) + t (beta - a.x) - t^2/2 a.H^-1 a,
+
+a parabola in the solution x and the Hessian H of the rotations, so that a part costs at least
+D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a).
+
+Mathematics: docs/mathematics.md, 3.5, 3.7, 4.9 and 5.4.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.model.motion import control_maps
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.proof.flight import rolled
+from orbimpc_ros.mpc.proof.limits import limits_of
+from orbimpc_ros.mpc.proof.places import Places, controls_of
+from orbimpc_ros.mpc.proof.splits import (
+    GONE,
+    ICOSAHEDRON,
+    WHOLE,
+    Allowed,
+    Cut,
+    Order,
+    begin,
+    narrowed,
+)
+from orbimpc_ros.mpc.proof.stated import DECIDED, FREE, POINT, SEGMENT, Statement
+from orbimpc_ros.mpc.proof.tree import (
+    ARCS,
+    CUT,
+    FACES,
+    NOWHERE,
+    PATCHES,
+    POINTS,
+    QUARTERS,
+    SIDES,
+)
+from orbimpc_ros.mpc.solve.relaxation import Row
+from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.turns import Turns
+
+SATISFIED = 1e-7  # a choice missed by less holds; a tenth of what the plan's check allows
+REFUTED = 1e-6  # what is decided by so much on the wrong side is no way
+FINEST = 1e-6  # [rad] a part this narrow allows less below its floor than rounding does
+AROUND = 4  # arcs of all directions
+
+ALWAYS = -1  # in the place of a choice: what holds whatever is chosen
+HEADING, CONE = -1, -2  # in the place of numbers: rows of headings, and those of cones in space
+
+Held = tuple[tuple[Row, int], ...]  # half-spaces, with their numbers among presses
+Sides = tuple[Array, Array]  # of parts: normals, shape (P, n), and offsets of points, shape (P, m)
+
+
+class Known(NamedTuple):
+    """What is known of choices at a node: see :class:`~orbimpc_ros.mpc.proof.splits.Region`."""
+
+    part: np.ndarray
+    span: Array
+    corners: Array
+
+
+class Points(NamedTuple):
+    """What a choice is about: a heading, or control points of a step.
+
+    Attributes:
+        places: as :class:`Row` numbers them, shape (m,).
+        numbers: of their rows among presses; -1 of a heading, shape (m,).
+        free: where they are without headings, as the body sees them, shape (m, n).
+        reach: what headings add, shape (m, N).
+        curvature: a.H^-1 a of each; infinite where H is singular or nothing moves it, shape (m,).
+    """
+
+    places: list[int]
+    numbers: list[int]
+    free: Array
+    reach: Array
+    curvature: Array
+
+
+class Regions:
+    """The regions of one request.
+
+    Args:
+        problem: what to solve.
+        statement: of it.
+        request: state and goals.
+        inverse: H^-1, shape (N, N); infinite where H is singular.
+        turns: where turns are angles.
+        ordered: whether steps that can be exchanged are in the order of their directions.
+
+    Attributes:
+        first: the first heading that is free.
+        bodies: how many there are.
+        origins: from where directions are counted; (0,) where attitudes say so.
+        round_floors: the headings that have one.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        statement: Statement,
+        request: Request,
+        inverse: Array,
+        turns: Turns | None = None,
+        *,
+        ordered: bool = False,
+    ) -> None:
+        self.problem, self._turns, state = problem, turns, request.state
+        self._state = state
+        n, count = problem.dimension, problem.horizon
+        limits = limits_of(problem, state, request.goals)
+        stated = self._stated = statement.of(state, request.goals, limits)
+        self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
+        self.round_floors = list(range(self.first, count)) if problem.floor.radius else []
+        self._units, self._inverse = np.eye(count), inverse
+        maps = control_maps(problem)[:, :, 1:]
+        flown = np.zeros((4, count + 1, n))
+        rolled(stated.motion, stated.start, np.zeros((count, n)), flown)
+        free = controls_of(stated.motion, flown[:2])
+        self._places = Places(stated.bodies, free, maps) if self.bodies else None
+        self._points: dict[int, Points] = {}
+        floor = problem.floor
+        self._flat: Sides | None = None  # of a floor whose headings have a face
+        if floor.exists and not floor.radius and (n == 3 or floor.shape != 'polygon'):
+            cells = floor.cells(n)
+            offsets = np.array([[cell.offset] for cell in cells])
+            self._flat = np.array([cell.normal for cell in cells]), offsets
+        self._faces = floor.faces if floor.shape == 'polygon' and n == 2 else 0
+        begun = -math.pi / self._faces if self._faces else 0.0
+        self.origins = np.full(count, begun) if ordered else NOWHERE
+        self._order, self._begun = Order(ordered, self.origins), begun
+        capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
+        solid = len(stated.sets.faces)
+        self._allowed = Allowed(n, count, not self.first, solid, capped)
+        flags = stated.sets.cones[:, n + 3] == 1.0
+        self._upright = set(stated.sets.cone_step[flags].tolist()) if capped else set()
+
+    # --- regions
+
+    def root(self) -> Known | None:
+        """Return what is known of all trajectories; None if there are none."""
+        count, n = (2 + self.bodies) * self.problem.horizon, self.problem.dimension
+        part, span = np.full(count, WHOLE), np.zeros((count, 2))
+        corners, known = np.zeros((count if n == 3 else 1, 3, 3)), self._stated
+        free, decided = self._allowed.is_free, known.start[DECIDED : DECIDED + 1, :n]
+        if begin(known.root, known.sets, free, self._order, part, span) == GONE:
+            return None
+        if known.decided == POINT and self.problem.floor.margin(decided)[0] < -SATISFIED:
+            return None
+        if self._flat is not None:
+            part[: self.problem.horizon] = WHOLE
+        return Known(part, span, corners)
+
+    def part(self, known: Known, cut: Cut, i: int) -> Known | None:
+        """Return part i of a region; None if nothing is left of it."""
+        part, span, corners = known.part.copy(), known.span, known.corners
+        if cut.kind in (ARCS, CUT):
+            span = span.copy()
+        elif cut.kind in (PATCHES, QUARTERS):
+            corners = corners.copy()
+        node, stated = np.array([cut.kind, cut.choice, 0, cut.parts]), self._stated
+        allowed = self._allowed, stated.root, stated.sets, self._order
+        left = narrowed(*allowed, node, cut.at, i, part, span, corners)
+        return None if left == GONE else Known(part, span, corners)
+
+    def changed(self, before: Known, after: Known, choice: int) -> list[int]:
+        """Return the choices that differ between a region and a part of it."""
+        if before.span is after.span:
+            return [choice]
+        moved = (before.span != after.span).any(axis=1) | (before.part != after.part)
+        return np.flatnonzero(moved).tolist()
+
+    # --- half-spaces
+
+    def points(self, choice: int) -> Points:
+        """Return what a choice is about."""
+        if choice not in self._points:
+            self._points[choice] = self._of(choice)
+        return self._points[choice]
+
+    def _of(self, choice: int) -> Points:
+        count = self.problem.horizon
+        if choice < count:
+            reach = self._units[choice : choice + 1]
+            places, numbers, free = [choice], [-1], np.zeros((1, self.problem.dimension))
+        else:
+            assert self._places is not None
+            j, k = choice // count - 2, choice % count
+            at = np.flatnonzero(self._places.rows[j, k])
+            places = (count + self._places.points[j, k, at]).tolist()
+            numbers = (POINTS * (choice - 2 * count) + at).tolist()
+            free, reach = self._places.free[j, k, at], self._places.reach[j, k, at]
+        curvature = np.full(len(places), np.inf)
+        if np.isfinite(self._inverse).all():
+            along = np.einsum('mi,ij,mj->m', reach, self._inverse, reach)
+            curvature = np.where(along > 0.0, along, np.inf)
+        return Points(places, numbers, free, reach, curvature)
+
+    def rows(self, choice: int, known: Known) -> Held:
+        """Return the half-spaces of a choice in a region."""
+        free = choice >= self.problem.horizon or self.problem.floor.exists
+        if known.part[choice] == WHOLE or choice < self.first or not free:
+            return ()
+        normals, offsets = self._side(choice, known)
+        return self.held(choice, normals[0], offsets[0])
+
+    def _side(self, choice: int, known: Known) -> Sides:
+        """Return the half-space that a choice is beyond in a region."""
+        count, each = self.problem.horizon, slice(choice, choice + 1)
+        flat = self._flat is not None if choice < count else not self._radius(choice)
+        if flat:
+            return self._faced(choice, known.part[each])
+        if self.problem.dimension == 2:
+            return self._sectors(choice, known.span[each])
+        return self._patched(choice, known.corners[each])
+
+    def held(self, choice: int, normal: Array, offsets: Array) -> Held:
+        """Return the half-spaces of a choice, by normal and offsets of its points, shape (m,)."""
+        points, found = self.points(choice), list[tuple[Row, int]]()
+        offsets = offsets - points.free @ normal
+        for i, number in enumerate(points.numbers):
+            if points.reach[i].any() and np.isfinite(offsets[i]):
+                row = Row(points.places[i], points.reach[i], normal, float(offsets[i]))
+                found.append((row, number))
+        return tuple(found)
+
+    def _radius(self, choice: int) -> float:
+        """Return the radius of the body that a choice is of; 0 of a box."""
+        return float(self._stated.bodies.extents[choice // self.problem.horizon - 2, -1])
+
+    def _faced(self, choice: int, parts: np.ndarray) -> Sides:
+        """Return the sides of a box, or the faces of a floor."""
+        if choice < self.problem.horizon:
+            assert self._flat is not None
+            return self._flat[0][parts], self._flat[1][parts]
+        n, count, bodies = self.problem.dimension, self.problem.horizon, self._stated.bodies
+        j, k = choice // count - 2, choice % count
+        offsets = bodies.extents[j, parts, None] + bodies.margins[0, j, k]
+        m = len(self.points(choice).places)
+        return np.vstack([-np.eye(n), np.eye(n)])[parts], np.repeat(offsets, m, axis=1)
+
+    def _sectors(self, choice: int, spans: Array) -> Sides:
+        """Return the half-spaces of sectors, shape (P, 2) [rad]."""
+        middles, halves = spans.mean(axis=1), 0.5 * np.ptp(spans, axis=1)
+        normals = np.column_stack([np.cos(middles), np.sin(middles)])
+        if choice >= self.problem.horizon:
+            least = np.where(halves < 0.5 * math.pi, np.cos(halves), 0.0)
+            return normals, self._beyond(choice, least, np.sin(np.minimum(halves, 0.5 * math.pi)))
+        offsets = np.empty((len(spans), 1))
+        for i, (low, high) in enumerate(spans.tolist()):
+            normals[i], offsets[i] = self._chord(low, high, normals[i])
+        return normals, offsets
+
+    def _chord(self, low: float, high: float, middle: Array) -> tuple[Array, float]:
+        """Return normal and offset of what headings of a sector are beyond."""
+        half, slowest = 0.5 * (high - low), self._stated.sets.least
+        if half >= math.pi:
+            return middle, -np.inf
+        if half > 0.5 * math.pi:
+            return middle, math.cos(half)
+        if not self._faces:
+            return middle, slowest * math.cos(half)
+        share, slack = 2.0 * math.pi / self._faces, self._stated.sets.narrow
+        first, last = math.ceil(low / share - 0.5 + slack), math.floor(high / share - 0.5 - slack)
+        angles = [low, *(share * (i + 0.5) for i in range(first, last + 1)), high]
+        if len(angles) == 2:  # of a single face
+            face = share * round(0.5 * (low + high) / share)
+            return np.array([math.cos(face), math.sin(face)]), slowest
+        off = np.array(angles) - share * np.round(np.array(angles) / share)
+        along = np.cos(np.array(angles) - 0.5 * (low + high))
+        return middle, float((slowest / np.cos(off) * along).min())
+
+    def _patched(self, choice: int, corners: Array) -> Sides:
+        """Return the half-spaces of patches, shape (P, 3, 3)."""
+        units = corners / np.linalg.norm(corners, axis=2, keepdims=True)
+        normals = np.cross(units, np.roll(units, -1, axis=1)).sum(axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        normals *= np.sign(np.einsum('pc,pc->p', normals, units[:, 0]))[:, None]
+        least = np.einsum('pc,pec->pe', normals, units).min(axis=1)
+        if choice < self.problem.horizon:
+            return normals, self._stated.sets.least * least[:, None]
+        return normals, self._beyond(choice, least, np.sqrt(np.maximum(0.0, 1.0 - least**2)))
+
+    def _beyond(self, choice: int, least: Array, aside: Array) -> Array:
+        """Return the offsets of sides of a ball, of cosines and sines, shape (P,): (P, m)."""
+        count, bodies = self.problem.horizon, self._stated.bodies
+        j, k = choice // count - 2, choice % count
+        size = bodies.extents[j, -1] + bodies.margins[0, j, k]
+        offsets = least * size - aside * bodies.margins[1, j, k]
+        offsets = np.where((least > 0.0) & (size > 0.0), offsets, -np.inf)
+        return np.repeat(offsets[:, None], len(self.points(choice).places), axis=1)
+
+    def every(self, known: Known) -> dict[int, Held]:
+        """Return the half-spaces of a region, by choice."""
+        rows = {choice: self.rows(choice, known) for choice in range(len(known.part))}
+        return {ALWAYS: self._always(), **{c: held for c, held in rows.items() if held}}
+
+    def _always(self) -> Held:
+        """Return what holds of a first heading but for its length, and of turns in space."""
+        stated, floor, found = self._stated, self.problem.floor, list[tuple[Row, int]]()
+        if stated.decided == SEGMENT and floor.exists:
+            axis = stated.start[DECIDED, : self.problem.dimension]
+            axis = axis / np.linalg.norm(axis)
+            found.append((Row(0, self._units[0], axis, float(floor.least(axis))), HEADING))
+        if self._turns is not None and (stated.n == 3 or self._flat is not None):
+            number = CONE if stated.n == 3 else HEADING
+            found += [(row, number) for row in self._turns.rows(self._state)]
+        return tuple(found)
+
+    def beyond(self, choice: int, normal: Array, offsets: Array, i: int) -> Held:
+        """Return the half-space of point i of a choice, whether it is moved at all or not."""
+        points = self.points(choice)
+        offset = float(offsets[i] - points.free[i] @ normal)
+        return ((Row(points.places[i], points.reach[i], normal, offset), points.numbers[i]),)
+
+    # --- what is missed
+
+    def missed(self, headings: Array) -> dict[int, float]:
+        """Return, by choice that is not satisfied, by how much.
+
+        Args:
+            headings: R_1 e1..R_N e1, shape (N, n).
+        """
+        short = -self.problem.floor.margin(headings)
+        short[: self.first] = -np.inf
+        found = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
+        if self._places is not None:
+            into, _ = self._places.entered(headings)
+            for j, k in np.argwhere(into > SATISFIED).tolist():
+                found[(2 + j) * self.problem.horizon + k] = float(into[j, k])
+        return found
+
+    def is_round(self, choice: int) -> bool:
+        """Return whether a choice is of directions that are cut ever finer."""
+        if choice < self.problem.horizon:
+            return bool(self.problem.floor.radius)
+        return self._radius(choice) > 0.0
+
+    def tangents(
+        self, headings: Array, choices: Iterable[int], kept: Mapping[int, Held]
+    ) -> dict[int, Held]:
+        """Return half-spaces on the sides of choices that headings are on, or miss the least.
+
+        Args:
+            headings: R_1 e1..R_N e1, shape (N, n).
+            choices: of floors and bodies.
+            kept: those of choices that are flat stay as they are.
+        """
+        found, ways = dict[int, Held](), None
+        for choice in choices:
+            if choice in kept and not self.is_round(choice):
+                continue
+            if choice < self.problem.horizon:
+                side = self._tangent(headings[choice])
+            else:
+                assert self._places is not None
+                ways = self._places.entered(headings)[1] if ways is None else ways
+                side = self._passed(choice, ways)
+            if side is not None:
+                found[choice] = self.held(choice, *side)
+        return found
+
+    def _tangent(self, heading: Array) -> tuple[Array, Array] | None:
+        """Return the tangent of a round floor, or the face that is missed least."""
+        floor, size = self.problem.floor, float(np.linalg.norm(heading))
+        if floor.radius:
+            known = heading / max(size, HEADING_UNDEFINED), np.array([floor.radius])
+            return known if size > HEADING_UNDEFINED else None
+        cells = floor.cells(self.problem.dimension)
+        cell = max(cells, key=lambda each: float(each.normal @ heading) - each.offset)
+        return cell.normal, np.array([cell.offset])
+
+    def _passed(self, choice: int, ways: Array) -> tuple[Array, Array]:
+        """Return the half-space on the side of a body that a way leads to."""
+        count, bodies = self.problem.horizon, self._stated.bodies
+        j, k = choice // count - 2, choice % count
+        normal, out = ways[j, k], bodies.extents[j, -1]
+        if not out > 0.0:
+            out = bodies.extents[j, int(np.argmax(np.concatenate([-normal, normal])))]
+        return normal, np.full(len(self.points(choice).places), out + bodies.margins[0, j, k])
+
+    def beside(self, headings: Array, within: float) -> list[int]:
+        """Return the choices of bodies that are nearer to headings than a distance, and of boxes.
+
+        Of bodies that are there twice, the one of whole steps.
+        """
+        if self._places is None:
+            return []
+        count, (into, _) = self.problem.horizon, self._places.entered(headings)
+        boxes = len(self.problem.boxes)
+        found = np.argwhere((into > -within) | (self._stated.bodies.extents[:, -1:] == 0.0))
+        pairs = ((j, k) for j, k in found.tolist() if j < boxes or (j - boxes) % 2)
+        return [(2 + j) * count + k for j, k in pairs]
+
+    # --- where to cut
+
+    def cut(self, choice: int, known: Known) -> Cut | None:
+        """Return how a choice is cut in a region; None where that makes no difference."""
+        count, n, whole = self.problem.horizon, self.problem.dimension, known.part[choice] == WHOLE
+        if choice < self.first:
+            return None
+        heading = choice < count
+        if heading and self._flat is not None:
+            return Cut(FACES, choice, len(self._flat[0])) if whole else None
+        if not (heading or self._radius(choice)):
+            return Cut(SIDES, choice, 2 * n) if whole else None
+        if n == 3:
+            if whole:
+                up = heading and choice in self._upright
+                return Cut(PATCHES, choice, self._allowed.capped if up else ICOSAHEDRON)
+            wide = np.ptp(known.corners[choice], axis=0).max() >= FINEST
+            return Cut(QUARTERS, choice, 4) if wide else None
+        if whole:
+            faces = self._faces if heading else 0
+            return Cut(ARCS, choice, faces or AROUND, self._begun if faces else 0.0)
+        low, high = known.span[choice].tolist()
+        at = 0.5 * (low + high)
+        if heading and self._faces:
+            share = 2.0 * math.pi / self._faces
+            at = share * (math.floor(at / share) + 0.5)  # the corner that is nearest
+        apart = self._stated.sets.narrow if heading and self._faces else FINEST
+        return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
+
+    def sides(self, known: Known, cut: Cut) -> Sides:
+        """Return the half-spaces of the parts that a region is cut into."""
+        choice, every = cut.choice, np.arange(cut.parts)
+        if cut.kind in (FACES, SIDES):
+            return self._faced(choice, every)
+        if cut.kind == ARCS:
+            begun = cut.at + 2.0 * math.pi / cut.parts * every
+            return self._sectors(choice, np.column_stack([begun, begun + begun[1] - begun[0]]))
+        if cut.kind == CUT:
+            low, high = known.span[choice]
+            return self._sectors(choice, np.array([[low, cut.at], [cut.at, high]]))
+        patches = self._stated.root.patches
+        if cut.kind == PATCHES:
+            first = 0 if cut.parts == ICOSAHEDRON else ICOSAHEDRON
+            return self._patched(choice, patches[first : first + cut.parts])
+        a, b, c = known.corners[choice]
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        quarters = np.array([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
+        return self._patched(choice, quarters)
+
+    def promise(self, choice: int, by: float) -> float:
+        """Return by how much a cut of a choice that is missed by so much may raise the bound.
+
+        What the state alone decides comes first: no other choice mends it.
+        """
+        curvature = float(self.points(choice).curvature.min())
+        return by * by / (2.0 * curvature) if curvature < np.inf else np.inf
+
+    def gains(self, choice: int, sides: Sides, headings: Array) -> tuple[Array, np.ndarray]:
+        """Return by how much each part raises the bound at least, and the row that refutes it.
+
+        Args:
+            choice: that is cut.
+            sides: of its P parts.
+            headings: of the solution, shape (N, n).
+
+        Returns:
+            Gains, shape (P,), and rows that cannot be met, -1 without, shape (P,).
+        """
+        (normals, offsets), points = sides, self.points(choice)
+        short = offsets - normals @ (points.free + points.reach @ headings).T
+        gains = 0.5 * np.maximum(short, 0.0) ** 2 / points.curvature
+        left = offsets - normals @ points.free.T - np.abs(points.reach).sum(axis=1)
+        rows = np.where(left.max(axis=1) > REFUTED, left.argmax(axis=1), -1)
+        return gains.max(axis=1), np.where(choice >= self.problem.horizon, rows, -1)
