@@ -233,8 +233,8 @@ class Shells:
                 own = slice(n * k, n * k + n)
                 inner[own, own] -= bent[k] / size[k] ** 2 * np.outer(x[k], x[k])
             system[: n * count, : n * count] = inner
-            for i, k in enumerate(on):
-                system[n * k : n * k + n, n * count + i] = x[k]
+            for i, j in enumerate(on):
+                system[n * j : n * j + n, n * count + i] = x[j]
             system[: n * count, total - n :] = np.kron(a[:, None], eye)
             system[n * count :] = system[:, n * count :].T
             right[: n * count] = force.ravel()
