@@ -586,10 +586,10 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
     if ways == 1:
         cutoff, known = cutoff_of(numbers[VALUE], quad.constant, tolerance), tree.known[node]
         if is_free(ring):
-            sectors, held = tree.sectors[node], tree.held[node]
-            climbed = tree.start[node], held, tree.point[node], tree.kept[node], known
-            known = quad, ring.fraction, sectors, room.shapes, climbed
-            status, work = climb(*known, NEAR if node > 0 else 0.0, cutoff, work)
+            sectors, near = tree.sectors[node], NEAR if node > 0 else 0.0
+            held, point, kept = tree.held[node], tree.point[node], tree.kept[node]
+            climbed, sigma = (tree.start[node], held, point, kept, known), ring.fraction
+            status, work = climb(quad, sigma, sectors, room.shapes, climbed, near, cutoff, work)
         else:
             relaxed, gap = (tree.start[node], tree.point[node], known), ACCURATE * tolerance
             status, work = relax(quad, flat, relaxed, (cutoff, gap), room, work)
