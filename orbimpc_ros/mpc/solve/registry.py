@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.solve.request import Method
 METHODS = [
     ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
-    ('solve.annulus_newton', 'AnnulusNewton'),
+    ('search.shells', 'Shells'),
     ('solve.planar_catch', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
