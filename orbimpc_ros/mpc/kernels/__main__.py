@@ -7,7 +7,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.search.shells import Shells
+from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
@@ -15,8 +15,8 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 def round_floors() -> None:
     """Compile what searches round floors: half of all machine code."""
-    Engine(Problem(floor=Floor('circle')), 1e-6)
-    Shells(Problem(floor=Floor('circle'), terminal='constraint'), 1e-6)
+    AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
+    Engine(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
 
 
 def the_rest() -> None:

@@ -22,13 +22,12 @@ from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, ProofTree
 from orbimpc_ros.mpc.search.relax import Quadratic, room_for
-from orbimpc_ros.mpc.search.ring import Ring, is_free
+from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import (
     LEAST,
     MADE,
     MOST_ARCS,
     NODES,
-    OPEN,
     PROMISING,
     VALUE,
     Tree,
@@ -108,12 +107,10 @@ class Engine:
         if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
             self._tolerance *= SETTLED
         self._most = min(MOST, ROOM // steps)
-        start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
-        keeps = is_free(self._posed.ring(start))
-        self._spare = 2.0 * self._posed.excess / steps if keeps else 0.0
         parts = max(MOST_ARCS, problem.floor.faces)
         self._tree, self._room = tree_for(steps, parts * self._most + 2), room_for(steps)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
         with suppress(Infeasible):
             self.solve(Request(start, np.ones((steps, 2)), out_of_time=lambda: True))
 
@@ -126,7 +123,7 @@ class Engine:
         return (
             COMPILED
             and (problem.dimension, problem.rotation_order) == (2, 1)
-            and (straight or (floor.shape == 'circle' and (changes or not problem.approach.exists)))
+            and (straight or (floor.shape == 'circle' and changes))
             and problem.terminal == 'penalty'
             and not problem.obstacles
             and problem.horizon <= LONGEST
@@ -146,28 +143,22 @@ class Engine:
         asked = quad, ring, self._tolerance, tree, self._most, room, SLICE
         while (status := search(*asked)) in (PROMISING, PAUSED):
             if status == PROMISING:
-                improve(quad, ring, tree, self._tolerance, room)
+                improve(quad, ring, tree, room)
             if request.late or request.enough.met(self._found(quad)):
                 break
-        return replace(self._found(quad), proof=proof_of(tree, self._spare))
+        return replace(self._found(quad), proof=proof_of(tree))
 
     def _start(self, quad: Quadratic, ring: Ring, request: Request) -> None:
-        """Improve the guess, or the unconstrained optimum; else to go straight on.
-
-        Of a round floor alone both, unless the former proves itself.
-        """
+        """Improve the guess, or the unconstrained optimum; else to go straight on."""
         tree, guess = self._tree, request.guess
-        # Copies: code for arrays that are read-only or strided would be compiled in a tick.
-        starts = [tree.start[0].copy()]
-        if guess is not None:
-            starts[: 0 if is_free(ring) else 1] = [np.array(guess.x, order='C')]
-        starts.append(ring.entry * request.state.attitude[:, 0] * np.ones((len(starts[0]), 1)))
-        for i, x in enumerate(starts):
-            again = is_free(ring) and tree.counts[OPEN] > 0 and i < len(starts) - 1
-            if tree.numbers[VALUE] < np.inf and not again:
+        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+        start = tree.start[0].copy() if guess is None else np.array(guess.x, order='C')
+        ahead = ring.entry * request.state.attitude[:, 0] * np.ones((len(start), 1))
+        for x in (start, ahead):
+            if tree.numbers[VALUE] < np.inf:
                 return
             if is_promising(quad, ring, tree, x, tree.sectors[0], np.inf, self._room):
-                improve(quad, ring, tree, self._tolerance, self._room)
+                improve(quad, ring, tree, self._room)
 
     def _found(self, quad: Quadratic) -> Found:
         """Return the best of a search so far, with the bound that it has proved."""
@@ -178,20 +169,15 @@ class Engine:
         return Found(best, cost, bound, int(self._tree.counts[NODES]))
 
 
-def proof_of(tree: Tree, spare: float) -> ProofTree:
-    """Return the tree of a search as the proof of its bound; the search is over then.
-
-    Args:
-        tree: of the search.
-        spare: what the curvatures that steps keep have to leave to make the cost convex.
-    """
-    made, leaves = int(tree.counts[MADE]), number_leaves(tree)
+def proof_of(tree: Tree) -> ProofTree:
+    """Return the tree of a search as the proof of its bound; the search is over then."""
+    made, leaves, steps = int(tree.counts[MADE]), number_leaves(tree), len(tree.best)
     none = np.zeros(0, np.int64)
     return ProofTree(
         tree.nodes[:made].copy(),
         tree.at[:made].copy(),
         tree.point[:leaves].copy(),
-        tree.kept[:leaves] - spare,
+        np.zeros((leaves, steps)),
         np.zeros(leaves, np.int64),
         none,
         np.zeros(0),

@@ -21,13 +21,12 @@ from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.search.relax import cost_of, rise_of
-from orbimpc_ros.mpc.search.ring import HALF, HIGH, LOW, TURN, is_free, least_speed
+from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
 
 STEPS = 40  # of Newton's method
 SETTLED = 1e-9  # relative decrease of the cost at which it ends
 DAMPED, CALMED, STIFFENED = 1e-6, 0.2, 8.0  # the damping to begin with, and how it changes
 STIFFEST = 1e8
-LONGEST = 0.4  # step of a heading, on average, where none is tied to another
 AT_BOUND = 1e-12
 WITHIN = 1.0 - 1e-9  # of the largest turn, which rounding is not to exceed
 SMALL = 1e-12  # a heading shorter than this has no direction
@@ -85,10 +84,7 @@ def round_off(ring, x, sector, speeds, turns):
             middle = min(high, max(low, before))
             angle = raw + TURN * np.round((middle - raw) / TURN)
         angle = min(high, max(low, angle))
-        turn = angle - before
-        if ring.widest >= HALF:  # sectors then say nothing of the way round
-            turn -= TURN * np.round(turn / TURN)
-        turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, turn))
+        turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, angle - before))
         before += turns[k]
         rho = least_speed(ring.fraction, ring.faces, before)
         along = np.cos(before) * x[k, 0] + np.sin(before) * x[k, 1]
@@ -224,13 +220,10 @@ def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
 
 
 @inlined
-def _set_step(curved, gradient, y, bounds, damping, loose, room, step):
-    """Set Newton's step of the variables that are free; return whether there is one.
-
-    Where headings are loose, what is damped is how far each turns, and too long a step is none.
-    """
+def _set_step(curved, gradient, y, bounds, damping, room, step):
+    """Set Newton's step of the variables that are free; return whether there is one."""
     free, matrix, right = room
-    count, half, turned, square = 0, len(y) // 2, 0.0, 0.0
+    count = 0
     for i in range(len(y)):
         step[i] = 0.0
         pushed = (y[i] <= bounds[i, 0] + AT_BOUND and gradient[i] > 0.0) or (
@@ -243,18 +236,12 @@ def _set_step(curved, gradient, y, bounds, damping, loose, room, step):
         right[i] = -gradient[free[i]]
         for j in range(i + 1):
             matrix[i, j] = curved[free[i], free[j]]
-            if loose and free[j] >= half:
-                matrix[i, j] += damping * (len(y) - free[i])
-        if not loose or free[i] < half:
-            matrix[i, i] += damping
+        matrix[i, i] += damping
     if count > 0 and not solve_spd(matrix, right, count):
         return False
     for i in range(count):
         step[free[i]] = right[i]
-    for k in range(half if loose else 0):
-        turned += step[half + k]
-        square += step[k] * step[k] + turned * turned
-    return square <= half * LONGEST * LONGEST
+    return True
 
 
 @inlined
@@ -266,20 +253,19 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
     bounds, curved, there = np.empty((size, 2)), np.empty((size, size)), np.empty((count, 2))
     room = np.empty(size, np.int64), np.empty((size, size)), np.empty(size)
     by = np.empty((count, 2, 2))
-    widest = WITHIN * ring.widest if ring.widest < HALF else np.inf
     for k in range(count):
         y[k], y[count + k] = speeds[k], turns[k]
         bounds[k, 0], bounds[k, 1] = 0.0, 1.0
-        bounds[count + k, 0], bounds[count + k, 1] = -widest, widest
+        bounds[count + k, 0], bounds[count + k, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
     set_headings(ring, speeds, turns, z)
-    damping, loose = DAMPED, is_free(ring)
+    damping = DAMPED
     for _ in range(STEPS):
         _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved)
         scale, fall = 1e-300, 0.0
         for i in range(size):
             scale = max(scale, abs(curved[i, i]))
         while damping <= STIFFEST:
-            if _set_step(curved, gradient, y, bounds, damping * scale, loose, room, step):
+            if _set_step(curved, gradient, y, bounds, damping * scale, room, step):
                 for i in range(size):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)

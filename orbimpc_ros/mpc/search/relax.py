@@ -37,8 +37,7 @@ from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, extrem
 SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
 ROUNDS = 60
 PATIENCE = 6  # rounds between two looks at whether the bound still rises
-# Of a node: its bound; rounds; its bound at the last look; how smooth its dual function is.
-KEY, TAKEN, BEFORE, MU = range(4)
+KEY, TAKEN, BEFORE = range(3)  # of a node: its bound; rounds; its bound at the last look
 FEW = 2  # rank of a Hessian up to which points are mixed
 MIXED = 2 * FEW + 1  # points
 PASSES, STILL = 50, 1e-9  # over their shares; and by how much less than this they do not move
@@ -156,17 +155,11 @@ def tangent_bound(quad, shapes, curvatures, z, slope):
     """
     cost = least = size = 0.0
     for k in range(len(z)):
-        half = along = square = steep = 0.0
-        for c in range(z.shape[1]):
-            half += 0.5 * z[k, c] * (slope[k, c] + quad.q[k, c])
-            along += slope[k, c] * z[k, c]
-            square += z[k, c] * z[k, c]
-            steep += slope[k, c] * slope[k, c]
-        gx, gy, length = slope[k, 0], slope[k, 1], quad.lengths[k]
-        if z.shape[1] > 2:  # a shell is the same in all directions
-            gx, gy = np.sqrt(steep), 0.0
+        gx, gy, x, y, length = slope[k, 0], slope[k, 1], z[k, 0], z[k, 1], quad.lengths[k]
+        half = 0.5 * (x * (gx + quad.q[k, 0]) + y * (gy + quad.q[k, 1]))
+        along = gx * x + gy * y
         there = support(shapes[k], curvatures[k], length, gx, gy)
-        cost += half + length * np.sqrt(square)
+        cost += half + length * np.sqrt(x * x + y * y)
         least += half + there - along
         size += abs(half) + abs(there) + abs(along)
     return cost, least - ROUNDING * len(z) * size
@@ -414,7 +407,7 @@ def relax(quad, curvatures, node, limits, room, work):
         quad: the cost.
         curvatures: zeros, shape (N,).
         node: where to begin, and where it ends, shape (N, 2); the point of its bound, shape (N, 2);
-            that bound, and what is known from slices before, shape (4,); all updated.
+            that bound, and what is known from slices before, shape (3,); all updated.
         limits: the bound at which the node is of no use, and the relative gap that is enough.
         room: with the outlines of the sets.
         work: multiplications to do, though no less than one round takes.

@@ -60,13 +60,6 @@ class Ring(NamedTuple):
 
 
 @compiled
-def is_free(ring):
-    """Return whether there is a round floor and nothing that ties headings to each other."""
-    tied = ring.widest < HALF or ring.change < np.inf or ring.within < HALF
-    return ring.fraction > 0.0 and ring.faces == 0 and not tied
-
-
-@compiled
 def least_speed(fraction, faces, angle):
     """Return the least speed of a floor along an angle [rad]."""
     if faces == 0:

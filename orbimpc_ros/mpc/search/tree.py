@@ -23,7 +23,6 @@ from orbimpc_ros.mpc.search.relax import (
     BEFORE,
     GOING,
     KEY,
-    MU,
     SOLVED,
     STALLED,
     TAKEN,
@@ -44,13 +43,11 @@ from orbimpc_ros.mpc.search.ring import (
     SECTOR,
     SLOW,
     TURN,
-    is_free,
     least_speed,
     nearest_speed,
     outline,
     prox,
 )
-from orbimpc_ros.mpc.search.shor import KINDS, certify, climb, priced_branching, set_spread
 
 PROMISING = 3  # a search ends with that, too: see :func:`search`
 MADE, OPEN, NODES, STALLS, STARTS, PROMISES = range(6)  # in Tree.counts
@@ -58,13 +55,10 @@ VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
 MARGIN = 0.15  # of a sector: no part is narrower
-NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough; but
-# at the root, whose point is where to look for the best trajectory
 NODE = 300.0  # multiplications that a node costs besides those of its relaxation
 NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
 UNSETTLED = 1e-3  # [rad], the widest sector that arithmetic could not settle and is not cut either
-YOUNG, EVERY = 4, 4  # with a round floor, a descent starts from each of the first nodes; then some
 ACCURATE = 0.02  # of the tolerance: the gap of a node's relaxation
 PULLS = (1.0, 30.0, 1000.0)  # on the last heading, in curvatures of the cost
 
@@ -76,9 +70,7 @@ class Tree(NamedTuple):
         sectors: low, high, slow, fast of each step, shape (M, N, 4).
         start: where a node's relaxation begins, or ended, shape (M, N, 2).
         point: whose tangent the node's bound is of, shape (M, N, 2).
-        kept: curvatures that steps keep for themselves there, shape (M, N).
-        held: Shor multipliers, see :mod:`shor`, shape (M, 4, N).
-        known: of each, see the names of its entries in :mod:`relax`, shape (M, 4).
+        known: of each, see the names of its entries in :mod:`relax`, shape (M, 3).
         nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
             are not numbered, shape (M, 5).
         at: the first angle [rad], or the speed, between a node's parts, shape (M,).
@@ -94,8 +86,6 @@ class Tree(NamedTuple):
     sectors: Array
     start: Array
     point: Array
-    kept: Array
-    held: Array
     known: Array
     nodes: np.ndarray
     at: Array
@@ -114,9 +104,7 @@ def tree_for(steps: int, nodes: int) -> Tree:
         np.empty((nodes, steps, SECTOR)),
         np.empty((nodes, steps, 2)),
         np.empty((nodes, steps, 2)),
-        np.empty((nodes, steps)),
-        np.empty((nodes, KINDS, steps)),
-        np.empty((nodes, 4)),
+        np.empty((nodes, 3)),
         np.zeros((nodes, 5), np.int64),
         np.zeros(nodes),
         np.empty(nodes),
@@ -218,8 +206,6 @@ def begin(quad, ring, tree):
             start[k, 1] -= quad.inverse[k, j] * quad.q[j, 1]
     copy_to(tree.point[0], start)
     _set_leaf(tree, 0, -np.inf)
-    tree.kept[0], tree.held[0] = 0.0, 0.0
-    tree.known[0, MU] = 0.0
     if not set_reachable(ring, tree.sectors[0]):
         return False
     push(tree.keys, tree.heap, 0, -np.inf, 0)
@@ -387,7 +373,7 @@ def _moved(quad, shapes, changed, start, z):
 @inlined
 def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
     """Make the parts of a node, each with the bound of its parent's point or of one moved."""
-    counts = tree.counts
+    counts, numbers = tree.counts, tree.numbers
     kind = SPEED if choice >= len(quad.q) else ARCS if parts > 2 else CUT
     tree.nodes[node, KIND], tree.nodes[node, CHOICE], tree.nodes[node, ROW] = kind, choice, -1
     tree.nodes[node, FIRST], tree.nodes[node, PARTS] = counts[MADE], parts
@@ -402,14 +388,8 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
         copy_to(tree.start[made], tree.start[node])
         copy_to(tree.point[made], tree.point[node])
         _set_leaf(tree, made, tree.known[node, KEY])
-        tree.kept[made] = tree.kept[node]
-        tree.known[made, MU] = tree.known[node, MU]
         if not _set_part(ring, sector, choice, cut, parts, i):
             tree.nodes[made, ROW], tree.known[made, KEY] = -1, np.inf  # nothing is left of it
-            continue
-        if is_free(ring):
-            tree.held[made] = tree.held[node]
-            _open(tree, made, cutoff)
             continue
         for k in range(len(sector)):
             room.changed[k] = False
@@ -425,27 +405,19 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
             if key > tree.known[made, KEY]:
                 tree.known[made, KEY] = key
                 copy_to(tree.point[made], room.trial)
-        _open(tree, made, cutoff)
-
-
-@inlined
-def _open(tree, node, cutoff):
-    """Leave a node open, unless it is of no use."""
-    if tree.known[node, KEY] >= cutoff:
-        _close(tree.numbers, tree.known[node, KEY])
-    else:
-        push(tree.keys, tree.heap, tree.counts[OPEN], tree.known[node, KEY], node)
-        tree.counts[OPEN] += 1
+        if tree.known[made, KEY] >= cutoff:
+            _close(numbers, tree.known[made, KEY])
+        else:
+            push(tree.keys, tree.heap, counts[OPEN], tree.known[made, KEY], made)
+            counts[OPEN] += 1
 
 
 @compiled
 def _take(quad, tree, z):
-    """Take a trajectory for the best one if it is better; return whether it is."""
-    better = tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0
-    if better:
+    """Take a trajectory for the best one if it is better."""
+    if tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0:
         tree.numbers[VALUE] = cost_of(quad, z)
         copy_to(tree.best, z)
-    return better
 
 
 @compiled
@@ -488,11 +460,8 @@ def is_promising(quad, ring, tree, z, sector, share, room):
 
 
 @compiled
-def improve(quad, ring, tree, tolerance, room):
-    """Descend from the speeds and turns that were found promising.
-
-    Where that leads to the best trajectory so far, its own multipliers may prove that it is.
-    """
+def improve(quad, ring, tree, room):
+    """Descend from the speeds and turns that were found promising."""
     hessian, q, z, end = quad.hessian.copy(), quad.q.copy(), room.trial, len(quad.q) - 1
     pulled = Quadratic(hessian, quad.inverse, q, quad.lengths, quad.constant, quad.rank)
     curvature, sector = 0.0, np.empty((end + 1, SECTOR))
@@ -524,45 +493,14 @@ def improve(quad, ring, tree, tolerance, room):
         copy_to(room.other, z)
         if is_promising(quad, ring, tree, room.other, sector, 0.0, room):
             return
-    if legal and _take(quad, tree, z) and is_free(ring):
-        _certify(quad, ring, tree, tolerance, room)
-
-
-@inlined
-def _certify(quad, ring, tree, tolerance, room):
-    """End the search if the multipliers of the best trajectory prove that it is."""
-    counts, numbers, known = tree.counts, tree.numbers, tree.known[0]
-    for k in range(len(quad.q)):
-        outline(ring, tree.sectors[0, k], room.shapes[k])
-    before, cutoff = known[KEY], cutoff_of(numbers[VALUE], quad.constant, tolerance)
-    node = tree.point[0], tree.kept[0], known
-    certify(quad, ring.fraction, room.shapes, tree.best, node, cutoff)
-    if known[KEY] >= cutoff:
-        counts[MADE], counts[OPEN], numbers[CLOSED] = 1, 0, known[KEY]
-        _set_leaf(tree, 0, known[KEY])
-    elif counts[MADE] > 1:
-        known[KEY] = before
-    else:
-        tree.keys[0] = known[KEY]
+    if legal:
+        _take(quad, tree, z)
 
 
 @inlined
 def _choose(quad, ring, tree, node, status, room):
     """Use what a relaxation found; return what to split the node by, -1 for nothing more."""
     counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
-    if is_free(ring):
-        often = np.inf if counts[NODES] < YOUNG or counts[NODES] % EVERY == 0 else 0.0
-        climbed = z, tree.held[node], tree.point[node], tree.kept[node], tree.known[node]
-        set_spread(quad, ring.fraction, sector, climbed, room.other)
-        side = 1.0 if counts[STARTS] % 2 == 0 else -1.0
-        for j in range(len(z)):
-            room.other[j, 0] = z[j, 0] + side * room.other[j, 0]
-            room.other[j, 1] = z[j, 1] + side * room.other[j, 1]
-        counts[PROMISES] = is_promising(quad, ring, tree, room.other, sector, often, room)
-        k = priced_branching(quad, ring.fraction, tree.held[node], z, sector, NARROWEST)
-        angle = np.arctan2(z[k, 1], z[k, 0])
-        cut, parts = _heading_parts(ring, angle, sector[k, LOW], sector[k, HIGH])
-        return k, cut, parts
     choice, cut, parts = _branching(ring, quad.inverse, z, sector)
     if choice < 0 and ring.change == np.inf and ring.within >= HALF:
         _take(quad, tree, z)
@@ -584,15 +522,9 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
     for k in range(len(quad.q)):
         outline(ring, tree.sectors[node, k], room.shapes[k])
     if ways == 1:
-        cutoff, known = cutoff_of(numbers[VALUE], quad.constant, tolerance), tree.known[node]
-        if is_free(ring):
-            sectors, near = tree.sectors[node], NEAR if node > 0 else 0.0
-            held, point, kept = tree.held[node], tree.point[node], tree.kept[node]
-            climbed, sigma = (tree.start[node], held, point, kept, known), ring.fraction
-            status, work = climb(quad, sigma, sectors, room.shapes, climbed, near, cutoff, work)
-        else:
-            relaxed, gap = (tree.start[node], tree.point[node], known), ACCURATE * tolerance
-            status, work = relax(quad, flat, relaxed, (cutoff, gap), room, work)
+        limits = cutoff_of(numbers[VALUE], quad.constant, tolerance), ACCURATE * tolerance
+        relaxed = tree.start[node], tree.point[node], tree.known[node]
+        status, work = relax(quad, flat, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
             choice, cut, parts = _choose(quad, ring, tree, node, status, room)
@@ -649,12 +581,11 @@ def search(quad, ring, tolerance, tree, most, room, work):
 
 @compiled
 def number_leaves(tree):
-    """Number the leaves, gather their points and curvatures at the front; return how many."""
+    """Number the leaves, and gather their points at the front; return how many there are."""
     count = 0
     for node in range(tree.counts[MADE]):
         if tree.nodes[node, KIND] == LEAF and tree.nodes[node, ROW] >= 0:
             tree.nodes[node, ROW] = count
             copy_to(tree.point[count], tree.point[node])
-            tree.kept[count] = tree.kept[node]
             count += 1
     return count

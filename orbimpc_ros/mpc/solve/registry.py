@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.solve.request import Method
 METHODS = [
     ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
-    ('search.shells', 'Shells'),
+    ('solve.annulus_newton', 'AnnulusNewton'),
     ('solve.planar_catch', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
