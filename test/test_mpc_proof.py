@@ -156,11 +156,14 @@ def test_whatever_a_document_holds_it_is_judged_or_refused():
                 verified(made)
 
 
-def document_of(horizon):
-    """Return a certificate without much of a bound."""
-    case = Problem(horizon=horizon), State.at(np.zeros(2), np.eye(2)), np.ones((horizon, 2))
-    leaf = one(np.full((horizon, 2), 0.1), np.full(horizon, -1.0))
-    return json.loads(Certificate(*case, 1.0, leaf).text())
+def document_of(horizon, shor=-1.0, leaves=1):
+    """Return a certificate without much of a bound, whose leaves are the same."""
+    problem = Problem(horizon=horizon)
+    leaf = one(np.full((horizon, 2), 0.1), np.full(horizon, shor))
+    nodes = [[ARCS, 1, 1, leaves, -1], *[[LEAF, 0, 0, 0, 0]] * leaves][leaves == 1 :]
+    tree = leaf._replace(nodes=np.array(nodes), at=np.zeros(len(nodes)))
+    case = problem, State.at(np.zeros(2), np.eye(2)), np.ones((horizon, 2))
+    return json.loads(Certificate(*case, 1.0, tree).text())
 
 
 CONE = {'axis': [1.0, 0.0], 'angle': 1.0, 'least': 0.0, 'steps': []}
@@ -329,3 +332,12 @@ def test_the_least_over_the_orbitope(seed):
     points = coordinates(np.array(rotations))
     least = sets.over_orbitope(g.T.ravel(), np.zeros((4, 4)))
     assert abs(held_against(least, points, g.T.ravel(), 0.0, 0.0)) < 1e-9
+
+
+def test_what_takes_more_work_than_its_length_may_is_refused():
+    assert verified(document_of(200)).leaves == 1
+    with pytest.raises(Refused, match='work'):
+        verified(document_of(200, shor=1.0))
+    assert verified(document_of(50, leaves=40)).leaves == 40
+    with pytest.raises(Refused, match='work'):  # a leaf that many nodes share is as much work
+        verified(document_of(50, leaves=4000))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -46,6 +47,8 @@ MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
 SOUGHT = ('problem', 'state', 'goals', 'radius')
 ARRAYS = ('nodes', 'at', 'point', 'shor', 'press_end', 'press_row', 'press')
+EACH, TERM = 100, 12  # microseconds that a number of a leaf takes, and a term of a Hessian
+LEAST_WORK, WORK = 2_000_000, 40  # microseconds, and for each character of a document
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +153,8 @@ def verified(document: Any) -> Verdict:
     """Return what a certificate, as JSON has it, comes to in exact arithmetic.
 
     Raises:
-        Refused: it is malformed, or a problem is none that can be stated in fractions.
+        Refused: it is malformed, too much work for its length, or of a problem that cannot be
+            stated in fractions.
     """
     if isinstance(document, dict) and document.get('format') == OLD:
         raise Refused(f'format is {OLD!r}, which is read no more: {FORMAT!r} is')
@@ -168,11 +172,9 @@ def _verdict(document: Any) -> Verdict:
         raise BadInput('format', document['format'], FORMAT)
     if refutes:
         return _refuting(document)
-    tree = _tree(document['tree'])
-    claimed, proved = (
-        number(document['lower_bound'], 'lower_bound'),
-        _proved(_posed(document), tree),
-    )
+    tree, posed = _tree(document['tree']), _posed(document)
+    claimed = number(document['lower_bound'], 'lower_bound')
+    (proved,) = _proved([posed], [tree], document['tree'])
     holds = claimed <= 0.0 or Fraction(claimed) * (1 - RELATIVE) <= proved
     return Verdict(claimed, proved, _leaves(tree, LEAF), holds)
 
@@ -181,7 +183,7 @@ def _refuting(document: Any) -> Verdict:
     claim = fields_of(document['refuted'], 'refuted', ('trees',), ('radius', 'cone'))
     trees = [_tree(each) for each in _items(claim['trees'], 'trees')]
     problems = refuted_by(document, len(trees))
-    proved = map(_proved, problems, trees)
+    proved = _proved(problems, trees, claim['trees'])
     whole = next((k for k, each in enumerate(proved) if each < math.inf), len(trees))
     leaves, holds = sum(_leaves(tree, EMPTY) for tree in trees), whole == len(trees)
     if 'radius' not in claim:
@@ -191,13 +193,38 @@ def _refuting(document: Any) -> Verdict:
     return Verdict(ends[0], ends[1], leaves, holds)
 
 
-def _proved(posed: Posed, tree: ProofTree) -> float:
+def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) -> Iterator[float]:
+    """Return what trees prove, unless that is too much work for their length as JSON has them.
+
+    Raises:
+        Refused: it is.
+    """
+    work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
+    if work > LEAST_WORK + WORK * len(json.dumps(stated)):
+        raise Refused('it takes more work than a document of its length may')
+    return map(_exact, problems, trees)
+
+
+def _exact(posed: Posed, tree: ProofTree) -> float:
     exact = Verifier(posed.problem, Fraction)
     return exact.bound(posed.state, posed.goals, tree, None, posed.limits, posed.radius)
 
 
 def _leaves(tree: ProofTree, kind: int) -> int:
     return int((tree.nodes[:, 0] == kind).sum())
+
+
+def _work(tree: ProofTree, problem: Problem) -> int:
+    """Return how long it takes to go through a tree, at most [us]; whose arrays may not fit."""
+    if tree.shor.ndim != 2 or tree.press_end.shape != tree.shor.shape[:1]:
+        return 0  # it proves nothing
+    rows = tree.nodes[(tree.nodes[:, 0] == LEAF) | (tree.nodes[:, 0] == EMPTY), -1]
+    rows = rows[(rows >= 0) & (rows < len(tree.shor))]  # which leaves may share
+    pressed = np.clip(np.diff(tree.press_end, prepend=0), 0, tree.press.size)
+    numbers = len(rows) * math.prod(tree.point.shape[1:]) + int(pressed[rows].sum())
+    bent = int(np.count_nonzero(np.any(tree.shor[rows] > 0.0, axis=1)))
+    work = EACH * numbers + TERM * (bent + (bent > 0)) * problem.horizon**3 // 6
+    return work + len(tree.nodes) * problem.horizon + TERM * problem.horizon**2
 
 
 # --- what is refuted
