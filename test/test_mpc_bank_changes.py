@@ -180,14 +180,27 @@ def test_a_goal_lost_for_long_is_held_where_it_is_seen_again():
 
 @pytest.mark.parametrize('family', ['still', 'carrier', 'turn'])
 def test_a_long_watch_needs_no_more_memory_and_loses_nothing(family):
-    """Twenty minutes of sightings: what is remembered is bounded, and the forecast stays exact."""
+    """An hour of sightings: sums and sightings keep their sizes, and the forecast stays exact."""
     motion = drawn(family, 2, np.random.default_rng(10))
-    times = START + 0.5 * np.arange(3 * MEMORY)
-    bank = shown(times, motion(times))
-    assert max(len(each) for each in vars(bank).values() if hasattr(each, '__len__')) <= MEMORY
+    times = START + 0.5 * np.arange(4 * MEMORY)
+    bank = shown(times[: MEMORY // 2], motion(times[: MEMORY // 2]))
+    held = footprint(bank)
+    shown(times[MEMORY // 2 :], motion(times[MEMORY // 2 :]), bank)
+    assert footprint(bank) <= held
     ahead = times[-1] + np.arange(0.0, 4.0)
     np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
     assert bank.model == family
+
+
+def footprint(thing):
+    """Bytes of the arrays that an object and its parts hold."""
+    if isinstance(thing, np.ndarray):
+        return thing.nbytes
+    parts = thing if isinstance(thing, (list, tuple)) else vars(thing).values()
+    parts = [
+        each for each in parts if hasattr(each, '__dict__') or isinstance(each, np.ndarray | list)
+    ]
+    return sum(map(footprint, parts))
 
 
 @pytest.mark.parametrize('seed', range(8))

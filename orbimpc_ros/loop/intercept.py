@@ -53,9 +53,10 @@ from orbimpc_ros.loop.task import Answer, Solvers, Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Problem, Weights
+from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.solve.request import Enough
@@ -284,14 +285,15 @@ class Interception:
         """
         bound, counted, best = 1, 1, MISSED
         goals = self._goals(query, self._horizon)
-        too_far = missed(self._tracked, query.task.state, goals, self._radius)
+        too_far = self._too_far(query.task.state, goals, self._tracked)
+        surely = missed(self._tracked, query.task.state, goals, self._radius)
         travel = self._travel(goals)
         for end in range(1, self._horizon + 1):
             attempt = NEVER if too_far[end - 1] else self._tried(query, end, goals[:end])
             if self._is_well(attempt):
                 return attempt, bound, counted
             bound += bound == end and attempt.never
-            known = attempt.checked or bool(too_far[end - 1])
+            known = attempt.checked or bool(surely[end - 1])
             counted += counted == end and attempt.never and known
             if attempt.miss <= self._radius + travel:
                 attempt = min(attempt, self._passing(query, end), key=_miss)
@@ -437,7 +439,7 @@ class Interception:
     def _at_end(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
         """Try to catch the goal at any end, as in :meth:`_attempted`."""
         target, goals = Target(end, narrow=self._coned), self._goals(query, end)
-        if missed(self.problem(target), query.task.state, goals, self._radius)[-1]:
+        if self._too_far(query.task.state, goals, self.problem(target))[-1]:
             return NEVER
         return self._attempted(query, target, goals, near)
 
@@ -502,6 +504,16 @@ class Interception:
         if away <= self._well(target.end):  # where any way will do, there may be nearer ones
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
+
+    def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
+        """Return at the end of which steps the goal is out of reach, even if R_0 were free.
+
+        A goal that the first step passes is out of reach at its end, and met within it. The problem
+        that is tracked tells it of all ends within the horizon at once.
+        """
+        reach = np.abs(problem.maps.reach).sum(axis=1)
+        away = goals - drift(problem, state)
+        return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach + self._radius)
 
 
 def _first_turn(plan: Plan) -> float:

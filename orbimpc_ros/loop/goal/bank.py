@@ -1,15 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""A forecast that fits the goal at hand: a bank of motions, each as likely as its evidence.
+"""A forecast that fits the goal at hand: a bank of motions, each as likely as its evidence.
 
-Every family of motion is linear in some of the columns
-
-.. math:: 1,\ t,\ t^2,\ C = e^{-\delta t}\cos\omega t,\ S = e^{-\delta t}\sin\omega t,\ tC,\ tS,
-
-whose last two are the directions in which :math:`\omega` and :math:`\delta` move coefficients.
-Given these two a fit is a Bayesian regression in closed form; they take Gauss-Newton steps on what
-it leaves (variable projection), from the best of a grid. The noise has a gamma prior on its
-precision and is integrated out. The goal has changed its course where its last sightings are much
-likelier as a motion of their own.
+Work is shared out so that no sighting costs much: of two, the first is gated, summed up, and pays
+for two tasks that make oscillations better known; with the second all families are fitted anew, and
+it is tested whether the goal changed its course.
 
 Mathematics: docs/mathematics.md, 7.4.
 """
@@ -17,203 +11,128 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.goal.fits import (
+    ACCELERATION,
+    CARRIER,
+    COSINE,
+    DAMPED,
+    DRIFTING,
+    FIXED,
+    NAMES,
+    OSCILLATING,
+    PLACE,
+    SPEED,
+    SWING,
+    THRUST,
+    TINY,
+    TURN,
+    UNKNOWN,
+    Fits,
+    Noise,
+    Past,
+    Placement,
+    Spectrum,
+    arc,
+    circle,
+    columns,
+    data_evidence,
+)
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import skew
 
-COLUMNS, FREE = 7, 5  # the first of which have coefficients of their own
-ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
-NAMES = ('still', 'velocity', 'acceleration', 'swing', 'carrier', 'damped', 'turn')
-STILL, VELOCITY, ACCELERATION, SWING, CARRIER, DAMPED, TURN = range(len(NAMES))
-EVERY = np.arange(len(NAMES))
-OSCILLATING = EVERY >= SWING  # with a frequency to be found
-DIAGONAL = np.arange(FREE)
-BASIS = np.zeros((len(NAMES), FREE), dtype=bool)
-BASIS[:, ONE] = True
-BASIS[[VELOCITY, ACCELERATION, CARRIER], LINEAR] = True
-BASIS[ACCELERATION, SQUARE] = True
-BASIS[SWING:TURN, COSINE:] = True
-ODDS = np.array([-5.0, 0.0, -5.0, -6.0, -7.0, -7.0, -3.0])  # logarithms, before any sighting
-PLACE, SPEED, THRUST = 3.0, 5.0, 1.0  # prior deviations [m], [m/s], half an acceleration [m/s^2]
-SIZE, PUSH = 5.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
-PULSE = 1.0  # of angular frequency and damping [1/s]
-TINY = 1e-12  # [1/m^2] precision of a place that may be anywhere
-SLOWEST, FASTEST, MOST_DAMPED = 0.02, 4.0 * math.pi, 2.0  # [rad/s], [rad/s], [1/s]
-SLOW = 2.0 * math.pi * np.geomspace(0.01, 0.15, 16)  # [rad/s] tried, then evenly as resolved
-APART = 2.0  # [rad] that neighbours on the grid come apart in the time of a search
-NYQUIST = 0.45  # cycles a sighting that still count as resolved
+# Sightings of a new motion: even, for of older sightings every other one was weighed.
+LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
+TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
+RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
+WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
+ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
+
+
+class Changes:
+    """Compares one motion with a new one, still, straight or bent, through the latest sightings."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self._times = np.zeros(LENGTHS[-1] + 1)
+        self._seen = np.zeros((LENGTHS[-1] + 1, n))
+        self._evidence = np.full(LENGTHS[-1] + 1, -np.inf)
+        self._noise = np.ones((LENGTHS[-1] + 1, 2))
+        self._count = 0
+
+    def note(self, time: float, position: Array) -> None:
+        """Note a sighting."""
+        self._count += 1
+        new = self._count % len(self._times)
+        self._times[new], self._seen[new] = time, position
+
+    def weigh(self, evidence: float, noise: Noise) -> None:
+        """Note the evidence of one motion through all sightings so far, and what noise it has."""
+        now = self._count % len(self._evidence)
+        self._evidence[now], self._noise[now] = evidence, noise
+
+    def noise(self, new: int) -> Noise:
+        """Return what was known of the noise before the ``new`` latest sightings."""
+        return Noise(*map(float, self._noise[(self._count - new) % len(self._noise)]))
+
+    def found(self) -> int:
+        """Return how many sightings a new motion has, if one is likely; otherwise 0."""
+        usable = int(np.searchsorted(LENGTHS, self._count - 1, side='right'))
+        if not usable:
+            return 0
+        now, size = self._count, len(self._evidence)
+        before = (now - LENGTHS[:usable]) % size
+        gain = self._evidence[before] + self._anew(before)
+        if gain.max() + RARE <= self._evidence[now % size]:
+            return 0
+        return int(LENGTHS[np.flatnonzero(gain > gain.max() - TIE)[-1]])
+
+    def _anew(self, before: np.ndarray) -> Array:
+        """Return the evidence of a still, straight or bent motion after each of ``before``.
+
+        One factor holds the fits of all three, for the columns of each are the first of the next.
+        """
+        n, lengths = self._n, LENGTHS[: len(before)]
+        share, scale = self._noise[before].T
+        variance = scale / share
+        latest = (self._count - np.arange(lengths[-1])) % len(self._times)
+        rows = (self._times[latest] - self._times[latest[0]])[:, None] ** np.arange(3.0)
+        seen = self._seen[latest] - self._seen[latest[0]]
+        gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
+        moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
+        square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
+        prior = variance[:, None] / WIDTHS**2
+        gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
+        factor = np.linalg.cholesky(gram)
+        white = np.linalg.solve(factor, moments)
+        explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
+        spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
+        found = data_evidence(
+            np.maximum(square[:, None] - explained, 0.0),
+            float(n) * lengths[:, None],
+            share[:, None],
+            scale[:, None],
+        )
+        found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS
+        return np.asarray(np.logaddexp.reduce(found, axis=1))
+
 
 MEMORY, KEPT = 768, 512  # sightings: as many as are remembered, and as survive when they are full
-LONG = 20.0  # [s] that the grid is fine enough for
-LOOKED_AT = 128  # sightings that a search over the grid takes at most
-BENT_FROM, SWINGS_FROM = 5, 6  # sightings
 BELIEVED = 3  # sightings off the forecast, one after another, that are a new motion
 GATE = 6.0  # standard deviations beyond which a sighting is off the forecast
 AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may have
-SELDOM, YOUNG = 0.4, 16  # [s], sightings: later and sooner every other one waits for the next
 LOST = 60.0  # [s] unseen for longer, a goal may do anything
 FAR = 1e7  # [m] what is farther away than that is another goal
+SWINGS_FROM = 6  # sightings
+YOUNG = 16  # sightings up to which each is worked on at once, later every other one
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
-BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a frequency is sought elsewhere
+BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
+PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting that pays for one more task, and how many at most
 STEPS = 4  # of Gauss-Newton on a closer look
 SPEED_OVER = 0.5  # [s]
-LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])  # sightings of a new motion
-TIE = 1.0  # lengths whose evidence is that close are as likely; the longest tells most
-RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
-NEW_ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
-_log_gamma = np.frompyfunc(math.lgamma, 1, 1)
-
-
-class Noise(NamedTuple):
-    """What is known of the noise of sightings: a gamma distribution of its precision."""
-
-    share: float | Array  # half as many numbers as hold as much information
-    scale: float | Array  # half the sum of their squares [m^2]
-
-
-UNKNOWN = Noise(1.0, 2e-4)  # 1.4 cm, or ten times less or more
-LEAST = 1e-5  # [m^2] variance that is recalled at least
-RECALLED = 8.0  # most that an earlier motion's noise counts for
-
-
-class Fits(NamedTuple):
-    """B fits: the leading axis of all."""
-
-    coefficients: Array  # with the step, shape (B, 7, n)
-    step: Array  # of angular frequency and damping first, shape (B, K) [1/s]
-    misfit: Array  # sum of squares left, with what the priors add, shape (B,) [m^2]
-    noise: Array  # variance that sightings seem to have, shape (B,) [m^2]
-    evidence: Array  # logarithm, shape (B,)
-    inverse: Array  # of the normal equations, shape (B, 5, 5)
-    directions: Array  # of what is not linear, beside what is, shape (B, K, 7, n)
-    covariance: Array  # of the step, shape (B, K, K)
-
-    def spread(self, rows: Array) -> Array:
-        """Return the sum of squares of the spread at ``rows``, (B, 7), per unit of noise, (B,)."""
-        n = self.coefficients.shape[2]
-        linear = n * np.einsum('bi,bij,bj->b', rows[:, :FREE], self.inverse, rows[:, :FREE])
-        moved = np.einsum('bi,bkin->bkn', rows, self.directions)
-        return np.asarray(linear + np.einsum('bkn,bkl,bln->b', moved, self.covariance, moved))
-
-
-def columns(times: Array, rates: Array | float, dampings: Array | float) -> Array:
-    """Return the seven columns at ``times``, with a last axis of 7; the arguments broadcast."""
-    phase = rates * times
-    fading = np.exp(-dampings * times)
-    x = np.empty((*phase.shape, COLUMNS))
-    x[..., ONE] = 1.0
-    x[..., LINEAR] = times
-    x[..., SQUARE] = times * times
-    x[..., COSINE] = fading * np.cos(phase)
-    x[..., SINE] = fading * np.sin(phase)
-    x[..., T_COSINE] = times * x[..., COSINE]
-    x[..., T_SINE] = times * x[..., SINE]
-    return x
-
-
-class Sums(NamedTuple):
-    """What B fits need of their sightings: the leading axis of all."""
-
-    gram: Array  # products of the columns, shape (B, 7, 7)
-    moments: Array  # their products with the positions, shape (B, 7, n)
-    square: Array  # of the positions, shape (B,) [m^2]
-    sightings: Array  # how many, shape (B,)
-
-
-def summed(rates: Array, dampings: Array, times: Array, seen: Array) -> Sums:
-    """Return the sums over sightings at ``times``, shape (M,) [s], ``seen`` at (M, n) [m]."""
-    x = columns(times[None], rates[:, None], dampings[:, None])
-    turned, every = np.swapaxes(x, 1, 2), np.ones(len(rates))
-    return Sums(turned @ x, turned @ seen, np.sum(seen * seen) * every, len(times) * every)
-
-
-def fitted(family: np.ndarray, rates: Array, sums: Sums, noise: Noise, circle: Array) -> Fits:
-    """Fit families, shape (B,), at angular frequencies, shape (B,) [rad/s].
-
-    ``circle`` has the coefficients of cosine and sine about which turns are fitted, shape (2, n).
-    """
-    gram, moments, square, count = sums
-    n, used, turns = moments.shape[2], BASIS[family], family == TURN
-    base = np.zeros_like(moments)
-    base[turns, COSINE : SINE + 1] = circle
-    share, scale = noise
-    known = np.broadcast_to(scale / share, family.shape)[:, None]
-    width = np.empty(used.shape)
-    width[:, ONE], width[:, LINEAR], width[:, SQUARE] = PLACE, SPEED, THRUST
-    rates = np.maximum(rates, SLOWEST)
-    size = 1.0 / SIZE**2 + (rates / SPEED) ** 2 + (rates**2 / PUSH) ** 2
-    width[:, COSINE:] = size[:, None] ** -0.5
-    precision = np.where(used, known / width**2, 1.0)
-    normal = gram[:, :FREE, :FREE] * (used[:, :, None] & used[:, None, :])
-    normal[:, DIAGONAL, DIAGONAL] += precision
-    normal[:, ONE, ONE] = gram[:, ONE, ONE] + TINY * known[:, 0]
-    inverse = np.linalg.inv(normal)
-    left = moments - gram @ base
-    square = square - np.sum(base * (moments + left), axis=(1, 2))
-    theta = np.zeros_like(moments)
-    theta[:, :FREE] = inverse @ (left[:, :FREE] * used[:, :, None])
-    square = square - np.sum(theta * left, axis=(1, 2))
-    theta += base
-    toward, price = _directions(family, theta, known, rates)
-    pushed = gram[:, None] @ toward
-    toward[:, :, :FREE] -= inverse[:, None] @ (pushed[:, :, :FREE] * used[:, None, :, None])
-    flat = toward.reshape(*toward.shape[:2], -1)
-    covariance = np.linalg.inv(
-        flat @ np.swapaxes(pushed.reshape(flat.shape), 1, 2) + price[:, None] * np.eye(len(price.T))
-    )
-    slope = flat @ (moments - gram @ theta).reshape(len(family), -1, 1)
-    step = (covariance @ slope)[:, :, 0]
-    misfit = np.maximum(square - np.sum(step * slope[:, :, 0], axis=1), 0.0)
-    spread = n * (np.log(precision).sum(axis=1) + np.linalg.slogdet(inverse)[1])
-    spread += np.log(price).sum(axis=1) + np.linalg.slogdet(covariance)[1]
-    evidence = 0.5 * spread + _data_evidence(misfit, 0.5 * n * count, noise)
-    noises = (scale + 0.5 * misfit) / (share + 0.5 * n * count)
-    theta += (step[:, None] @ flat)[:, 0].reshape(theta.shape)
-    return Fits(theta, step, misfit, noises, evidence, inverse, toward, covariance)
-
-
-def _directions(
-    family: np.ndarray, theta: Array, known: Array, rates: Array
-) -> tuple[Array, Array]:
-    """Return where coefficients move that are not free, (B, K, 7, n), and prior precisions, (B, K).
-
-    By angular frequency and damping; of a turn also by its size and its attitude, in metres of the
-    rim, so that a circle of no size does not pass for a still goal.
-    """
-    n = theta.shape[2]
-    kinds = np.zeros((len(family), 3 + n * (n - 1) // 2), dtype=bool)
-    kinds[:, 0], kinds[:, 1] = OSCILLATING[family], family == DAMPED
-    kinds[:, 2:] = (family == TURN)[:, None]
-    price = np.where(kinds, known / PULSE**2, 1.0)
-    price[:, 2:] = np.where(kinds[:, 2:], known * (rates[:, None] / SPEED) ** 2, 1.0)
-    toward = np.zeros((*kinds.shape, COLUMNS, n))
-    a, b = theta[:, COSINE], theta[:, SINE]
-    toward[:, 0, T_COSINE], toward[:, 0, T_SINE] = b, -a
-    toward[:, 1, T_COSINE], toward[:, 1, T_SINE] = -a, -b
-    pair = theta[:, COSINE : SINE + 1]
-    pair = pair / np.maximum(np.linalg.norm(a, axis=1), TINY)[:, None, None]
-    toward[:, 2, COSINE : SINE + 1] = pair
-    for i, axis in enumerate(np.eye(kinds.shape[1] - 3)):
-        toward[:, 3 + i, COSINE : SINE + 1] = pair @ skew(axis).T
-    return toward * kinds[:, :, None, None], price
-
-
-def circle_of(pair: Array) -> Array:
-    """Return the circle nearest to an ellipse's coefficients of cosine and sine, shape (2, n)."""
-    u, sizes, v = np.linalg.svd(pair, full_matrices=False)
-    return np.asarray(sizes.mean() * u @ v)
-
-
-def _data_evidence(misfit: Array, half: Array, noise: Noise) -> Array:
-    """Return the part of the evidence that the misfit of twice ``half`` as many numbers decides."""
-    share, scale = noise
-    constant = np.asarray(_log_gamma(share + half) - _log_gamma(share), dtype=float)
-    constant += share * np.log(scale) - half * math.log(2.0 * math.pi)
-    return np.asarray(constant - (share + half) * np.log(scale + 0.5 * misfit))
+WORTHWHILE = 0.01  # units of the noise that a step should gain
 
 
 class Bank:
@@ -229,6 +148,7 @@ class Bank:
         self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
         self._lately: list[tuple[float, Array]] = []
         self._fastest = 0.0  # speed seen [m/s]
+        self._waiting: list[Placement] = []
 
     @property
     def model(self) -> str:
@@ -243,18 +163,9 @@ class Bank:
         if self._last is not None and time <= self._last:
             return
         if self._last is None or len(position) != self._n or time - self._last > LOST:
-            self._begin(np.array([time]), position[None], UNKNOWN)
-        elif self._expected(time, position):
-            self._apart = []
-            if self._append(time, position, time - self._last) and self._changed():
-                self._reconsider()
-            if len(self._times) == MEMORY:
-                self._shorten()
+            self._begin(np.array([time]), position[None])
         else:
-            self._apart.append((time, position))
-            if len(self._apart) == BELIEVED:
-                times, seen = zip(*self._apart, strict=True)
-                self._begin(np.array(times), np.array(seen), self._learnt())
+            self._learn(time, position, time - self._last)
         self._last = time
 
     def at(self, times: Array) -> Array:
@@ -264,53 +175,19 @@ class Bank:
         """
         used = np.flatnonzero(self._shares > NEGLIGIBLE)
         shares = self._shares[used] / self._shares[used].sum()
+        rates, dampings = self._fits.rates[used, None], self._fits.dampings[used, None]
+        x = columns((times - self._epoch)[None], rates, dampings)
         assert self._last is not None
-        every = np.append(self._last, times) - self._epoch
-        x = columns(every[None], self._rates[used, None], self._dampings[used, None])
-        places = x @ self._fits.coefficients[used]
+        rows = self._fits.rows(self._last - self._epoch)[used, None]
+        now, places = rows @ self._fitted[used], x @ self._fitted[used]
         # No farther from the present places than the fastest speed seen leads.
-        now, moved = places[:, :1], places[:, 1:] - places[:, :1]
-        reach = self._fastest * np.maximum(times - self._last, 0.0)
+        moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
         size = np.linalg.norm(moved, axis=2)
         share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
         share[:, times <= self._last] = 1.0
-        return np.asarray(
-            np.einsum('b,btn->tn', shares, now + share[..., None] * moved) + self._origin
-        )
-
-    # --- taking in
-
-    def _begin(self, times: Array, seen: Array, noise: Noise) -> None:
-        """Start afresh with the first sightings of a motion: times, (M,), and positions, (M, n)."""
-        with np.errstate(over='ignore'):
-            together = np.abs(seen - seen[-1]).max(axis=1) <= FAR
-        times, seen = times[together], seen[together]
-        self._n, self._noise = seen.shape[1], noise
-        self._epoch, self._origin = float(times[0]), seen[0].copy()
-        self._times, self._seen = np.zeros(0), np.zeros((0, self._n))
-        self._rates, self._dampings = np.zeros((2, len(NAMES)))
-        self._circle: Array = np.zeros((2, self._n))  # about which a turn is fitted
-        self._history: dict[int, tuple[float, Noise]] = {}  # evidence and noise, by sightings
-        self._searched, self._apart = 0, []
-        for time, position in zip(times, seen, strict=True):
-            self._append(float(time), position)
-
-    def _append(self, time: float, position: Array, waited: float = math.inf) -> bool:
-        """Add a sighting after a wait [s]; return whether all families were fitted anew.
-
-        Of many sightings soon one after another every other one waits for the next.
-        """
-        self._note_speed(time, position)
-        self._times = np.append(self._times, time - self._epoch)
-        self._seen = np.vstack([self._seen, position - self._origin])
-        if waited < SELDOM and len(self._times) > YOUNG and len(self._times) % 2:
-            return False
-        self._move()
-        self._fit()
-        if len(self._times) >= self._searched + max(1, self._searched // 8):
-            self._search()
-        self._conclude()
-        return True
+        places = now + share[..., None] * moved
+        mean = (shares @ places.reshape(len(used), -1)).reshape(len(times), -1)
+        return np.asarray(mean + self._origin)
 
     def _note_speed(self, time: float, position: Array) -> None:
         """Note how fast the goal has moved lately, over half a second or the last two sightings."""
@@ -322,141 +199,201 @@ class Bank:
             speed = math.dist(position, place) / (time - begun)
             self._fastest = max(self._fastest, min(speed, FAR))
 
-    def _expected(self, time: float, position: Array) -> bool:
+    # --- taking in
+
+    def _learn(self, time: float, position: Array, waited: float) -> None:
+        rows = self._fits.rows(time - self._epoch)
+        if not self._expected(position, rows, waited):
+            self._doubt(time, position)
+            return
+        self._apart = []
+        if self._waiting:
+            self._put_waiting()
+            rows = self._fits.rows(time - self._epoch)
+        self._append(time, position, rows)
+        self._work(waited)
+        if self._count == MEMORY:
+            self._shorten()
+
+    def _doubt(self, time: float, position: Array) -> None:
+        """Keep a sighting off the forecast apart; with some more it is a new motion."""
+        self._apart.append((time, position))
+        if len(self._apart) == BELIEVED:
+            times, seen = zip(*self._apart, strict=True)
+            self._begin(np.array(times), np.array(seen), self._fits.noise())
+
+    def _work(self, waited: float) -> None:
+        """Do what is due after a sighting: of two tasks one, or both after a wait [s]."""
+        at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
+        if at_leisure or not odd:
+            for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
+                self._refine()
+        if at_leisure or odd:
+            self._put_waiting()
+            self._conclude()
+            if self._changes.found():
+                self._reconsider()
+
+    def _put_waiting(self) -> None:
+        """Put families where tasks want them, now that a fit to all sightings follows."""
+        for each in self._waiting:
+            self._fits.put(each)
+        self._waiting = []
+
+    def _expected(self, position: Array, rows: Array, waited: float) -> bool:
         """Return whether any motion that is likely at all has the goal near there."""
-        with np.errstate(over='ignore'):
-            if np.abs(position - self._origin).max() > FAR:
-                return False
-        assert self._last is not None
-        since = np.full(len(NAMES), time - self._epoch)
-        rows = columns(since, self._rates, self._dampings)
-        off = np.einsum('bi,bin->bn', rows, self._fits.coefficients) - (position - self._origin)
-        spread = self._fits.noise * (1.0 + self._fits.spread(rows))
-        allowed = GATE**2 * (spread + (0.5 * AGILE * (time - self._last) ** 2) ** 2)
-        return bool(np.any((np.sum(off * off, axis=1) <= allowed) & (self._shares > LIKELY)))
+        if _far(position, self._origin):
+            return False
+        off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
+        spread = self._fits.noises * (1.0 + self._fits.spread(rows))
+        allowed = GATE**2 * (spread + (0.5 * AGILE * waited * waited) ** 2)
+        near = np.sum(off * off, axis=1) <= allowed
+        return bool(np.any(near & (self._shares > LIKELY)))
 
-    def _shorten(self) -> None:
-        """Drop the oldest sightings; frequencies are kept."""
-        by, offset = self._times[-KEPT], self._seen[-KEPT]
-        self._times, self._seen = self._times[-KEPT:] - by, self._seen[-KEPT:] - offset
-        self._epoch, self._origin = self._epoch + float(by), self._origin + offset
-        self._history, self._searched = {}, MEMORY
-        self._fit()
-        self._search()
-        self._conclude()
+    def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
+        """Start afresh with the first sightings of a motion: times, (M,), and positions, (M, n)."""
+        together = [not _far(each, seen[-1]) for each in seen]
+        times, seen = times[together], seen[together]
+        self._n = seen.shape[1]
+        self._epoch, self._origin = float(times[0]), seen[0].copy()
+        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, self._n))
+        self._fits, self._changes = Fits(self._n, noise), Changes(self._n)
+        self._spectrum: Spectrum | None = Spectrum(self._n)
+        self._count, self._tasks = 0, 0
+        self._apart, self._waiting = [], []
+        for time, position in zip(times, seen, strict=True):
+            self._append(float(time), position, self._fits.rows(time - self._epoch))
+            self._conclude()
 
-    # --- fits
-
-    def _fit(self) -> None:
-        """Fit all families to all sightings, at their frequencies."""
-        sums = summed(self._rates, self._dampings, self._times, self._seen)
-        self._fits = fitted(EVERY, self._rates, sums, self._noise, self._circle)
+    def _append(self, time: float, position: Array, rows: Array) -> None:
+        self._note_speed(time, position)
+        since, place = time - self._epoch, position - self._origin
+        self._times[self._count], self._seen[self._count] = since, place
+        self._count += 1
+        self._fits.add(rows, place)
+        self._changes.note(since, place)
 
     def _conclude(self) -> None:
-        """Weigh the families."""
-        evidence = ODDS + self._fits.evidence
-        evidence[OSCILLATING & (self._rates == 0.0)] = -np.inf
-        if len(self._times) < BENT_FROM:
-            evidence[ACCELERATION] = -np.inf
-        best = evidence.max()
-        shares = np.exp(evidence - best)
-        self._shares = shares / shares.sum()
-        count = len(self._times)
-        self._history[count] = best + math.log(shares.sum()), self._learnt()
-        self._history.pop(count - int(LENGTHS[-1]) - 1, None)
-        self._history.pop(count - int(LENGTHS[-1]) - 2, None)
-
-    def _move(self) -> None:
-        """Take a Gauss-Newton step of each frequency, shortened to where linearity ends."""
-        if len(self._times) < SWINGS_FROM:
-            return
-        step = self._fits.step[:, :2]
-        step = step / np.maximum(1.0, self._times[-1] * np.abs(step).max(axis=1, keepdims=True))
-        moved = np.clip(self._rates + step[:, 0], SLOWEST, FASTEST)
-        self._rates = np.where(self._rates > 0.0, moved, 0.0)
-        self._dampings = np.clip(self._dampings + step[:, 1], 0.0, MOST_DAMPED)
-        self._circle = circle_of(self._fits.coefficients[TURN, COSINE : SINE + 1])
-
-    def _search(self) -> None:
-        """Look for better frequencies on the grid."""
-        count = len(self._times)
-        if count < SWINGS_FROM:
-            return
-        self._searched, every = count, -(-count // LOOKED_AT)
-        times, seen = self._times[::every], self._seen[::every]
-        span = float(times[-1])
-        resolved = min(FASTEST, 2.0 * math.pi * NYQUIST * len(times) / span)
-        even = np.arange(SLOW[-1], resolved, APART / min(span, LONG))
-        grid = np.concatenate([SLOW[resolved > SLOW], even[1:]]) if len(even) else SLOW[:1]
-        sums = summed(grid, np.zeros_like(grid), times, seen)
-        for family in (SWING, CARRIER):
-            tried = fitted(np.full(len(grid), family), grid, sums, self._noise, self._circle)
-            best = int(np.argmin(tried.misfit))
-            ours = self._fits.misfit[family] * len(times) / count
-            if not self._rates[family] or tried.misfit[best] < BETTER * ours:
-                self._rates[family] = grid[best]
-        self._fit()
-        misfit, swing = self._fits.misfit, self._fits.coefficients[SWING, COSINE : SINE + 1]
-        worse = (self._rates == 0.0) | (misfit > WORSE * misfit[SWING])
-        worse &= (EVERY >= DAMPED) & swing.any()  # a circle of no size is no turn
-        self._rates[worse], self._dampings[worse] = self._rates[SWING], 0.0
-        if worse[TURN]:
-            self._circle = circle_of(swing)
-        self._fit()
-
-    def _learnt(self) -> Noise:
-        """Return what the likeliest family has taught of the noise, to be recalled later.
-
-        As many numbers as its parameters take are fitted exactly, and teach nothing.
-        """
-        best = int(np.argmax(self._shares))
-        taken = self._n * BASIS[best].sum() + OSCILLATING[best] + (best == DAMPED)
-        taken += (1 + self._n * (self._n - 1) // 2) * (best == TURN)
-        left = 0.5 * float(len(self._times) * self._n - taken)
-        if left <= 0.0:
-            return self._noise
-        share = self._noise.share + left
-        scale = self._noise.scale + 0.5 * float(self._fits.misfit[best])
-        kept = min(share, RECALLED)
-        return Noise(kept, kept * max(scale / share, LEAST))
-
-    # --- changes of course
-
-    def _changed(self) -> int:
-        """Return how many sightings a new motion has, if one is likely; otherwise 0."""
-        count = len(self._times)
-        lengths = np.array([each for each in LENGTHS if count - each in self._history])
-        if not len(lengths):
-            return 0
-        before = [self._history[count - length] for length in lengths]
-        anew = self._anew(lengths, Noise(*np.array([noise for _, noise in before]).T))
-        gain = np.array([evidence for evidence, _ in before]) + anew
-        if gain.max() + RARE <= self._history[count][0]:
-            return 0
-        return int(lengths[np.flatnonzero(gain > gain.max() - TIE)[-1]])
-
-    def _anew(self, lengths: np.ndarray, noise: Noise) -> Array:
-        """Return the evidence of a still, straight or bent motion through the latest sightings."""
-        most = int(lengths[-1])
-        times, seen = self._times[: -most - 1 : -1], self._seen[: -most - 1 : -1]
-        x, y = columns(times - times[0], 0.0, 0.0), seen - seen[0]
-        products = x[:, :, None] * x[:, None], x[:, :, None] * y[:, None], np.sum(y * y, axis=1)
-        each = (np.cumsum(product, axis=0)[lengths - 1] for product in products)
-        sums = Sums(*(np.repeat(one, 3, axis=0) for one in (*each, lengths)))
-        family, noise = (
-            np.tile(EVERY[:3], len(lengths)),
-            Noise(*np.repeat(np.array(noise), 3, axis=1)),
-        )
-        found = fitted(family, np.zeros(len(family)), sums, noise, self._circle).evidence
-        return np.asarray(np.logaddexp.reduce(found.reshape(-1, 3) + NEW_ODDS, axis=1))
+        """Fit, and weigh the families."""
+        self._fits.solve()
+        best = self._fits.evidence.max()
+        shares = np.exp(self._fits.evidence - best)
+        total = shares.sum()
+        self._shares = shares / total
+        self._changes.weigh(best + math.log(total), self._fits.noise())
+        self._fitted: Array = self._fits.fitted
 
     def _reconsider(self) -> None:
         """Start afresh with a new motion, unless an oscillation explains it on a closer look."""
-        self._search()
-        for _ in range(STEPS):
-            self._move()
-            self._fit()
+        if self._count >= SWINGS_FROM and self._spectrum is not None:
+            self._look_closely()
+        new = self._changes.found()
+        if new:
+            times, seen = self._past()
+            begun = times[-new:] + self._epoch, seen[-new:] + self._origin
+            self._begin(*begun, self._changes.noise(new))
+
+    def _shorten(self) -> None:
+        """Drop the oldest sightings; what is known by now is kept, and not searched for again."""
+        times, seen = (each[-KEPT:].copy() for each in self._past())
+        by, offset = float(times[0]), seen[0].copy()
+        self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
+        self._epoch, self._origin = self._epoch + by, self._origin + offset
+        self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
+        self._fits.begin_later(by, self._past())
         self._conclude()
-        if new := self._changed():
-            times, seen = self._times[-new:] + self._epoch, self._seen[-new:] + self._origin
-            self._begin(times, seen, self._history[len(self._times) - new][1])
+
+    def _past(self) -> Past:
+        return self._times[: self._count], self._seen[: self._count]
+
+    # --- tasks
+
+    def _refine(self) -> None:
+        """Improve one oscillation, or look for others: one task at a time, to bound the cost."""
+        if self._count < SWINGS_FROM:
+            return
+        self._tasks += 1
+        seek = self._seek_swing, self._seek_carrier, self._seek_damped, self._seek_turn
+        search = (self._read, *seek)
+        if self._tasks % 2 and self._spectrum is not None:
+            search[self._tasks // 2 % len(search)]()
+        else:
+            self._move()
+
+    def _look_closely(self) -> None:
+        """Do at once what is otherwise done over many sightings."""
+        self._read()
+        self._seek_swing()
+        self._seek_carrier()
+        for _ in range(STEPS):
+            self._put_waiting()
+            self._conclude()
+            for family in OSCILLATING:
+                if self._fits.gain[family] > WORTHWHILE:
+                    self._waiting.append(self._fits.moved(family, self._past()))
+            self._put_waiting()
+            self._seek_damped()
+            self._seek_turn()
+        self._put_waiting()
+        self._conclude()
+
+    def _move(self) -> None:
+        """Move the next oscillation whose fit would gain by it, one just placed before others."""
+        turn, fits = self._tasks // 2 % len(OSCILLATING), self._fits
+        raw = [family for family in OSCILLATING if fits.known[family] > fits.weighed[family]]
+        for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
+            if fits.gain[family] > WORTHWHILE:
+                self._waiting.append(fits.moved(family, self._past()))
+                return
+
+    def _read(self) -> None:
+        if self._spectrum is not None:
+            times, seen = self._past()
+            self._spectrum.add(times[self._spectrum.count :], seen[self._spectrum.count :])
+
+    def _seek_swing(self) -> None:
+        self._seek(SWING, FIXED)
+
+    def _seek_carrier(self) -> None:
+        self._seek(CARRIER, DRIFTING)
+
+    def _seek(self, family: int, middle: int) -> None:
+        """Place a family at the best frequency of the spectrum, where that fits better."""
+        if self._spectrum is None or self._spectrum.count < SWINGS_FROM:
+            return
+        rate, misfit = self._spectrum.best(middle)
+        fits = self._fits
+        if not fits.known[family] or misfit < BETTER * fits.misfit[family]:
+            start = np.zeros_like(fits.coefficients[family])
+            self._waiting.append(fits.placed(family, rate, 0.0, start, self._past()))
+
+    def _seek_damped(self) -> None:
+        """Start a damped swing as a swing, where that fits better."""
+        fits = self._fits
+        if self._worse(DAMPED, SWING):
+            self._start(DAMPED, fits.rates[SWING], fits.coefficients[SWING])
+
+    def _seek_turn(self) -> None:
+        """Start a turn as an acceleration bends, or later as a swing, where that fits better."""
+        fits, middle = self._fits, 0.5 * self._times[self._count - 1]
+        bend = arc(self._fitted[ACCELERATION], middle)
+        if bend and middle * bend[0] < 1.0:
+            if self._worse(TURN, ACCELERATION):
+                self._start(TURN, *bend)
+        elif self._worse(TURN, SWING):
+            self._start(TURN, fits.rates[SWING], circle(fits.coefficients[SWING]))
+
+    def _worse(self, family: int, other: int) -> bool:
+        fits = self._fits
+        return not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[other]
+
+    def _start(self, family: int, rate: float, coefficients: Array) -> None:
+        if coefficients[COSINE].any():
+            placed = self._fits.placed(family, rate, 0.0, coefficients, self._past())
+            self._waiting.append(placed)
+
+
+def _far(one: Array, other: Array) -> bool:
+    """Return whether two positions are too far apart for one motion."""
+    with np.errstate(over='ignore'):
+        return bool(np.abs(one - other).max() > FAR)

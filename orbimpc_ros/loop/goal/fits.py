@@ -1,0 +1,458 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+r"""Families of goal motion over one basis, and their fits to one stretch of sightings.
+
+Every family is :math:`g(t) = \sum_i x_i(t)\,\theta_i` over the seven columns
+
+.. math:: 1,\ t,\ t^2,\ C = e^{-\delta t}\cos\omega t,\ S = e^{-\delta t}\sin\omega t,\ tC,\ tS,
+
+whose last two are the directions in which :math:`\omega` and :math:`\delta` move coefficients. A
+family is given by its Jacobian B, the coefficients that each of its parameters moves.
+
+A fit is Bayesian and linear about the present coefficients: with the columns X, the residuals E and
+prior precisions \Gamma relative to the noise, A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E.
+The noise has a gamma prior on its precision, so that the evidence has a closed form. Sums grow by a
+term a sighting; when a frequency moves, those of its family are made anew.
+
+Mathematics: docs/mathematics.md, 7.4.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.geometry.rotations import exp, skew
+
+NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
+STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
+OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be found
+ODDS = np.array([-5.0, 0.0, -5.0, -3.0, -5.0, -6.0, -6.0])  # logarithms, before any sighting
+COLUMNS = 7
+ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
+
+SLOWEST, FASTEST = 0.02, 4.0 * math.pi  # angular frequencies considered [rad/s]
+PLACE = 3.0  # prior standard deviations: of where a motion begins [m]
+SPEED = 5.0  # [m/s]
+THRUST = 1.0  # half an acceleration [m/s^2]
+SIZE, PUSH = 3.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
+PULSE = 1.0  # angular frequency and damping [1/s]
+TINY = 1e-12  # [1/m^2] in the place's stead, so that nothing is ever singular
+
+
+@lru_cache(maxsize=2)
+def layout(n: int) -> tuple[Array, Array, Array]:
+    """Return what is known of the families before any sighting, for n dimensions.
+
+    The P rows of a Jacobian are: place (n), velocity (n), then two coefficients of n (t^2, or
+    cosine and sine; for a circle its relative size and its attitude), angular frequency, damping.
+
+    Returns:
+        Which rows a family has, shape (K, P); the precision of the priors, shape (K, P), 1 in rows
+        that are not used; and the part of the Jacobian that never changes, shape (K, P, 7, n).
+    """
+    first, second, rate = 2 * n, 3 * n, 4 * n
+    used = np.zeros((len(NAMES), 4 * n + 2), dtype=bool)
+    used[:, :n] = True
+    used[[VELOCITY, ACCELERATION, CARRIER], n:first] = True
+    used[ACCELERATION, first:second] = True
+    used[TURN, first : first + 1 + n * (n - 1) // 2] = True
+    used[[SWING, CARRIER, DAMPED], first:rate] = True
+    used[list(OSCILLATING), rate] = True
+    used[DAMPED, rate + 1] = True
+    width = np.full(used.shape, PULSE)
+    width[:, :n], width[:, n:first], width[:, first:rate] = PLACE, SPEED, SIZE
+    width[ACCELERATION, first:second] = THRUST
+    precision = np.where(used, 1.0 / width**2, 1.0)
+    constant = np.zeros((*used.shape, COLUMNS, n))
+    for i in range(n):
+        constant[:, i, ONE, i] = 1.0
+        constant[[VELOCITY, ACCELERATION, CARRIER], n + i, LINEAR, i] = 1.0
+        constant[ACCELERATION, first + i, SQUARE, i] = 1.0
+        constant[[SWING, CARRIER, DAMPED], first + i, COSINE, i] = 1.0
+        constant[[SWING, CARRIER, DAMPED], second + i, SINE, i] = 1.0
+    return sealed(used), sealed(precision), sealed(constant)
+
+
+def shape_rows(family: int, n: int) -> tuple[int, int]:
+    """Return the first row of an oscillation's shape, and the one after its last."""
+    return 2 * n, 2 * n + 1 + n * (n - 1) // 2 if family == TURN else 4 * n
+
+
+def shape_precision(family: int, rate: float) -> float:
+    """Return the prior precision of an oscillation's shape at a frequency [rad/s], in 1/m^2.
+
+    A circle is as large as its speed makes it, a swing as its acceleration allows.
+    """
+    if family == TURN:
+        return (rate / SPEED) ** 2
+    return 1.0 / SIZE**2 + (rate * rate / PUSH) ** 2
+
+
+def columns(times: Array, rates: Array | float, dampings: Array | float) -> Array:
+    """Return the seven columns at ``times``, with a last axis of 7; the arguments broadcast."""
+    phase = rates * times
+    fading = np.exp(-dampings * times)
+    x = np.empty((*phase.shape, COLUMNS))
+    x[..., ONE] = 1.0
+    x[..., LINEAR] = times
+    x[..., SQUARE] = times * times
+    x[..., COSINE] = fading * np.cos(phase)
+    x[..., SINE] = fading * np.sin(phase)
+    x[..., T_COSINE] = times * x[..., COSINE]
+    x[..., T_SINE] = times * x[..., SINE]
+    return x
+
+
+def jacobian(family: int, coefficients: Array) -> Array:
+    """Return the coefficients that each parameter of an oscillation moves, shape (P, 7, n)."""
+    n = coefficients.shape[1]
+    rows = layout(n)[2][family].copy()
+    a, b, rate = coefficients[COSINE], coefficients[SINE], 4 * n
+    rows[rate, T_COSINE], rows[rate, T_SINE] = b, -a
+    if family == DAMPED:
+        rows[rate + 1, T_COSINE], rows[rate + 1, T_SINE] = -a, -b
+    if family == TURN:
+        # In metres of the rim, so that a circle of no size does not pass for a still goal.
+        radius = max(float(np.linalg.norm(a)), TINY)
+        rows[2 * n, COSINE], rows[2 * n, SINE] = a / radius, b / radius
+        for i, axis in enumerate(np.eye(n * (n - 1) // 2) / radius):
+            rows[2 * n + 1 + i, COSINE], rows[2 * n + 1 + i, SINE] = skew(axis) @ a, skew(axis) @ b
+    return rows
+
+
+def stepped(family: int, coefficients: Array, step: Array) -> Array:
+    """Return coefficients after a step of the parameters that are not frequency or damping."""
+    n = coefficients.shape[1]
+    place, velocity, first, second = step[: 4 * n].reshape(4, n)
+    moved = coefficients.copy()
+    moved[ONE] += place
+    moved[LINEAR] += velocity
+    if family == TURN:
+        rim = step[2 * n :] / max(float(np.linalg.norm(moved[COSINE])), TINY)
+        turned = exp(rim[1 : 1 + n * (n - 1) // 2])
+        moved[COSINE : SINE + 1] = (1.0 + rim[0]) * moved[COSINE : SINE + 1] @ turned.T
+    else:
+        moved[COSINE] += first
+        moved[SINE] += second
+    return moved
+
+
+def circle(coefficients: Array) -> Array:
+    """Return the circle nearest to an ellipse's coefficients, shape (7, n)."""
+    u, sizes, v = np.linalg.svd(coefficients[COSINE : SINE + 1], full_matrices=False)
+    nearest = coefficients.copy()
+    nearest[COSINE : SINE + 1] = sizes.mean() * u @ v
+    return nearest
+
+
+def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
+    """Return the frequency and coefficients of the turn that moves as an acceleration at a moment.
+
+    None if that is straight; ``coefficients`` are those of the family ``ACCELERATION``.
+    """
+    square = coefficients[SQUARE]
+    velocity = coefficients[LINEAR] + 2.0 * middle * square
+    speed = float(velocity @ velocity)
+    across = 2.0 * (square - (square @ velocity) / max(speed, TINY) * velocity)
+    rate = math.sqrt(float(across @ across) / max(speed, TINY))
+    if not SLOWEST < rate < FASTEST:
+        return None
+    outward, along = -across / rate**2, velocity / rate
+    c, s = math.cos(rate * middle), math.sin(rate * middle)
+    place = coefficients[ONE] + middle * coefficients[LINEAR] + middle**2 * square
+    turn = np.zeros_like(coefficients)
+    turn[ONE] = place - outward
+    turn[COSINE], turn[SINE] = c * outward - s * along, s * outward + c * along
+    return rate, turn
+
+
+def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Array:
+    """Return the same oscillations with time counted from a later moment [s], shape (K, 7, n).
+
+    Their middles are left as they are: the next fit finds them.
+    """
+    moved = coefficients.copy()
+    turn, fade = rates[:, None] * by, np.exp(-dampings[:, None] * by)
+    a, b = coefficients[:, COSINE], coefficients[:, SINE]
+    moved[:, COSINE] = fade * (a * np.cos(turn) + b * np.sin(turn))
+    moved[:, SINE] = fade * (b * np.cos(turn) - a * np.sin(turn))
+    return moved
+
+
+# [rad/s]; below, by ratios; above, apart by what twenty seconds tell from one another
+GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
+NYQUIST = 0.45  # cycles a sighting that still count as resolved
+ASSUMED = 0.01  # [m] noise, for the prior of a swing's size
+FIXED, DRIFTING = 1, 2  # columns of a line that the middle of a swing follows
+
+
+class Spectrum:
+    """How well a swing of each frequency on the grid fits, after ``count`` sightings."""
+
+    def __init__(self, n: int) -> None:
+        # Of cosine and sine with 1, t and the positions, and with one another.
+        self._cosines, self._sines = np.zeros((2, 2 + n, len(GRID)))
+        self._squares, self._products = np.zeros((2, len(GRID)))
+        self._line = np.zeros((2, 2 + n))  # of 1 and t with themselves, and with the positions
+        self._square = 0.0
+        self.count = 0
+
+    def add(self, times: Array, positions: Array) -> None:
+        """Add sightings at ``times``, shape (M,) [s], of ``positions``, shape (M, n) [m]."""
+        phase = times[:, None] * GRID
+        cosines, sines = np.cos(phase), np.sin(phase)
+        rows = np.column_stack([np.ones_like(times), times, positions])
+        self._cosines += rows.T @ cosines
+        self._sines += rows.T @ sines
+        self._squares += (cosines * cosines).sum(axis=0)
+        self._products += (cosines * sines).sum(axis=0)
+        self._line += rows[:, :2].T @ rows
+        self._square += float(np.sum(positions * positions))
+        self.count += len(times)
+
+    def best(self, middle: int) -> tuple[float, float]:
+        """Return the best angular frequency [rad/s] and its misfit [m^2].
+
+        The ``middle`` of the swing is ``FIXED`` or ``DRIFTING``.
+        """
+        # Against orthonormal columns of the line, what it explains is a sum of squares.
+        unit = np.linalg.inv(np.linalg.cholesky(self._line[:middle, :middle]))
+        known = unit @ self._line[:middle, 2:]
+        explained = self._explained(unit, known)
+        span = math.sqrt(3.0 * self._line[1, 1] / self.count)  # of times evenly spread from 0
+        explained[GRID * span > 2.0 * math.pi * NYQUIST * self.count] = -np.inf
+        found = int(np.argmax(explained))
+        return float(GRID[found]), self._square - float(np.sum(known**2) + explained[found])
+
+    def _explained(self, unit: Array, known: Array) -> Array:
+        """Return what a swing explains beyond a line, with a prior on its size, (F,) [m^2]."""
+        prior, middle = (ASSUMED / SIZE) ** 2, len(unit)
+        u, v = unit @ self._cosines[:middle], unit @ self._sines[:middle]
+        one, two = self._cosines[2:] - known.T @ u, self._sines[2:] - known.T @ v
+        p = self._squares + prior - (u * u).sum(axis=0)
+        q = self.count - self._squares + prior - (v * v).sum(axis=0)
+        r = self._products - (u * v).sum(axis=0)
+        squares = q * (one * one).sum(axis=0) + p * (two * two).sum(axis=0)
+        return np.asarray((squares - 2.0 * r * (one * two).sum(axis=0)) / (p * q - r * r))
+
+
+MOST_DAMPED = 2.0  # [1/s]
+BENT_FROM = 5  # sightings: through three any change of course is an acceleration
+# Of a few numbers at a time: to import SciPy's takes longer than all that a flight needs of it.
+log_gamma = np.vectorize(math.lgamma, otypes=[float])
+
+
+Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
+
+
+class Placement(NamedTuple):
+    """Where a family is to be put; ``moved`` there by a step, its frequency has its price."""
+
+    family: int
+    rate: float  # [rad/s]
+    damping: float  # [1/s]
+    coefficients: Array  # shape (7, n)
+    gram: Array  # products of its columns, summed over sightings, shape (7, 7)
+    moments: Array  # their products with the positions, shape (7, n)
+    jacobian: Array  # shape (P, 7, n)
+    moved: bool
+
+
+class Noise(NamedTuple):
+    """What is known of the noise of sightings: a gamma distribution of its precision."""
+
+    share: float  # half as many numbers as hold as much information
+    scale: float  # half the sum of their squares [m^2]
+
+    @property
+    def variance(self) -> float:
+        """Return the likeliest variance [m^2]."""
+        return self.scale / self.share
+
+
+UNKNOWN = Noise(1.0, 2e-4)  # 1.4 cm, or ten times less or more
+LEAST = 1e-5  # [m^2] variance that is recalled at least
+RECALLED = 8.0  # most that an earlier motion's noise counts for
+
+
+class Fits:
+    """The families fitted to a stretch of sightings in n dimensions.
+
+    Attributes:
+        known: which families have been placed, shape (K,).
+        weighed: which have also been moved since, so that their frequency has its price, (K,).
+        rates: angular frequencies, shape (K,) [rad/s].
+        dampings: shape (K,) [1/s].
+        coefficients: about which a fit is linear, shape (K, 7, n).
+        count: of sightings.
+        misfit: sums of squared residuals, with what the priors add, shape (K,) [m^2].
+        evidence: logarithms, shape (K,).
+        noises: variance that each family takes sightings to have, shape (K,) [m^2].
+        gain: what the latest step explains, in units of the noise, shape (K,).
+    """
+
+    def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
+        self._n, self._noise = n, noise
+        self._used, prior, constant = layout(n)
+        size, rows = self._used.shape
+        self.known = np.ones(size, dtype=bool)
+        self.known[list(OSCILLATING)] = False
+        self.weighed = self.known.copy()
+        self.rates, self.dampings = np.zeros(size), np.zeros(size)
+        self.coefficients = np.zeros((size, COLUMNS, n))
+        self._jacobian = constant.copy()
+        self._transposed = np.ascontiguousarray(
+            self._jacobian.transpose(0, 2, 3, 1).reshape(size, COLUMNS, n * rows)
+        )
+        self._pull = np.zeros((size, rows))  # parameters that the priors draw to zero
+        self._gram = np.zeros((size, COLUMNS, COLUMNS))
+        self._moments = np.zeros((size, COLUMNS, n))
+        self._square, self.count = 0.0, 0
+        self.gain = np.zeros(size)
+        self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
+        self.misfit = self.noises = self.evidence = np.zeros(size)
+        self._diagonal = np.arange(rows)
+        precision = np.where(self._used, noise.variance * prior, 1.0)
+        self._prior = ODDS + 0.5 * np.sum(np.log(precision), axis=1)
+        self._free = precision  # but for the place, which may be anywhere
+        self._free[:, :n] = TINY * noise.variance
+
+    def rows(self, time: float) -> Array:
+        """Return the columns of every family at a time, shape (K, 7)."""
+        return columns(np.full(len(NAMES), time), self.rates, self.dampings)
+
+    def add(self, rows: Array, position: Array) -> None:
+        """Add a sighting, given its ``rows``, shape (K, 7)."""
+        self._gram += rows[:, :, None] * rows[:, None, :]
+        self._moments += rows[:, :, None] * position
+        self._square += float(position @ position)
+        self.count += 1
+
+    def placed(
+        self,
+        family: int,
+        rate: float,
+        damping: float,
+        coefficients: Array,
+        past: Past,
+        moved: bool = False,
+    ) -> Placement:
+        """Return a family at a frequency, damping and coefficients, with its sums over the past."""
+        x = columns(past[0], rate, damping)
+        rows = jacobian(family, coefficients)
+        return Placement(family, rate, damping, coefficients, x.T @ x, x.T @ past[1], rows, moved)
+
+    def put(self, to: Placement) -> None:
+        """Put a family where it is to be; ``solve`` has to follow."""
+        n, family = self._n, to.family
+        self._gram[family], self._moments[family] = to.gram, to.moments
+        self.rates[family], self.dampings[family] = to.rate, to.damping
+        self.coefficients[family] = to.coefficients
+        self.known[family], self.weighed[family] = True, to.moved
+        self._jacobian[family] = to.jacobian
+        self._transposed[family] = to.jacobian.transpose(1, 2, 0).reshape(COLUMNS, -1)
+        first, last = shape_rows(family, n)
+        size = self._noise.variance * shape_precision(family, to.rate)
+        self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
+        self._free[family, first:last] = size
+        if family != TURN:
+            self._pull[family, n : 2 * n] = to.coefficients[LINEAR]
+            self._pull[family, first:last] = to.coefficients[COSINE : SINE + 1].ravel()
+
+    def moved(self, family: int, past: Past) -> Placement:
+        """Return a family after a Gauss-Newton step, shortened to where linearity ends."""
+        n, step = self._n, self._step[family]
+        span = float(past[0][-1] - past[0][0]) or 1.0
+        rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == TURN else 0.0
+        radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
+        step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
+        rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
+        damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
+        coefficients = stepped(family, self.coefficients[family], step)
+        return self.placed(family, rate, damping, coefficients, past, True)
+
+    def begin_later(self, by: float, past: Past) -> None:
+        """Count time from ``by`` later [s], and sum up ``past``, what remains, anew.
+
+        Places may be counted from elsewhere as well: every family is linear in where it is.
+        """
+        kept = later(self.fitted, self.rates, self.dampings, by)
+        self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
+        x = columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
+        self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
+        for family in OSCILLATING:
+            if self.known[family]:
+                where = self.rates[family], self.dampings[family], kept[family]
+                self.put(self.placed(family, *where, past, bool(self.weighed[family])))
+
+    def solve(self) -> None:
+        """Fit every family to all sightings so far."""
+        size, rows = self._step.shape
+        flat = self._jacobian.reshape(size, rows, -1)
+        residual = self._moments - self._gram @ self.coefficients
+        normal = flat @ (self._gram @ self._transposed).reshape(size, -1, rows)
+        normal[:, self._diagonal, self._diagonal] += self._free
+        pulled = self._free * self._pull
+        slope = (flat @ residual.reshape(size, -1, 1))[:, :, 0] - pulled
+        factor = np.linalg.cholesky(normal)
+        self._root = np.linalg.inv(factor)
+        white = (self._root @ slope[:, :, None])[:, :, 0]
+        self._step = (white[:, None, :] @ self._root)[:, 0]
+        unexplained = self._square - np.sum(
+            self.coefficients * (self._moments + residual), axis=(1, 2)
+        )
+        explained = np.sum(white * white, axis=1)
+        misfit = unexplained + np.sum(pulled * self._pull, axis=1) - explained
+        self.misfit = np.maximum(misfit, 0.0)
+        share, scale = self._noise
+        self.noises = (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * self._n)
+        spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
+        data = data_evidence(self.misfit, self.count * self._n, share, scale)
+        self.evidence = self._prior - spread + data
+        self.evidence[~self.weighed] = -np.inf
+        if self.count < BENT_FROM:
+            self.evidence[ACCELERATION] = -np.inf
+        self.gain = np.where(self.known, explained / self.noises, 0.0)
+
+    def noise(self) -> Noise:
+        """Return what the likeliest family has taught of the noise, to be recalled later.
+
+        As many numbers as its parameters take are fitted exactly, and teach nothing.
+        """
+        best = int(np.argmax(self.evidence))
+        left = 0.5 * (self.count * self._n - int(self._used[best].sum()))
+        if left <= 0.0:
+            return self._noise
+        share, scale = self._noise.share + left, self._noise.scale + 0.5 * float(self.misfit[best])
+        kept = min(share, RECALLED)
+        return Noise(kept, kept * max(scale / share, LEAST))
+
+    @property
+    def fitted(self) -> Array:
+        """Return the coefficients with the latest step, shape (K, 7, n)."""
+        size, rows = self._step.shape
+        step = (self._step[:, None, :] @ self._jacobian.reshape(size, rows, -1))[:, 0]
+        return self.coefficients + step.reshape(self.coefficients.shape)
+
+    def spread(self, rows: Array) -> Array:
+        """Return the sum of squares of the spread at ``rows``, (K, 7), per unit of noise, (K,)."""
+        size, count = self._step.shape
+        moved = (rows[:, None, :] @ self._transposed).reshape(size, self._n, count)
+        white = moved @ self._root.transpose(0, 2, 1)
+        return np.sum(white * white, axis=(1, 2))
+
+
+def data_evidence(
+    misfit: Array, numbers: Array | float, share: Array | float, scale: Array | float
+) -> Array:
+    """Return the part of the evidence that the misfit [m^2] of so many numbers decides.
+
+    The noise, with a prior of ``share`` and ``scale`` [m^2], is integrated out.
+    """
+    shape = share + 0.5 * numbers
+    prior = share * np.log(scale) - log_gamma(share) - 0.5 * numbers * math.log(2.0 * math.pi)
+    return prior + log_gamma(shape) - shape * np.log(scale + 0.5 * misfit)
