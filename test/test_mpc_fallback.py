@@ -186,13 +186,11 @@ def test_the_first_turn_is_an_angle_at_any_speed(shape, rate):
             assert np.arctan2(heading[1], heading[0]) == pytest.approx(turned, abs=1e-6)
 
 
-def test_before_an_obstacle_that_cannot_be_turned_away_from_it_turns_as_fast_as_it_can():
+def test_no_plan_leads_into_an_obstacle_that_cannot_be_turned_away_from():
     wall = Box([0.3, -9.0], [9.0, 9.0])
     problem = Problem(step=0.2, floor=floor('polygon', 0.5), max_rate=1.0, obstacles=(wall,))
     tick = Stepped(problem).tick(odometry(speed=0.0), np.tile([9.0, 0.0], (5, 1)))
-    assert (tick.status, tick.fallback) == ('infeasible', 'clearest way')
-    assert abs(tick.command.body_rate[0]) == pytest.approx(1.0, rel=1e-6)
-    assert tick.command.speed_fraction < 0.52
+    assert (tick.status, tick.fallback) == ('infeasible', 'safe command')
 
 
 @pytest.mark.parametrize(

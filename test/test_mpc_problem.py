@@ -273,6 +273,7 @@ def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
     start, goals = State.at([0.9, 0.0], np.eye(2)), np.zeros((8, 2))
     message = blamed(walled, start, goals)
     assert message.startswith('obstacle 0 holds s_1, ')
+    assert message.endswith('; a box has no way out for who begins inside, unless it is a hazard')
     hazard = MovingObstacle.drifting(around, np.zeros(2))
     plan = Solver(free).solve(replace(start, hazards=(hazard,)), goals)
     assert plan.positions[-1, 0] <= -0.7 + 1e-6

@@ -8,7 +8,7 @@ from bags import GOLDEN
 from drawing import needs_rerun
 
 from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.study import results
+from orbimpc_ros.tool.study import flights
 
 pytest.importorskip('rclpy')
 DUBINS, RETRIEVAL = GOLDEN / 'dubins', GOLDEN / 'retrieval'
@@ -75,7 +75,7 @@ def no_workers(*_given):
 @pytest.mark.parametrize(('line', 'culprit'), CASES)
 def test_bad_input_is_one_line_and_writes_nothing(line, culprit, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(results, 'workers', no_workers)
+    monkeypatch.setattr(flights, 'workers', no_workers)
     (tmp_path / 'thesis.tex').write_text('precious')
     try:
         code = cli.main(shlex.split(line))

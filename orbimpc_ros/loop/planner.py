@@ -41,7 +41,7 @@ from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
-from orbimpc_ros.mpc.problem import MAX_HAZARDS, Approach, Box, MovingObstacle, Problem, State
+from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
@@ -148,8 +148,7 @@ class Planner:
       never past its horizon;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
       because of disturbances: the plan that comes nearest; in a descent from the start on;
-    - among hazards, or from inside of a box, the *clearest way*: a plan that meets all else, and
-      stays out of them the most;
+    - among hazards, the *clearest way*: a plan that meets all else, and stays out of them the most;
     - the safe command.
 
     Snapshots may come as often as they like. How far the previous plan is flown, and what a
@@ -583,9 +582,8 @@ class Planner:
         arriving = memory.arriving or task.problem.has_cones  # to wait is to fall
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
-        passing = _passing_boxes(task)
-        if passing.state.hazards and not reason.cause:
-            return self._sidestep(passing, status, reason)
+        if task.state.hazards and not reason.cause:
+            return self._sidestep(task, status, reason)
         return self._safe(task.state, status, reason)
 
     def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
@@ -686,30 +684,6 @@ def _planned(problem: Problem) -> Problem:
     if orders != (3, 1, True) or limited:
         return problem
     return replace(problem, max_rate=0.0)
-
-
-def _passing_boxes(task: Task) -> Task:
-    """Return a task in which boxes are hazards, out of which there are ways, if they need one.
-
-    Outside of all boxes a vehicle that can stop on the spot had better do that.
-    """
-    problem, state = task.problem, task.state
-    boxes = tuple(each for each in problem.obstacles if isinstance(each, Box))
-    here = state.position[None]
-    stops = not (problem.inertial or problem.floor.exists)
-    if not boxes or (stops and all(box.depth(here)[0] <= 0.0 for box in boxes)):
-        return task
-    still = np.zeros(problem.dimension)
-    nearest_first = sorted(boxes, key=lambda box: -float(box.depth(here)[0]))
-    hazards = (*state.hazards, *(MovingObstacle.drifting(box, still) for box in nearest_first))
-    balls = tuple(each for each in problem.obstacles if not isinstance(each, Box))
-    return replace(
-        task,
-        problem=replace(problem, obstacles=balls),
-        state=replace(state, hazards=hazards[:MAX_HAZARDS]),
-        guess=None,
-        solver=None,
-    )
 
 
 def joined(*reasons: str) -> str:

@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 from nav_msgs.msg import Path as GoalPath
+from orbimpc_ros.ros.clock import RosTime
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.sim.faults import View
@@ -47,7 +48,6 @@ FLIGHTS = {
             'goal_prediction=velocity',
             'rope.amplitude=[0.3, 0.3, 0.0]',
             'faults.position_noise=0.05',
-            'max_ticks=29',
         ),
     ),
     'fixed_wing': ('fixed_wing', ()),

@@ -14,7 +14,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
 SURE = 1e-12  # by so much more than can be reached is surely out of reach
@@ -198,9 +198,16 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
             why = 'which the state already decides'
         else:
             why = f'{deep[held[0]]:.4g} m inside, where plans reach {free[held[0]]:.4g} m'
-        yield f'obstacle {i} holds s_{held[0] + 1}, {why}'
+        yield f'obstacle {i} holds s_{held[0] + 1}, {why}{_way_out(body, state)}'
     for i, hazard in enumerate(state.hazards):
         moved = hazard.moved(problem.step * np.arange(1, known + 1))
         inside = np.flatnonzero(hazard.body.depth(decided[:known] - moved) > 0.0)
         if inside.size:
             yield f'hazard {i} holds s_{inside[0] + 1}, which the state already decides'
+
+
+def _way_out(body: Box | Ball, state: State) -> str:
+    """Return what would let a plan begin inside of a body, in words; empty if none does."""
+    if not isinstance(body, Box) or body.depth(state.position[None])[0] <= 0.0:
+        return ''
+    return '; a box has no way out for who begins inside, unless it is a hazard'
