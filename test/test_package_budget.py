@@ -7,16 +7,16 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    'orbimpc_ros': 37_251,
-    'orbimpc_ros/mpc': 19_388,
-    'orbimpc_ros/loop': 3_666,
+    'orbimpc_ros': 37_681,
+    'orbimpc_ros/mpc': 19_422,
+    'orbimpc_ros/loop': 4_062,
     'orbimpc_ros/ros': 5_251,
     'orbimpc_ros/sim': 3_220,
     'orbimpc_ros/tool': 5_582,
     'benchmarks': 4_247,
-    'test': 23_406,
+    'test': 23_400,
 }
-WORDS = {'docs': 23_410, 'README.md': 900}
+WORDS = {'docs': 23_388, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
