@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 from nav_msgs.msg import Path as GoalPath
-from orbimpc_ros.ros.clock import RosTime
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.sim.faults import View
