@@ -179,7 +179,7 @@ def test_round_floors_and_hulls_are_round(dimension):
 
 def covered(patches, axes):
     """Whether axes, shape (K, 3), are in the cone of the corners of any patch, shape (P, 3, 3)."""
-    shares = np.linalg.solve(np.swapaxes(patches, 1, 2), axes.T)
+    shares = np.linalg.solve(np.swapaxes(patches, 1, 2), axes.T[None])
     return (shares >= -1e-9).all(axis=1).any(axis=0)
 
 
