@@ -143,10 +143,14 @@ def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
 
 def _beyond(problem: Problem, state: State, goals: Array) -> Array:
     """Return how much farther goals are than any headings lead, shape (N,) [m] (7.10b)."""
-    reach = problem.maps.reach
-    coasted = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
-    off = goals - coasted
+    off, reach = goals - _decided(problem, state), problem.maps.reach
     return np.asarray(np.sqrt(np.einsum('kc,kc->k', off, off)) - np.abs(reach[:, 1:]).sum(axis=1))
+
+
+def _decided(problem: Problem, state: State) -> Array:
+    """Return where the state alone would have s_1..s_N, shape (N, n): R_1 e1..R_N e1 are free."""
+    coasted = dynamics.drift(problem, state)
+    return coasted + np.outer(problem.maps.reach[:, 0], state.rotation[:, 0])
 
 
 def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.ndarray:
@@ -186,8 +190,7 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
     """The state alone decides s_1, and s_2 too of an inertial vehicle; a step leads so far only."""
-    reach = problem.maps.reach
-    decided = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
+    decided, reach = _decided(problem, state), problem.maps.reach
     known, free = problem.decided_steps, reach[:, 1:].sum(axis=1)
     for i, body in enumerate(problem.obstacles):
         deep = body.depth(decided)
