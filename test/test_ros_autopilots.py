@@ -20,7 +20,7 @@ from std_msgs.msg import Bool
 
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.autopilots import TOPICS
+from orbimpc_ros.ros.firmware import TOPICS
 from orbimpc_ros.ros.messages import header
 from orbimpc_ros.ros.parameters.planner import PLANNER
 

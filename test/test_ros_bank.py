@@ -73,7 +73,7 @@ def test_another_forecast_begins_with_the_last_goal():
     held = np.tile(carried(1.0), (5, 1))
     np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
     watched.inputs.forget()
-    assert watched.inputs.heard['goal_model'] == ''
+    assert 'goal_model' not in watched.inputs.heard
 
 
 class Away:

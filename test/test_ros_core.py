@@ -29,10 +29,14 @@ from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.lifecycle import NodeClock
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
+from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, RosTime, Stamp
 from orbimpc_ros.ros.planner.core import Core, Timing, planner_of
-from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, condition
+from orbimpc_ros.ros.planner.outputs import (
+    Report,
+    condition,
+    refutation_messages,
+    report_messages,
+)
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 START = 1_700_000_000 * SECOND  # [ns]

@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from orbimpc_ros.loop.capture import STAY, Events
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.problem import Approach
-from orbimpc_ros.ros.planner.events import STAY, Events
 
 RADIUS, PATIENCE = 0.2, 1.5
 

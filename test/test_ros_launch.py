@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.ros.autopilots import TOPICS
+from orbimpc_ros.ros.firmware import TOPICS
 
 FILES = sorted((Path(__file__).resolve().parents[1] / 'launch').glob('*.launch.py'))
 FLIGHTS = [file for file in FILES if file.stem not in ('fleet.launch', 'vehicle.launch')]

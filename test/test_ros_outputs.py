@@ -19,9 +19,14 @@ from stepping import Stepped
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.ros.messages import Frames, Stamp, header
-from orbimpc_ros.ros.planner.outputs import command_messages, outputs
-from orbimpc_ros.ros.reports import Report, health_message, prices, tick_message
+from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message
+from orbimpc_ros.ros.planner.outputs import (
+    Report,
+    command_messages,
+    outputs,
+    prices,
+    tick_message,
+)
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 

@@ -13,8 +13,14 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Frames, header, read_odometry
-from orbimpc_ros.ros.pose_twist import APART, PoseTwistSynchronizer
+from orbimpc_ros.ros.messages import (
+    APART,
+    SECOND,
+    Frames,
+    PoseTwistSynchronizer,
+    header,
+    read_odometry,
+)
 
 
 def pose(milliseconds, attitude=None):
@@ -33,7 +39,7 @@ def joined(*halves):
     """The stamps of odometry made of halves, as pairs of milliseconds: of its pose and twist."""
     made, found = PoseTwistSynchronizer(), []
     for each in halves:
-        took = made.pose(each) if isinstance(each, PoseStamped) else made.twist(each)
+        took = made.take('pose' if isinstance(each, PoseStamped) else 'twist', each)
         if took is not None:
             at = messages.nanoseconds(took.header.stamp, '') // 1_000_000
             found.append((at, round(took.twist.twist.linear.x)))
@@ -67,16 +73,16 @@ def test_a_pose_that_comes_twice_is_one_measurement():
 
 def test_halves_too_far_apart_are_refused():
     halves = PoseTwistSynchronizer()
-    halves.twist(twist(1000))
+    halves.take('twist', twist(1000))
     with pytest.raises(BadInput, match=r'twist.header.stamp.*0.101 s from that of pose'):
-        halves.pose(pose(1001 + APART // 1_000_000))
+        halves.take('pose', pose(1001 + APART // 1_000_000))
 
 
 def test_a_stamp_that_is_none_is_refused():
     halves, message = PoseTwistSynchronizer(), pose(1000)
     message.header.stamp.nanosec = SECOND
     with pytest.raises(BadInput, match=r'pose\.header\.stamp'):
-        halves.pose(message)
+        halves.take('pose', message)
 
 
 @pytest.mark.parametrize(('dimension', 'axis'), [(2, 'x'), (3, 'x'), (3, 'z')])

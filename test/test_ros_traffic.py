@@ -17,8 +17,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.markers import shown
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.process import initialised, qos
 

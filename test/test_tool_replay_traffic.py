@@ -12,8 +12,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.markers import shown
 from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp
-from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.bags import fields

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 
-from orbimpc_ros.ros.reports import ERROR, OK
+from orbimpc_ros.ros.messages import ERROR, OK
 
 About = Mapping[str, int]  # message information of DDS: time of sending, of the system's clock
 SLACK = 1e-6  # relative, on limits

@@ -17,6 +17,7 @@ far ahead in the turn as that bank takes, and the acceleration is that of the tu
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,21 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 
 AUTOPILOTS = ('px4', 'arduplane')
+# The topics of each, by the planner's. MAVROS is to have mav_frame BODY_NED for its setpoints.
+TOPICS: Mapping[str, Mapping[str, str]] = {
+    'ardupilot': {
+        'pose': '/ap/pose/filtered',
+        'twist': '/ap/twist/filtered',
+        'cmd_vel': '/ap/cmd_vel',
+    },
+    'mavros': {
+        'odom': '/mavros/local_position/odom',
+        'cmd_vel': '/mavros/setpoint_velocity/cmd_vel',
+    },
+    'rover': {},
+    'px4': {},  # and arduplane: wings on the autopilot's own topics, by the parameter autopilot
+    'arduplane': {},
+}
 GRAVITY = 9.80665  # [m/s^2]
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from or to ENU
 FRD = np.diag([1.0, -1.0, -1.0])  # from or to FLU

@@ -95,32 +95,36 @@ class Managed(LifecycleNodeMixin, Node):
 
     steady_now = staticmethod(time.monotonic)  # the time of the steady clock [s]
 
-    def guard(self, callback: Callable[..., Any], *, at_work: bool = False) -> Callable[..., Any]:
+    def guard(
+        self, callback: Callable[..., Any], *known: str, at_work: bool = False
+    ) -> Callable[..., Any]:
         """Return the callback, made to report what it raises instead of raising it.
 
         Args:
             callback: of a subscription, timer or service.
+            known: its first arguments, such as the topic.
             at_work: whether it is to do nothing while the node is not active.
         """
+        name = ' '.join((callback.__name__, *known))
 
         @functools.wraps(callback)
         def guarded(*arguments: Any) -> Any:
             if at_work and not self.active:
                 return None
             try:
-                result = callback(*arguments)
+                result = callback(*known, *arguments)
             except BaseException as error:
-                self.failed(callback.__name__, error)
+                self.failed(name, error)
                 # A service has to answer: with the response as it came.
                 return arguments[1] if len(arguments) == 2 else None
-            self._in_a_row[callback.__name__] = 0
+            self._in_a_row[name] = 0
             return result
 
         return guarded
 
-    def at_work(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+    def at_work(self, callback: Callable[..., Any], *known: str) -> Callable[..., Any]:
         """Return the callback, guarded, and made to do nothing while the node is not active."""
-        return self.guard(callback, at_work=True)
+        return self.guard(callback, *known, at_work=True)
 
     def every(self, period: float, callback: Callable[[], None]) -> Any:
         """Call back every ``period`` [s] of the steady clock while the node is active."""

@@ -11,12 +11,15 @@ In the plane (n = 2) poses lie at z = 0 and turn about z.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import (
     Point,
     Pose,
@@ -45,12 +48,15 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
 from orbimpc_ros.mpc.plan import Plan
 
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
 QUATERNION_TOLERANCE = 1e-3  # a unit quaternion may be this far off; it is then normalised
 STEEPEST = 1e-3  # in the plane: least horizontal share of the body's x axis that has a yaw
 LONGEST_PATH = 10_000  # poses
 LONGEST_FRAME = 256  # characters
 SECOND = 1_000_000_000  # [ns]
+POSE_TWIST = ('pose', 'twist')  # topics of odometry in two halves
+APART = SECOND // 10  # [ns] at most, from a pose to its twist
 # The body axes that may push, each with the rotation that turns x into it.
 THRUST_AXES: dict[str, Array] = {
     'x': sealed(np.eye(3)),
@@ -308,6 +314,41 @@ def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
     return frames.turned(from_quaternion(unit, dimension))
 
 
+class PoseTwistSynchronizer:
+    """Pairs poses with twists as odometry, stamped as the pose.
+
+    Where the two come with the same stamps, in whatever order, they belong together. Elsewhere each
+    is measured at its own pace, and a pose goes with the last twist.
+    """
+
+    def __init__(self) -> None:
+        self._latest: dict[str, tuple[int, Any]] = {}  # stamps [ns] and messages, by topic
+        self._joined_at = -1  # stamp of the last pose that has become odometry [ns]
+        self._twins = False  # whether stamps have been seen to be the same
+
+    def take(self, topic: str, message: PoseStamped | TwistStamped) -> OdometryMessage | None:
+        """Take in a message on ``pose`` or ``twist``; return odometry as soon as there is some.
+
+        Raises:
+            BadInput: its stamp is not valid, or those of pose and twist are too far apart.
+        """
+        self._latest[topic] = nanoseconds(message.header.stamp, f'{topic}.header.stamp'), message
+        if len(self._latest) < len(POSE_TWIST):
+            return None
+        (stamp, pose), (other, twist) = (self._latest[each] for each in POSE_TWIST)
+        alone = not self._twins if topic == 'pose' else self._joined_at < 0
+        self._twins = self._twins or stamp == other
+        if stamp == self._joined_at or not (alone or stamp == other):
+            return None
+        if abs(stamp - other) > APART:
+            apart = f'{abs(stamp - other) / SECOND:.3g} s from that of pose'
+            raise BadInput('twist.header.stamp', apart, f'within {APART / SECOND:g} s')
+        self._joined_at = stamp
+        joined = OdometryMessage(header=pose.header, child_frame_id=twist.header.frame_id)
+        joined.pose.pose, joined.twist.twist = pose.pose, twist.twist
+        return joined
+
+
 # --- writing
 
 
@@ -422,3 +463,34 @@ def odometry_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
     message.twist.twist.linear = vector(frames.own(velocity))
     message.twist.twist.angular = angular(odometry.body_rate, frames)
     return message
+
+
+def health_message(
+    at: int, node: str, task: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """Return a status for /diagnostics, named as diagnostic_updater does.
+
+    Args:
+        at: its stamp [ns].
+        node: fully qualified name of who reports; the namespace tells the vehicle.
+        task: what it reports on.
+        level: how it is.
+        message: the same in words.
+        values: figures behind it, by key.
+    """
+    name = node.strip('/')
+    made = diagnostics(at, f'{name}: {task}', level, message, values)
+    made.status[0].hardware_id = name.rpartition('/')[0] or 'none'
+    return made
+
+
+def diagnostics(
+    at: int, name: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """Return one diagnostic status, stamped ``at`` [ns]; values that are no text become JSON."""
+    pairs = [
+        KeyValue(key=key, value=value if isinstance(value, str) else json.dumps(value))
+        for key, value in values.items()
+    ]
+    status = DiagnosticStatus(name=name, level=level, message=message, values=pairs)
+    return DiagnosticArray(header=header(at, ''), status=[status])

@@ -8,9 +8,8 @@ from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.traffic import centre, placed
-from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker
+from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker, shown
 from orbimpc_ros.ros.messages import Stamp, point, pose
-from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.sim.world import Flight
 
 

@@ -21,9 +21,16 @@ from visualization_msgs.msg import MarkerArray
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.lifecycle import Managed
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import (
+    ERROR,
+    OK,
+    SECOND,
+    WARN,
+    Stamp,
+    diagnostics,
+    health_message,
+)
 from orbimpc_ros.ros.process import DONE, FAILED, qos
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View

@@ -18,8 +18,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.inputs import PLAN, others
-from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
-from orbimpc_ros.ros.reports import Report, prices
+from orbimpc_ros.ros.planner.outputs import Report, command_messages, prices, report_messages
 from orbimpc_ros.sim.markers import traffic_markers
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import Flight

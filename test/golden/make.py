@@ -22,7 +22,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.ros.reports import DISABLED
+from orbimpc_ros.ros.planner.core import DISABLED
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import Flight, departure

@@ -21,8 +21,12 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import Inputs
-from orbimpc_ros.ros.reports import Report
+from orbimpc_ros.ros.planner.outputs import Report
 
+AFRESH = Reason(Cause.AFRESH, 'starting afresh')
+RESET = Reason(Cause.RESET, 'reset')
+DISABLED = Reason(Cause.DISABLED, 'disabled')
+INACTIVE = Reason(Cause.DISABLED, 'inactive')  # as a managed node
 RECENT = 15  # decisions
 LATE = 1.5  # periods from one tick of the timer to the next
 LOOK = 1e-4  # [s] that a look at the deadline counts for in lock-step: some take 3e-3
@@ -224,7 +228,7 @@ class Core:
             self.outdated = self.unsafe(now + took, later)
         self.timing.took(took, self.settings.deadline, self.settings.period)
         solved = decision.cause is not Cause.GOAL
-        return Report(decision, 1e3 * took if solved else 0.0, **heard)
+        return Report(decision, 1e3 * took if solved else 0.0, heard)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:
         """Return the last report with proofs of what it states, until its deadline.

@@ -21,9 +21,12 @@ from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, sil
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.ros.markers import read_obstacle, stamp_of
 from orbimpc_ros.ros.messages import (
+    POSE_TWIST,
     SECOND,
     UNKNOWN,
+    PoseTwistSynchronizer,
     RosTime,
     Stamp,
     read_agent,
@@ -32,7 +35,6 @@ from orbimpc_ros.ros.messages import (
     read_sighting,
     read_wind,
 )
-from orbimpc_ros.ros.obstacles import read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
@@ -57,7 +59,7 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
 GOALS = ('goal', 'goal_path')
 OBSTACLES, PLAN = 'obstacles', 'plan'
 TRANSFORMS = (TF, TF_STATIC)
-NAMED = (*READ, OBSTACLES, PLAN)  # topics whose resolved names are of use
+NAMED = (*READ, *POSE_TWIST, OBSTACLES, PLAN)  # topics whose resolved names are of use
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,7 @@ class Received(Generic[T]):
         stamp: the sender's.
         value: its content.
         at: when it came, on the steady clock [s].
-        timed: whether its stamp can be compared with the node's clock.
-        foreign: whether it was compared, and is of another clock.
+        timed: whether its stamp is of the node's clock; None where that cannot be known.
         run: how many messages of its source, itself the last, came one soon after another.
         moved: the message itself, if it came in another frame.
     """
@@ -77,8 +78,7 @@ class Received(Generic[T]):
     stamp: Stamp
     value: T
     at: float
-    timed: bool = False
-    foreign: bool = False
+    timed: bool | None = None
     run: int = 1
     moved: Any = None
 
@@ -131,7 +131,7 @@ class Inputs:
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         known = settings.stated_transforms, settings.transform_timeout, settings.tf
         self.transforms, self.displaced = Transforms(*known), ''
-        self.bodies = Bodies()
+        self.bodies, self._synchronizer = Bodies(), PoseTwistSynchronizer()
         self.agents: dict[str, AgentTrajectory] = {}
         self.traffic_stamps: dict[str, int] = {}
         self.leaders = tuple(name for name in self.others if name < self.names[PLAN])
@@ -164,25 +164,32 @@ class Inputs:
         for each in (self.bodies, self.agents, self.traffic_stamps, self._periods, self._timed):
             each.clear()
         self.transforms.forget()
+        self._synchronizer = PoseTwistSynchronizer()
 
     # --- messages
 
     def update(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in a message; return why it was refused, or an empty string."""
+        odd = ''
         try:
+            if topic in POSE_TWIST:
+                topic, message = 'odom', self._synchronizer.take(topic, message)
+            if message is None:
+                return ''  # the other half is to come
             if topic in READ:
                 self._take(topic, message, now, ros)
             elif topic in TRANSFORMS:
                 self.transforms.hear(topic, message)
-            elif topic != OBSTACLES:
+            elif topic == OBSTACLES:
+                odd = self._take_obstacles(message, ros)
+            else:
                 self._take_plan(topic, message, ros)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self.names.get(topic, topic)} refused: {error}'
-        refusal = self._take_obstacles(message, ros) if topic == OBSTACLES else ''
         time = self._time
         self._shares.update(t for t, stamp in self._stamps.items() if stamp == time)
-        return refusal
+        return odd
 
     def _take(self, topic: str, message: Any, now: float, ros: RosTime) -> None:
         """Take in odometry, a goal or a wind.
@@ -204,14 +211,15 @@ class Inputs:
         if is_goal:
             require_attitude(value, settings)
             self._require_near(topic, stamp, value, fresh=fresh)
-        # Once timed, always timed: what was held up on the way must not pass for fresh.
-        if apart <= COMPARABLE and not by_hand:
-            self._timed.add(topic)
-        timed = topic in self._timed and not by_hand
-        foreign = apart > COMPARABLE and not (timed or by_hand)  # neither before time starts
+        timed = None  # before time starts, or without a stamp
+        if not by_hand:
+            # Once timed, always timed: what was held up on the way must not pass for fresh.
+            if apart <= COMPARABLE:
+                self._timed.add(topic)
+            timed = topic in self._timed or (None if math.isnan(apart) else False)
         run = last.run + 1 if fresh and last is not None else 1
         moved = None if message is came else came
-        self._keep(topic, Received(stamp, value, now, timed, foreign, run, moved))
+        self._keep(topic, Received(stamp, value, now, timed, run, moved))
 
     def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
         """Refuse a stamp [ns] that is not later than that of the last message, if any is fresh."""
@@ -276,7 +284,7 @@ class Inputs:
         self.forecast.reset()
         if goal is not None and goal.run < STREAM:
             unset = replace(goal.stamp, nanoseconds=0)
-            self._see_anew(replace(goal, stamp=unset, timed=False, foreign=False))
+            self._see_anew(replace(goal, stamp=unset, timed=None))
 
     def _see_anew(self, goal: Received[GoalObservation]) -> None:
         """Take a goal for all that was ever seen of it."""
@@ -492,18 +500,24 @@ class Inputs:
     @property
     def untimed(self) -> str:
         """Return which sources' stamps are of another clock than this node's, in words."""
-        foreign = (t for t in READ if t in self.latest and self.latest[t].foreign)
-        return ', '.join(self.names[topic] for topic in foreign)
+        found = (t for t in READ if t in self.latest and self.latest[t].timed is False)
+        return ', '.join(self.names[topic] for topic in found)
 
     # --- what decisions are made of
 
     @property
     def heard(self) -> dict[str, Any]:
-        """Return which messages the next decision is made of, as a report has it."""
+        """Return which messages the next decision is made of, by the keys on ``tick``.
+
+        Those are the stamps of the goals known, by topic [ns]; how many goals were taken in so far,
+        for some may be lost on the way; how the forecast takes the goal to move, if it chooses; and
+        the stamps of what was heard last of obstacles and of other vehicles, by topic [ns].
+        """
+        model = self.forecast.model if isinstance(self.forecast, Bank) else ''
         return {
             'goal_stamps': self.goal_stamps,
             'goal_counts': dict(self.goal_counts),
-            'goal_model': self.forecast.model if isinstance(self.forecast, Bank) else '',
+            **({'goal_model': model} if model else {}),
             'traffic_stamps': dict(self.traffic_stamps),
         }
 

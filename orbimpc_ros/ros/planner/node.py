@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any
 
@@ -16,12 +16,12 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
+from orbimpc_ros.loop.capture import Events
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
@@ -30,41 +30,38 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.entry import report_compilation, without_compiler
 from orbimpc_ros.ros.lifecycle import Managed, NodeClock
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
+from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, RosTime, Stamp, health_message
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.planner.core import Core, planner_of
+from orbimpc_ros.ros.planner.core import AFRESH, DISABLED, INACTIVE, RESET, Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
-from orbimpc_ros.ros.planner.events import Events
 from orbimpc_ros.ros.planner.inputs import NAMED, OBSTACLES, PLAN, STREAM, others
 from orbimpc_ros.ros.planner.outputs import (
     CLAIMS,
-    COMMANDED,
+    COMMANDS,
     NUMBERS,
+    Report,
     command_messages,
+    condition,
     outputs,
+    prices,
     refutation_messages,
     report_messages,
 )
 from orbimpc_ros.ros.planner.wings import WINGS, Wing
-from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwistSynchronizer
 from orbimpc_ros.ros.process import LIFE, qos, run
-from orbimpc_ros.ros.reports import (
-    AFRESH,
-    DISABLED,
-    INACTIVE,
-    OK,
-    RESET,
-    Report,
-    condition,
-    health_message,
-    prices,
-)
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
 
 EVENTS = ('arrived', 'caught')  # topics
+INPUTS: Mapping[str, type] = {
+    'goal': PoseStamped,
+    'goal_path': Path,
+    'wind': TwistWithCovarianceStamped,
+    OBSTACLES: MarkerArray,
+}
+HALVES: Mapping[str, type] = dict(zip(POSE_TWIST, (PoseStamped, TwistStamped), strict=True))
 LATEST = qos(1, ReliabilityPolicy.BEST_EFFORT)
 LATCHED = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
@@ -121,7 +118,6 @@ class PlannerNode(Managed):
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
         if settings.odometry == 'pose_twist':
             names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
-        self._synchronizer = PoseTwistSynchronizer()
         self._frame_check = VelocityFrameCheck(settings.frames.velocity)
         self._core = Core(
             settings,
@@ -172,8 +168,8 @@ class PlannerNode(Managed):
             for topic, kind in outputs(settings).items()
         }
         self._begin_anew()
-        self._events, self._shown, self._goals_noted = Events(), dict[str, bool](), 0
         self._event_publishers = {n: self.create_publisher(Bool, n, LATCHED) for n in EVENTS}
+        self._events, self._shown = Events(), dict[str, bool]()
         self._publish_events()
         self._numbers = {n: self.create_publisher(Float64, f'~/{n}', qos()) for n in NUMBERS}
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
@@ -186,33 +182,31 @@ class PlannerNode(Managed):
         self._report: Report | None = None  # on it
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
-        if settings.odometry == 'pose_twist':
-            odometry = self._listen(PoseStamped, 'pose', _of('pose', self._on_half))
-            self._listen(TwistStamped, 'twist', _of('twist', self._on_half))
-        else:
-            odometry = self._listen(OdometryMessage, 'odom', self._on_odometry)
-        self._listen(PoseStamped, 'goal', self._on_goal)
-        self._listen(Path, 'goal_path', _of('goal_path', self._take))
-        self._listen(TwistWithCovarianceStamped, 'wind', _of('wind', self._take))
+        odometry = HALVES if settings.odometry == 'pose_twist' else {'odom': OdometryMessage}
+        listening = {}
+        for topic, kind in {
+            **odometry,
+            **INPUTS,
+            **dict.fromkeys(self._core.inputs.others, Path),
+        }.items():
+            # Markers add up: one that is lost leaves a body out, or leaves one where none is. So
+            # these are to be reliable; who offers less is reported as a mismatch. The rest is whole
+            # each time.
+            profile = qos(MARKERS) if topic == OBSTACLES else LATEST
+            callback = self.at_work(self._hear, topic)
+            listening[topic] = self.create_subscription(
+                kind, topic, callback, profile, event_callbacks=UNHEARD
+            )
         if settings.gated:
             # Even while inactive: whoever is activated has to know whether the vehicle is flown.
             self.create_subscription(Bool, 'engaged', self.guard(self._on_engaged), LATEST)
-        # Markers add up: one that is lost leaves a body out, or leaves one where none is. So these
-        # are to be reliable; who offers less is reported as a mismatch. Plans are whole each time.
-        self._obstacles = self._listen(MarkerArray, OBSTACLES, self._on_obstacles, qos(MARKERS))
-        for topic in self._core.inputs.others:
-            self._listen(Path, topic, _of(topic, self._take))
         if settings.tf:
             self._listen_to_transforms()
-        self._monitor = EndpointMonitor(self, odometry, self._publishers_of.get('cmd_vel'))
+        self._obstacles = listening[OBSTACLES]
+        measured = listening[next(iter(odometry))]
+        self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
-
-    def _listen(
-        self, kind: type, topic: str, callback: Callable[[Any], None], profile: QoSProfile = LATEST
-    ) -> Subscription:
-        working = self.at_work(callback)
-        return self.create_subscription(kind, topic, working, profile, event_callbacks=UNHEARD)
 
     def _listen_to_transforms(self) -> None:
         """Subscribe to transforms, while inactive, too, with the qualities of service of tf2.
@@ -229,8 +223,7 @@ class PlannerNode(Managed):
             raise BadInput.stating('tf', 'true, and tf2_msgs is missing', hint) from None
         kept = {TF: qos(TRANSFORMS), TF_STATIC: qos(TRANSFORMS, durability=LATCHED.durability)}
         for topic, profile in kept.items():
-            take = self.guard(_of(topic, self._take))
-            self.create_subscription(TFMessage, topic, take, profile)
+            self.create_subscription(TFMessage, topic, self.guard(self._hear, topic), profile)
 
     def _create_timers(self, settings: PlannerSettings) -> None:
         if settings.trigger == 'timer':
@@ -245,46 +238,49 @@ class PlannerNode(Managed):
 
     # --- inputs
 
-    def _on_half(self, topic: str, message: Any) -> None:
-        try:
-            joined = getattr(self._synchronizer, topic)(message)
-        except BadInput as error:
-            self._core.inputs.refused[f'{topic}: {error.culprit}'] += 1
-            self._refuse(f'{self.resolve_topic_name(topic)} refused: {error}')
-            return
-        if joined is not None:
-            self._on_odometry(joined)
-
-    def _on_odometry(self, message: OdometryMessage) -> None:
-        now, ros = self.steady_now(), self._time.now
-        inputs = self._core.inputs
-        refusal = inputs.update('odom', message, now, ros)
+    def _hear(self, topic: str, message: Any) -> None:
+        """Take in a message; plan if it is odometry, or what odometry has waited for."""
+        now, ros, inputs = self.steady_now(), self._time.now, self._core.inputs
+        if topic == OBSTACLES:
+            self._core.planner.expect_hazards()  # its publisher may not have been noticed yet
+        before = inputs.odometry
+        refusal = inputs.update(topic, message, now, ros)
         if refusal:
             self._refuse(refusal)
-            self._repeat_answer(message)
+            if topic == 'odom':
+                self._repeat_answer(message)
             return
-        if self._core.settings.trigger == 'odom':
+        if topic == 'goal':
+            self._altitude = message.pose.position.z or math.nan  # 0: that which is held
+            goal = inputs.latest['goal']
+            self._events.send(goal.value.position, streams=goal.run >= STREAM)
+        measured = inputs.odometry is not before
+        # Transforms come in while it is inactive, too.
+        if self.active and self._core.settings.trigger == 'odom':
             # DDS does not order topics. A source that stamps odometry and goals alike, such as the
             # simulator in lock-step, means them to be used together; then runs repeat exactly.
-            if inputs.complete:
+            if inputs.complete and (measured or self._is_unanswered(now, ros)):
                 self._plan_now(now, ros)
-            elif inputs.missing:
-                self._show_changes()
-            elif self._patience.is_canceled():
-                self._waits = self._patience_left
-                self._patience.reset()
-        self._frame_check.note(inputs.latest['odom'].value)  # no command waits for it
+            elif measured:
+                self._wait()
+        if measured:  # no command waits for it
+            self._frame_check.note(inputs.latest['odom'].value)
+        if topic == 'goal':
+            self._publish_events()
 
-    def _on_goal(self, message: PoseStamped) -> None:
-        self._take('goal', message)
-        height = message.pose.position.z
-        self._altitude = height if height else math.nan  # 0: that which is held
-        self._note_goal()
-        self._publish_events()
+    def _is_unanswered(self, now: float, ros: RosTime) -> bool:
+        """Return whether the latest odometry still waits for its answer, and is worth one."""
+        known = self._core.inputs.odometry
+        waits = known is not None and known.stamp.nanoseconds != self._answered
+        return waits and self._core.unsafe(now, ros) is None
 
-    def _on_obstacles(self, message: MarkerArray) -> None:
-        self._core.planner.expect_hazards()  # its publisher may not have been noticed yet
-        self._take(OBSTACLES, message)
+    def _wait(self) -> None:
+        """Let new odometry wait for a while for what belongs to it."""
+        if self._core.inputs.missing:
+            self._show_changes()
+        elif self._patience.is_canceled():
+            self._waits = self._patience_left
+            self._patience.reset()
 
     def _on_engaged(self, message: Bool) -> None:
         """Begin to command, from a fresh start, or fall silent at once."""
@@ -312,22 +308,6 @@ class PlannerNode(Managed):
     def _engaged(self) -> bool:
         """Return whether commands may leave."""
         return self._gate and (self._wing is None or self._wing.engaged)
-
-    def _take(self, topic: str, message: Any) -> None:
-        """Take in what accompanies odometry; plan if that has waited for it."""
-        now, ros = self.steady_now(), self._time.now
-        inputs = self._core.inputs
-        refusal = inputs.update(topic, message, now, ros)
-        if refusal:
-            self._refuse(refusal)
-            return
-        # Transforms come in while it is inactive, too.
-        waits = self.active and self._core.settings.trigger == 'odom' and inputs.complete
-        odometry = inputs.odometry
-        if not waits or odometry is None or odometry.stamp.nanoseconds == self._answered:
-            return
-        if self._core.unsafe(now, ros) is None:
-            self._plan_now(now, ros)
 
     def _refuse(self, refusal: str) -> None:
         self._refusal, self._refused_at = refusal, self.steady_now()
@@ -449,7 +429,7 @@ class PlannerNode(Managed):
 
     def _send(self, messages: Mapping[str, Any]) -> None:
         for topic, message in messages.items():
-            wanted = topic not in COMMANDED or self._engaged
+            wanted = topic not in COMMANDS or self._engaged
             if wanted and topic in self._publishers_of:  # of commands, none on a dry run
                 self._publishers_of[topic].publish(message)
         self._sent_at = self.steady_now()
@@ -460,17 +440,8 @@ class PlannerNode(Managed):
             if self._numbers[name].get_subscription_count():
                 self._numbers[name].publish(Float64(data=float(number)))
 
-    def _note_goal(self) -> None:
-        """Let the events know of a goal that has come since the last one they know of."""
-        inputs = self._core.inputs
-        goal, count = inputs.latest.get('goal'), inputs.goal_counts['goal']
-        if goal is not None and count != self._goals_noted:
-            self._goals_noted = count
-            self._events.send(goal.value.position, streams=goal.run >= STREAM)
-
     def _look_for_events(self) -> None:
         """Look whether the latest odometry shows a goal caught or reached."""
-        self._note_goal()  # the decision may be for one that has just come
         settings, known = self._core.settings, self._core.inputs.odometry
         found = self._core.inputs.goal_at(self.steady_now(), self._time.now)
         if known is None or found is None:
@@ -611,7 +582,6 @@ class PlannerNode(Managed):
     def _forget_plan(self) -> None:
         self._patience.cancel()
         self._core.planner.start_afresh()
-        self._synchronizer = PoseTwistSynchronizer()
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
@@ -629,15 +599,6 @@ class PlannerNode(Managed):
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
         self._show_changes()
         return response
-
-
-def _of(topic: str, take: Callable[[str, Any], None]) -> Callable[[Any], None]:
-    """Return a callback for messages of a topic."""
-
-    def on_message(message: Any) -> None:
-        take(topic, message)
-
-    return on_message
 
 
 def main(argv: Sequence[str] | None = None) -> int:

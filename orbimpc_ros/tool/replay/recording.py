@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.messages import SECOND, pushed
-from orbimpc_ros.ros.obstacles import stamp_of as stamp_of_markers
-from orbimpc_ros.ros.pose_twist import POSE_TWIST, PoseTwistSynchronizer
+from orbimpc_ros.ros.markers import stamp_of as stamp_of_markers
+from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, pushed
 from orbimpc_ros.tool import bags, topics
 from orbimpc_ros.tool.bags import Message, fields, point
 
@@ -178,7 +177,7 @@ def _joined(halves: Iterable[Message]) -> Iterator[Message]:
     for each in sorted(halves, key=lambda each: each.sent):
         name = each.topic.rpartition('/')[2]
         with suppress(BadInput):
-            joined = getattr(synchronizer, name)(each.content)
+            joined = synchronizer.take(name, each.content)
             if joined is not None:
                 yield each._replace(topic=each.topic.removesuffix(name) + 'odom', content=joined)
 
