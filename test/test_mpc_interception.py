@@ -12,7 +12,7 @@ from continuous import Craft, at_rest, flown
 from problems import floor, rotation
 from stepping import Stepped
 
-from orbimpc_ros.loop.compensation import Response, defect
+from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.intercept import (
     AIM,
@@ -22,6 +22,7 @@ from orbimpc_ros.loop.intercept import (
     InterceptQuery,
     Target,
     catching,
+    defect,
 )
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Solvers, Task
@@ -365,23 +366,23 @@ def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_he
     """The speed is 10 of 15 m/s, and lags by 0.8 s: who flies a plan ends metres before its end."""
     exact, asked = replace(WING, discretisation='exact'), Counter()
     wing = Interception(exact, RADIUS, Solvers(exact, 'thrust_aligned', 1e-4), 0.8)
-    posed = wing.posed
+    solved = Task.solved
     start = State.at([0.0, 0.0], np.eye(2) * 2.0 / 3.0)
     goal = np.array([away, 0.0])
 
-    def noted(target, task, previous):
-        asked[target] += 1
+    def noted(task):
+        asked[task.problem.horizon, task.problem.step] += 1
         reach = np.abs(task.problem.maps.reach[-1]).sum()
         assert np.linalg.norm(goal - drift(task.problem, start)[-1]) <= reach + RADIUS
-        return posed(target, task, previous)
+        return solved(task)
 
-    monkeypatch.setattr(wing, 'posed', noted)
+    monkeypatch.setattr(Task, 'solved', noted)
     still = GoalTrajectory(np.zeros(1), goal[None].copy())
     task = Task(exact, start, np.tile(goal, (8, 1)), np.arange(1.0, 9.0))
     _, (plan, _, _), catch = wing.earliest(InterceptQuery(task, still, 0.0))
     ended = plan.positions[-1] + defect(wing.problem(Target(catch.time / 0.5)), start, plan, 0.8)
     assert np.linalg.norm(ended - goal) <= AIM * RADIUS
-    assert any(target.end % 1.0 for target in asked)
+    assert any(step != exact.step for _, step in asked)
     assert max(asked.values()) == 2  # the defect is that of full speed at once
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Compensation of delay, lags, disturbances and turns within a step.
+r"""Compensation of delay, lags and disturbances.
 
 *Delay.* A measurement is moved on along the commands in force to the time of the next one.
 
@@ -7,10 +7,6 @@ r"""Compensation of delay, lags, disturbances and turns within a step.
 on the way that one without a lag takes a time :math:`\tau` later, from
 :math:`\hat\theta = \theta + \tau\omega` with :math:`\dot{\hat\theta} = c`. A plan that starts from
 there, at that time, is made of commands that the vehicle follows within all limits.
-
-*Defect.* An ``exact`` step takes the chord between the thrust axes at its ends; a vehicle turns
-along the arc, and its speed follows with a lag. Plans for a place are moved by the difference at
-their end (iterated defect correction).
 
 *Disturbance.* A Kalman filter with a constant disturbance w makes the loop offset-free:
 
@@ -22,7 +18,7 @@ with v or a what was commanded, along the measured attitude. Measured is the pos
 2 the velocity; one covariance serves all axes. At order 1 the airspeed before the first command is
 a state, too, which fades with the lag of the speed.
 
-Mathematics: docs/mathematics.md, 7.1, 7.3, 7.8, 7.9 and 7.10.
+Mathematics: docs/mathematics.md, 7.1, 7.3, 7.8 and 7.9.
 """
 
 from __future__ import annotations
@@ -39,7 +35,6 @@ from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
-from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import MovingObstacle, Problem, State
 
@@ -265,42 +260,6 @@ class Response:
         """
         known = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
         return max(0.0, self.rate - known)
-
-
-def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
-    """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
-
-    Its speed has a ``lag`` [s]. Zero where thrust is an acceleration, where rates are commanded a
-    step ahead, and with ``euler`` steps.
-    """
-    if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
-        return np.zeros(problem.dimension)
-    flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
-    way = problem.step * problem.forward * flown
-    return np.asarray(drift(problem, state)[-1] + way - plan.positions[-1])
-
-
-def _means(attitudes: Array) -> Array:
-    """Return the mean of the thrust axis in each step, (N, n), that turns evenly between them."""
-    turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
-    if turns.shape[-1] == 2:
-        half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
-        reached = np.stack([np.cos(half), np.sin(half)], axis=1) * np.sinc(half / np.pi)[:, None]
-    else:
-        ahead = np.eye(3)[0]
-        reached = np.array([turned(log(each), ahead)[0] for each in turns])
-    return np.einsum('kij,kj->ki', attitudes[:-1], reached)
-
-
-def _speeds(step: float, commanded: Array, lag: float) -> Array:
-    """Return the mean share of full speed in each step, (N,), a lag behind commands, (N + 1,)."""
-    left = math.exp(-step / lag) if lag else 0.0
-    spread = lag / step * (1.0 - left)
-    now, means = float(commanded[0]), []
-    for wanted in commanded[1:].tolist():
-        means.append(wanted + spread * (now - wanted))
-        now = wanted + left * (now - wanted)
-    return np.array(means)
 
 
 GIVEN, ESTIMATED = 'given', 'estimated'

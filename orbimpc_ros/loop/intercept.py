@@ -20,8 +20,11 @@ With a cone of approach a catch counts only if its last heading is inside of it,
 means inside of a narrower cone, too.
 
 A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
-wind and the model are no better than that. Plans, too, are made anew for a goal moved by their
-defect (:mod:`orbimpc_ros.loop.compensation`).
+wind and the model are no better than that.
+
+An ``exact`` step takes the chord between the thrust axes at its ends; a vehicle turns along the
+arc, and its speed follows with a lag. Plans are made anew for a goal moved by the difference at
+their end, their *defect* (iterated defect correction).
 
 Between the ends of two steps, shorter steps are tried where it is known where the goal is then:
 before the end of a step that has a catch, and within steps that could have led past the goal, so
@@ -47,7 +50,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import defect
+from orbimpc_ros.loop.compensation import turned
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.loop.task import Answer, Solvers, Task
 from orbimpc_ros.mpc.arrays import Array
@@ -136,7 +139,6 @@ class InterceptQuery:
     task: Task  # of tracking the goal, without what moves
     motion: GoalMotion | None  # None where the goal is known at the ends of the task's steps alone
     now: float  # when the task begins, on the clock of the motion [s]
-    previous: Plan | None = None
     pause: float = math.inf  # between ticks, in steps
     expected: float = 0.0  # the end at which the goal was to be caught, in steps; 0 or less if none
     most: float = math.inf  # plans that are tried
@@ -203,7 +205,9 @@ class Interception:
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
         self.problem = lru_cache(maxsize=MEMORY)(self._problem)
-        self._made = {target: self._solver(target) for target in self.targets}
+        self._made: dict[Target, Solver] = {}
+        for target in self.targets:
+            self._make(target)
 
     def _problem(self, target: Target) -> Problem:
         """Return the problem of :func:`catching` the goal."""
@@ -227,14 +231,10 @@ class Interception:
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
-    def _solver(self, target: Target) -> Solver:
-        return self._solvers.new(self.problem(target), self.enough(target.end))
-
-    def posed(self, target: Target, task: Task, previous: Plan | None) -> Task:
-        """Return the task of a target with its solver; past the horizon few are made."""
-        if target not in self._made:
-            self._made[target] = self._solver(target)
-        return self._solvers.posed(task, self._made[target], previous)
+    def _make(self, target: Target) -> Solver:
+        """Return the solver for a target, made now; past the horizon few are."""
+        self._made[target] = self._solvers.new(self.problem(target), self.enough(target.end))
+        return self._made[target]
 
     def earliest(self, query: InterceptQuery) -> tuple[Task | None, Answer | None, Intercept]:
         """Return the task of the earliest catch with its answer, and how early one can be.
@@ -310,7 +310,7 @@ class Interception:
             return MISSED
         goals = self._goals(query, end)
         task = query.task.within(self.problem(Target(end)), goals)
-        plan = task.shifted(query.previous, self._solvers.projection)
+        plan = task.rest
         if plan is None or not holds(*task.known, plan):
             return MISSED
         if _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
@@ -471,8 +471,8 @@ class Interception:
         for _ in range(TRIES):
             if query.late():
                 return found
-            task = query.task.within(self.problem(target), aims)
-            task = self.posed(target, task, query.previous)
+            solver = self._made.get(target) or self._make(target)
+            task = query.task.within(solver.problem, aims, solver)
             answer = task.solved()
             query.tried += 1
             plan, status, _ = answer
@@ -548,3 +548,39 @@ def _doubling(first: int, last: int) -> Iterator[int]:
         away *= 2
     if first < last:
         yield last
+
+
+def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
+    """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
+
+    Its speed has a ``lag`` [s]. Zero where thrust is an acceleration, where rates are commanded a
+    step ahead, and with ``euler`` steps.
+    """
+    if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
+        return np.zeros(problem.dimension)
+    flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
+    way = problem.step * problem.forward * flown
+    return np.asarray(drift(problem, state)[-1] + way - plan.positions[-1])
+
+
+def _means(attitudes: Array) -> Array:
+    """Return the mean of the thrust axis in each step, (N, n), that turns evenly between them."""
+    turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
+    if turns.shape[-1] == 2:
+        half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+        reached = np.stack([np.cos(half), np.sin(half)], axis=1) * np.sinc(half / np.pi)[:, None]
+    else:
+        ahead = np.eye(3)[0]
+        reached = np.array([turned(log(each), ahead)[0] for each in turns])
+    return np.einsum('kij,kj->ki', attitudes[:-1], reached)
+
+
+def _speeds(step: float, commanded: Array, lag: float) -> Array:
+    """Return the mean share of full speed in each step, (N,), a lag behind commands, (N + 1,)."""
+    left = math.exp(-step / lag) if lag else 0.0
+    spread = lag / step * (1.0 - left)
+    now, means = float(commanded[0]), []
+    for wanted in commanded[1:].tolist():
+        means.append(wanted + spread * (now - wanted))
+        now = wanted + left * (now - wanted)
+    return np.array(means)

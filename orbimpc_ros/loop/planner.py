@@ -309,9 +309,9 @@ class Planner:
             return 1.0
         return steps
 
-    def _begin(self, time: float) -> Array:
+    def _begin(self, time: float, passed: float) -> Array:
         """Count on to a decision at a time [s]; return the ends of its steps in the plan before."""
-        memory, passed = self._memory, self._passed(time)
+        memory = self._memory
         memory.last = time
         memory.flown += passed
         memory.since += passed
@@ -355,13 +355,20 @@ class Planner:
             self._change_speed(1.0)
             return self._safe(snapshot.odometry, Status.FAILED, unsafe or WAITING)
         start = self._compensator.start(snapshot.odometry, snapshot.latency, now, snapshot.wind)
+        memory, time = self._memory, start.odometry.time
         hazards, left_out = self._hazards(snapshot, start.odometry)
-        lost = self._lost_goal(snapshot)
+        passed, lost = self._passed(time), self._lost_goal(snapshot)
+        self._change_speed(passed)
+        knots = self._begin(time, passed)
+        if not lost:
+            memory.wanted = snapshot.wanted
+        wanted = memory.wanted if self._wants_attitude else None  # or it is not looked at
+        state = self._compensator.state(start.odometry, memory.reached, wanted, hazards)
         if lost:
-            decision = self._hold(start.odometry, hazards, lost)
+            decision = self._hold(state, knots, lost)
         else:
-            decision = self._planned(snapshot, start, hazards, late)
-        self._memory.previous = decision.plan
+            decision = self._planned(snapshot, start, state, knots, passed, late)
+        memory.previous = decision.plan
         return replace(
             decision,
             reason=joined(decision.reason, start.limited),
@@ -382,10 +389,6 @@ class Planner:
         found = snapshot.traffic.hazards(odometry.time)
         return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
 
-    def _state(self, odometry: Odometry, hazards: tuple[MovingObstacle, ...]) -> State:
-        wanted = self._memory.wanted if self._wants_attitude else None  # or it is not looked at
-        return self._compensator.state(odometry, self._memory.reached, wanted, hazards)
-
     def _change_speed(self, steps: float) -> None:
         """Note how far towards the last command the speed has come, a number of steps later."""
         memory, last = self._memory, self._compensator.history.last
@@ -397,41 +400,39 @@ class Planner:
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
     def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
-        solver = self._solvers.of(len(knots), self._memory.pace)
-        task = Task(solver.problem, state, goals, knots, late)
-        return self._solvers.posed(task, solver, self._memory.previous)
+        memory, projection = self._memory, self._solvers.projection
+        solver = self._solvers.of(len(knots), memory.pace)
+        known = solver.problem, state, goals, knots, solver
+        return Task(*known, memory.previous, projection, late)
 
     def _planned(
         self,
         snapshot: Snapshot,
         start: Start,
-        hazards: tuple[MovingObstacle, ...],
+        state: State,
+        knots: Array,
+        passed: float,
         late: Late | None,
     ) -> Decision:
-        """Return the decision for a goal that is known."""
+        """Return the decision for a goal that is known, so many steps after the one before."""
         memory, given, odometry = self._memory, snapshot.goal, start.odometry
         assert given is not None
-        motion = None if isinstance(given, np.ndarray) else given
-        if isinstance(motion, Route):
-            motion = self._paced(motion, odometry)
-        goals = given if motion is None else motion.at(self.ends(odometry.time))
-        passed = self._passed(odometry.time)
-        self._change_speed(passed)
-        memory.wanted = snapshot.wanted
-        state, knots = self._state(odometry, hazards), self._begin(odometry.time)
         if not len(knots):
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._safe(state, Status.FEASIBLE, reason)
-        copied = np.array(goals, dtype=float)
-        copied.setflags(write=False)
-        goals, shortened = clamp_goal(self.problem, state, copied)
+        ends = odometry.time + memory.pace * self._counted[: len(knots)]
+        motion = None if isinstance(given, np.ndarray) else given
+        if isinstance(motion, Route):
+            motion = self._paced(motion, odometry)
+        goals = np.array(given if motion is None else motion.at(ends), dtype=float)
+        goals, shortened = clamp_goal(self.problem, state, sealed(goals))
         task = self._task(state, goals, knots, late)
         memory.goals = goals
         held, catch = '', None
-        if hazards or self.problem.obstacles:
+        if state.hazards or self.problem.obstacles:
             held = held_goal(task.problem, state, goals)
         if isinstance(motion, Paced):
-            held = motion.trouble(self.ends(odometry.time), self._max_rate)
+            held = motion.trouble(ends, self._max_rate)
         if self._interception is None or shortened or isinstance(motion, Paced):
             task, (plan, status, words) = self._tracked(task)
         else:
@@ -468,7 +469,7 @@ class Planner:
         wary = replace(task, state=with_clearance(task.state, every))
         answer = wary.solved()
         if answer[0] is None:
-            left = achieved_clearance(task.problem, task.state, task.guess, self._reserve)
+            left = achieved_clearance(task.problem, task.state, task.rest, self._reserve)
             wary = replace(task, state=with_clearance(task.state, left))
             answer = wary.solved()
         return wary, self._clear(task, wary, answer)
@@ -500,7 +501,7 @@ class Planner:
 
         With the reserve first, then without.
         """
-        guess = None if plan is None else task.guess
+        guess = None if plan is None else task.rest
         for each in (wary,) if wary is task else (wary, task):
             ways = filter(None, (plan, guess, self._scouted(each)))
             found = cheapest_clear(*each.known, ways)
@@ -516,8 +517,7 @@ class Planner:
         headings = self._scout.way(task.state, task.goals, traffic, task.late)
         if headings is None:
             return None
-        projection = self._solvers.projection
-        return assemble(*task.known, headings, projection=projection, proof=UNPROVED)
+        return assemble(*task.known, headings, projection=task.projection, proof=UNPROVED)
 
     def _caught(
         self, task: Task, interception: Interception, motion: GoalMotion | None, pause: float
@@ -537,7 +537,7 @@ class Planner:
         if task.state.hazards:
             alone = replace(task, state=replace(task.state, hazards=()))
         most = CATCHES_AMONG if task.state.hazards else math.inf
-        query = InterceptQuery(alone, motion, now, memory.previous, pause, expected, most)
+        query = InterceptQuery(alone, motion, now, pause, expected, most)
         chosen, answer, catch = interception.earliest(query)
         words = ''
         if chosen is None and self._approach.exists:
@@ -559,13 +559,9 @@ class Planner:
 
     # --- without a new plan
 
-    def _hold(
-        self, odometry: Odometry, hazards: tuple[MovingObstacle, ...], words: str
-    ) -> Decision:
+    def _hold(self, state: State, knots: Array, words: str) -> Decision:
         """Go on without a goal: by the previous plan while the fallback allows, then safely."""
         memory, reason = self._memory, Reason(Cause.GOAL, words)
-        self._change_speed(self._passed(odometry.time))
-        state, knots = self._state(odometry, hazards), self._begin(odometry.time)
         unknown = memory.goals is None or (self._wants_attitude and memory.wanted is None)
         if unknown or memory.goals is None or not len(knots):
             return self._safe(state, Status.FAILED, reason)
@@ -575,10 +571,9 @@ class Planner:
     def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
         memory.fallbacks += 1
-        if memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP:
-            guess = task.guess or self._shifted(task)
-            if guess and holds(*task.known, guess):
-                return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
+        lasts = memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP
+        if lasts and task.rest and holds(*task.known, task.rest):
+            return self._following(task, task.rest, status, reason, Fallback.SHIFTED_PLAN)
         arriving = memory.arriving or task.problem.has_cones  # to wait is to fall
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
@@ -588,8 +583,7 @@ class Planner:
 
     def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
         """Return the decision for the clearest way, if there is any that meets all else."""
-        guess = task.guess or self._shifted(task)
-        plan, apart = clearest(*task.known, guess, self._solvers.projection, task.late)
+        plan, apart = clearest(*task.known, task.rest, task.projection, task.late)
         if plan is None:
             return self._safe(task.state, status, reason)
         reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')
@@ -598,9 +592,8 @@ class Planner:
     def _arrive_softly(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
         solver = self._solvers.of(len(task.knots), memory.pace, soft=True)
-        eased = replace(task, problem=solver.problem, solver=solver, guess=None)
-        eased = replace(eased, guess=self._shifted(eased))
-        plan, _, _ = eased.solved()
+        eased = replace(task, problem=solver.problem, solver=solver)
+        plan, _, _ = eased.solved(guessing=True)
         if plan is None:
             return self._safe(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
@@ -612,9 +605,6 @@ class Planner:
         memory.aim = task.goals[-1]
         reason = reason.and_so(f'the plan misses by {miss:.3g} m')
         return self._following(eased, plan, status, reason, Fallback.SOFT_ARRIVAL)
-
-    def _shifted(self, task: Task) -> Plan | None:
-        return task.shifted(self._memory.previous, self._solvers.projection)
 
     # --- a command
 

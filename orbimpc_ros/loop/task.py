@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,22 +31,24 @@ class Task:
     state: State  # that plans start from
     goals: Array  # g_1..g_N, shape (N, n) [m]
     knots: Array  # ends of its steps, counted in steps of the plan before from its start, (N,)
-    late: Late | None = None  # whether time is up; None without a deadline
-    guess: Plan | None = None  # a plan from this state; None where it would not help
     solver: Solver | None = None  # of the problem
+    previous: Plan | None = None  # the plan before; None if there is none to go on from
+    projection: str = 'thrust_aligned'  # how its rest becomes rotations
+    late: Late | None = None  # whether time is up; None without a deadline
 
     @property
     def known(self) -> tuple[Problem, State, Array]:
         """Return what plans are checked against: problem, state and goals."""
         return self.problem, self.state, self.goals
 
-    def shifted(self, previous: Plan | None, projection: str) -> Plan | None:
+    @cached_property
+    def rest(self) -> Plan | None:
         """Return the rest of the previous plan from this state, if it fits."""
-        if previous is None:
+        if self.previous is None:
             return None
-        return shifted(*self.known, previous, self.knots, projection=projection)
+        return shifted(*self.known, self.previous, self.knots, projection=self.projection)
 
-    def within(self, problem: Problem, goals: Array) -> Task:
+    def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
         """Return the task of a problem with another number or length of steps, and their goals."""
         count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
         if step != self.problem.step:
@@ -53,13 +56,18 @@ class Task:
             stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
             knots = self.knots[0] - each + each * stretched
         goals = sealed(goals.copy())
-        return replace(self, problem=problem, goals=goals, knots=knots, guess=None, solver=None)
+        return replace(self, problem=problem, goals=goals, knots=knots, solver=solver)
 
-    def solved(self) -> Answer:
-        """Return a checked plan, or None, with status and reason."""
+    def solved(self, *, guessing: bool = False) -> Answer:
+        """Return a checked plan, or None, with status and reason.
+
+        The search starts from the rest of the previous plan where that helps the solver, or where
+        ``guessing`` is asked for.
+        """
         assert self.solver is not None
+        guess = self.rest if guessing or self.solver.takes_guess(self.state) else None
         try:
-            plan = self.solver.solve(self.state, self.goals, self.guess, self.late)
+            plan = self.solver.solve(self.state, self.goals, guess, self.late)
         except Infeasible as error:
             return None, Status.INFEASIBLE, str(error)
         except SolverFailure as error:
@@ -106,14 +114,6 @@ class Solvers:
             coasting=True,
             enough=enough,
         )
-
-    def posed(self, task: Task, solver: Solver, previous: Plan | None) -> Task:
-        """Return a task with its solver, and with the previous plan's rest where that helps it."""
-        guess = None
-        if previous is not None and solver.takes_guess(task.state):
-            known = task.problem, task.state, task.goals, previous, task.knots
-            guess = shifted(*known, projection=self.projection)
-        return replace(task, solver=solver, guess=guess)
 
     def expect_hazards(self) -> None:
         """Compile what the first plan among moving obstacles would have to wait for."""
