@@ -60,7 +60,7 @@ class Driven:
 
     def tick(self, now):
         report = self.core.decide(now, RosTime(stamp(now)))
-        self.core.sent(report.decision.command, stamp(now) / SECOND)
+        self.core.planner.sent(report.decision.command, stamp(now) / SECOND)
         return report
 
     def tick_again(self, now):
@@ -253,7 +253,7 @@ def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
     planned = driven.core.decide(0.0, RosTime(stamp(0.0)))
     assert planned.decision.command.speed_fraction > 0.5
     assert driven.safe().decision.command.speed_fraction == 0.0
-    driven.core.sent(planned.decision.command, stamp(0.0) / SECOND)
+    driven.core.planner.sent(planned.decision.command, stamp(0.0) / SECOND)
     held = driven.safe().decision.command.speed_fraction
     assert held == planned.decision.command.speed_fraction
 

@@ -93,12 +93,12 @@ def test_transforms_have_inverses_and_are_interpolated_from_one_end_to_the_other
 
 
 def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
-    found = stated(f'map odom 1 2 3 {QUARTER} 0 {QUARTER}').matrix
+    found = stated([f'map odom 1 2 3 {QUARTER} 0 {QUARTER}'])['odom'].fixed
     np.testing.assert_allclose(found @ [0, 1, 0, 1], [1, 2, 4, 1], atol=1e-12)
 
 
 def test_frames_are_joined_through_what_they_have_in_common():
-    known = Transforms([], 0.2, True)
+    known = Transforms({}, 0.2, True)
     known.hear(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)))
     known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
     known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))

@@ -9,10 +9,11 @@ when, so that a recording gives the same; tf2's own buffer is not needed, and Py
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Transform
@@ -36,32 +37,29 @@ KEPT = 10 * SECOND  # [ns] of each transform of /tf, as tf2 does
 MOST_SAMPLES = 4096  # of each transform
 MOST_FRAMES = 1024
 ON = 'tf: true (of /tf) or transforms (stated)'
+FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
 
 
-class Stated(NamedTuple):
-    """A stated transform: its frames, and the matrix from the child to the parent."""
-
-    parent: str
-    child: str
-    matrix: Array
-
-
-def stated(words: str) -> Stated:
-    """Return the transform that ``parent child x y z roll pitch yaw`` states [m], [rad].
+def stated(lines: Iterable[str]) -> dict[str, Edge]:
+    """Return what ``parent child x y z roll pitch yaw`` states in each line, by the child [m, rad].
 
     Raises:
-        BadInput: too few words or too many, or a number that is none.
+        BadInput: too few words or too many, a number that is none, or a child in two parents.
     """
-    form = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
-    parent, child, *rest = words.split() if len(words.split()) == 8 else ['', '']
-    try:
-        numbers = np.array([float(each) for each in rest])
-    except ValueError:
-        raise BadInput('transforms', words, form) from None
-    if parent == child or not np.isfinite(numbers).all():
-        raise BadInput('transforms', words, form)
-    roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
-    return Stated(parent, child, matrix(yaw @ pitch @ roll, numbers[:3]))
+    found: dict[str, Edge] = {}
+    for line in lines:
+        parent, child, *rest = line.split() if len(line.split()) == 8 else ['', '']
+        try:
+            numbers = np.array([float(each) for each in rest])
+        except ValueError:
+            numbers = np.array([math.nan])
+        if parent == child or not np.isfinite(numbers).all():
+            raise BadInput('transforms', line, FORM)
+        if child in found:
+            raise BadInput('transforms', line, f'{child} in one parent')
+        roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
+        found[child] = Edge(parent, matrix(yaw @ pitch @ roll, numbers[:3]))
+    return found
 
 
 def matrix(rotation: Array, translation: Array) -> Array:
@@ -85,7 +83,7 @@ def between(first: Array, then: Array, share: float) -> Array:
 
 
 @dataclass
-class _Edge:
+class Edge:
     """The transform of a frame to its parent.
 
     Attributes:
@@ -138,20 +136,19 @@ class Transforms:
     """The known transforms, and messages moved by them.
 
     Args:
-        stated: those that are stated.
+        stated: those that are stated, by the child.
         patience: for how long the last of ``/tf`` holds [s].
         listening: whether there is a subscription to ``/tf``.
     """
 
-    def __init__(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
-        self._edges: dict[str, _Edge] = {}
+    def __init__(self, stated: Mapping[str, Edge], patience: float, listening: bool) -> None:
+        self._edges: dict[str, Edge] = {}
         self._listening = listening
         self.adopt(stated, patience)
 
-    def adopt(self, stated: Iterable[Stated], patience: float) -> None:
+    def adopt(self, stated: Mapping[str, Edge], patience: float) -> None:
         """Replace the stated transforms and the patience."""
-        self._stated = {each.child: _Edge(each.parent, each.matrix) for each in stated}
-        self._patience = patience
+        self._stated, self._patience = stated, patience
 
     def forget(self) -> None:
         """Forget what holds for stamps alone."""
@@ -172,10 +169,10 @@ class Transforms:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
             if topic == TF_STATIC:
                 fixed = matrix(*read_transform(each.transform, f'{parent} -> {child}'))
-                self._edges[child] = _Edge(parent, fixed)
+                self._edges[child] = Edge(parent, fixed)
                 continue
             if known is None or known.parent != parent or known.fixed is not None:
-                known = self._edges[child] = _Edge(parent)
+                known = self._edges[child] = Edge(parent)
             known.note(nanoseconds(each.header.stamp, 'header.stamp'), each.transform)
 
     def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
@@ -220,7 +217,7 @@ class Transforms:
             line.append(edge.parent)
         return line
 
-    def _edge(self, child: str) -> _Edge | None:
+    def _edge(self, child: str) -> Edge | None:
         return self._stated.get(child) or self._edges.get(child)
 
     def _product(self, children: list[str], stamp: int) -> Array:

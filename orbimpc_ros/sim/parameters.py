@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.problem import Approach, Ball, MovingObstacle
-from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
+from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
@@ -189,11 +189,6 @@ class SimSettings(VehicleParameters):
         return wanted_readers(self.given_wait_for)
 
     @cached_property
-    def frames(self) -> Frames:
-        """Return the frames to publish in."""
-        return self.message_frames()
-
-    @cached_property
     def faults(self) -> Faults:
         """Return what goes wrong between the vehicle and its planner."""
         return Faults(**{each.name: getattr(self, each.name) for each in fields(Faults)})
@@ -218,7 +213,7 @@ class SimSettings(VehicleParameters):
     def model(self) -> Model:
         """Return how the simulated vehicle moves: the discrete model, a plant, or an engine."""
         self._refuse_unused()
-        known = self.known_disturbance().tolist()
+        known = self.disturbance.tolist()
         discrete = Model(
             self.dimension,
             self.rotation_order,
@@ -266,7 +261,7 @@ class SimSettings(VehicleParameters):
             self.start,
             self.rope,
             **{name: getattr(self, name) for name in ending},
-            obstacles=self.boxes(),
+            obstacles=self.boxes,
             traffic=self._traffic(),
             approach=self._approach(),
             rope_length=self.rope_length,

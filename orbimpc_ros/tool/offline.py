@@ -113,7 +113,7 @@ class OfflinePlanner(Core):
             command = replace(command, speed_fraction=pushed / (weight * problem.forward))
         if rate is not None:
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
-        self.sent(command, at)
+        self.planner.sent(command, at)
 
     def _messages(self, stamp: Stamp, report: Report) -> dict[str, Any]:
         self._report = report
@@ -141,7 +141,7 @@ class OfflinePlanner(Core):
         """Plan at a time [s]; return what was decided and has been sent."""
         at = _nanoseconds(now)
         report = self.decide(now, RosTime(at))
-        self.sent(report.decision.command, at / SECOND)
+        self.planner.sent(report.decision.command, at / SECOND)
         return report
 
     def at(self, now: float) -> Stamp:

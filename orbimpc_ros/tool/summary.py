@@ -89,7 +89,7 @@ def _contacts(history: History) -> dict[str, str]:
     rows, truth, values = {}, history.truth, settings.of_sim(history.values)
     touched = truth.get('touched')
     if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
-        boxes = len(settings_from(VehicleParameters, values).boxes())
+        boxes = len(settings_from(VehicleParameters, values).boxes)
         rows['touched'] = touched_in_words(touched, boxes) or f'no {"box" if boxes else "ball"}'
     least = truth.get('least_airspeed')
     if values['stall_speed'] and isinstance(least, (int, float)):

@@ -15,14 +15,12 @@ from orbimpc_ros.loop.compensation import DISTURBANCES, ESTIMATED, GIVEN, Respon
 from orbimpc_ros.loop.fallback import SAFE_COMMANDS, decided
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.traffic import Distance
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.problem import STEEPEST_GLIDE
 from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
 from orbimpc_ros.ros.firmware import AUTOPILOTS
-from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
@@ -33,7 +31,7 @@ from orbimpc_ros.ros.parameters.spec import (
     specs_of,
 )
 from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
-from orbimpc_ros.ros.transforms import Stated, stated
+from orbimpc_ros.ros.transforms import Edge, stated
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 OF_PROBLEM = (
@@ -202,14 +200,9 @@ class PlannerSettings(VehicleParameters):
             **{name: getattr(self, name) for name in OF_PROBLEM},
             weights=Weights(*(getattr(self, f'weights_{part}') for part in parts)),
             floor=Floor(self.floor_shape, self.floor_faces, self.floor_fraction),
-            obstacles=self.boxes(),
+            obstacles=self.boxes,
         )
         return weighed(problem, self.weights_scaling)
-
-    @cached_property
-    def shrinking(self) -> bool:
-        """Return whether the horizon shrinks."""
-        return self.horizon_mode == 'shrinking'
 
     @cached_property
     def period(self) -> float:
@@ -246,11 +239,6 @@ class PlannerSettings(VehicleParameters):
         return Response(self.response_speed, self.response_rate)
 
     @cached_property
-    def disturbance(self) -> Array:
-        """Return the known wind or acceleration, gravity's included, shape (n,)."""
-        return self.known_disturbance()
-
-    @cached_property
     def estimated(self) -> bool:
         """Return whether to estimate what disturbs besides."""
         return self.given_disturbance == ESTIMATED
@@ -278,19 +266,9 @@ class PlannerSettings(VehicleParameters):
         return decided(self.given_safe_command, self.problem, self.gravity)
 
     @cached_property
-    def frames(self) -> Frames:
-        """Return the frames that messages must be in."""
-        return self.message_frames(self.velocity_frame)
-
-    @cached_property
-    def stated_transforms(self) -> tuple[Stated, ...]:
-        """Return the transforms that are stated: each frame lies in one other."""
-        found = tuple(map(stated, self.transforms))
-        children = [each.child for each in found]
-        for child in children:
-            if children.count(child) > 1:
-                raise BadInput('transforms', list(self.transforms), f'{child} in one parent')
-        return found
+    def stated_transforms(self) -> dict[str, Edge]:
+        """Return the transforms that are stated, by their child."""
+        return stated(self.transforms)
 
     @cached_property
     def distance(self) -> Distance:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -69,7 +70,10 @@ class VehicleParameters(ProcessParameters):
         'Boxes to stay out of: lower, then upper corner of each', 'm', -FAR, FAR, live=True)
     # fmt: on
 
-    def known_disturbance(self) -> Array:
+    velocity_frame = 'body'  # of odometry, where it is no parameter
+
+    @cached_property
+    def disturbance(self) -> Array:
         """Return the known wind or acceleration, gravity's included, shape (n,).
 
         Raises:
@@ -82,6 +86,7 @@ class VehicleParameters(ProcessParameters):
         known[-1] -= self.gravity
         return sealed(known)
 
+    @cached_property
     def boxes(self) -> tuple[Box, ...]:
         """Return the obstacles.
 
@@ -94,7 +99,8 @@ class VehicleParameters(ProcessParameters):
         corners = np.array(self.obstacles, dtype=float).reshape(-1, 2, n)
         return tuple(Box(low, high) for low, high in corners)
 
-    def message_frames(self, velocity: str = 'body') -> Frames:
+    @cached_property
+    def frames(self) -> Frames:
         """Return the frames that messages must be in, and the body axis that pushes.
 
         Raises:
@@ -102,7 +108,7 @@ class VehicleParameters(ProcessParameters):
         """
         if self.thrust_axis != 'x' and self.dimension == 2:
             raise BadInput('thrust_axis', self.thrust_axis, 'x when dimension is 2')
-        return Frames(self.frame_id, self.child_frame_id, self.thrust_axis, velocity)
+        return Frames(self.frame_id, self.child_frame_id, self.thrust_axis, self.velocity_frame)
 
     def approach_of_a_catch(self) -> Approach:
         """Return the cone of headings in which a catch counts.

@@ -13,20 +13,27 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from orbimpc_ros.loop.intercept import steps_before
-from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
-from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.loop.planner import Planner, Snapshot, joined
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.planner.outputs import Report
 
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.proof.document import Refutation
+
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
 RESET = Reason(Cause.RESET, 'reset')
 DISABLED = Reason(Cause.DISABLED, 'disabled')
 INACTIVE = Reason(Cause.DISABLED, 'inactive')  # as a managed node
+OF_PLANNER = (
+    *('projection', 'gap_tolerance', 'response', 'disturbance', 'velocity_source', 'sideslip'),
+    *('capture_radius', 'approach', 'centred', 'odom_timeout', 'goal_timeout'),
+)
 RECENT = 15  # decisions
 LATE = 1.5  # periods from one tick of the timer to the next
 LOOK = 1e-4  # [s] that a look at the deadline counts for in lock-step: some take 3e-3
@@ -37,59 +44,16 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
     """Return the settings with a planner compiled for them."""
     planner = Planner(
         settings.problem,
-        projection=settings.projection,
-        shrinking=settings.shrinking,
-        gap_tolerance=settings.gap_tolerance,
+        shrinking=settings.horizon_mode == 'shrinking',
         safe=settings.safe_command,
-        response=settings.response,
-        disturbance=settings.disturbance,
         # On a dry run somebody else commands, who is not known.
         estimated=settings.estimated and not settings.dry_run,
-        velocity_source=settings.velocity_source,
-        sideslip=settings.sideslip,
-        capture_radius=settings.capture_radius,
-        approach=settings.approach,
         reserve=settings.obstacle_reserve,
-        centred=settings.centred,
-        odom_timeout=settings.odom_timeout,
-        goal_timeout=settings.goal_timeout,
+        **{name: getattr(settings, name) for name in OF_PLANNER},
     )
     if settings.avoid:
         planner.expect_hazards()
     return settings, planner
-
-
-def _proved(
-    decision: Decision, clock: Callable[[], float], end: float, *, catches: bool = False
-) -> Decision:
-    """Return the decision with proofs of what it states, as far as there are any in time.
-
-    That is that nothing is feasible, and that nothing is caught before a time.
-
-    Args:
-        decision: to be proved.
-        clock: by which proofs end.
-        end: on that clock [s].
-        catches: whether to refute earlier catches, too.
-    """
-    if decision.infeasible is None and not (catches and decision.catch):
-        return decision
-    # Imported by the first decision that needs it: a tenth of a second that starts are spared.
-    from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
-    from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
-
-    nothing, catch = decision.infeasible, decision.catch
-    if nothing is not None:
-        made = held_in_time(lambda late: refutation_of(nothing, late), clock, end)
-        if made is None:
-            decision = replace(decision, reason=joined(decision.reason, WORD))
-        return replace(decision, refutation=made)
-    assert catch is not None
-    count = steps_before(catch.bound, catch.sought.problem.step)
-    if not count:
-        return decision
-    made = held_in_time(lambda late: catches_refuted(catch.sought, count, late), clock, end)
-    return replace(decision, refutation=made)
 
 
 class Timing:
@@ -231,17 +195,30 @@ class Core:
         return Report(decision, 1e3 * took if solved else 0.0, heard)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:
-        """Return the last report with proofs of what it states, until its deadline.
+        """Return the last report with a proof of what it states, if there is one by its deadline.
 
-        Its command went out before, and need not wait for them.
+        That is that nothing is feasible or, with ``catches``, that nothing is caught before a time.
+        Its command went out before, and need not wait for that.
         """
-        decision = _proved(report.decision, self._limit, self._end, catches=catches)
-        same = decision is report.decision
-        return report if same else replace(report, decision=decision)
+        decision = report.decision
+        nothing, catch = decision.infeasible, decision.catch if catches else None
+        count = 0 if catch is None else steps_before(catch.bound, catch.sought.problem.step)
+        if nothing is None and not count:
+            return report
+        # Imported by the first decision that needs it: a tenth of a second that starts are spared.
+        from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
+        from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 
-    def sent(self, command: Command, at: float) -> None:
-        """Note that a command was published at a time of the ROS clock [s]."""
-        self.planner.sent(command, at)
+        def made(late: Callable[[], bool]) -> Refutation:
+            if nothing is not None:
+                return refutation_of(nothing, late)
+            assert catch is not None
+            return catches_refuted(catch.sought, count, late)
+
+        refutation, reason = held_in_time(made, self._limit, self._end), decision.reason
+        if nothing is not None and refutation is None:
+            reason = joined(reason, WORD)
+        return replace(report, decision=replace(decision, refutation=refutation, reason=reason))
 
     def _is_late(self) -> bool:
         return self._limit() > self._end

@@ -8,6 +8,7 @@ import re
 from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -103,7 +104,6 @@ class PlannerNode(Managed):
         """Compile a planner for the parameters, and connect inputs and outputs."""
         self._enabled, self._altitude = True, math.nan
         self._wing: Wing | None = None
-        self._flown = False  # whether the wing's autopilot takes setpoints
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # when it was last looked around [s]
@@ -113,7 +113,8 @@ class PlannerNode(Managed):
         # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
         self._create_publishers(settings)
         if settings.autopilot:
-            self._wing = WINGS[settings.autopilot](self, settings.frames, self._on_wing)
+            known = settings.frames, self._switched, partial(self._log, warn=True)
+            self._wing = WINGS[settings.autopilot](self, *known)
         settings, planner = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
         if settings.odometry == 'pose_twist':
@@ -288,15 +289,8 @@ class PlannerNode(Managed):
             self._gate = message.data
             self._switched('engaged: commands' if message.data else 'not engaged: silent')
 
-    def _on_wing(self, engaged: bool, why: str) -> None:
-        """Log what a wing's autopilot has done, and begin or end to send setpoints with it."""
-        if engaged == self._flown:
-            self._log(why, warn=True)
-            return
-        self._flown = engaged
-        self._switched(f'{why}: {"setpoints" if engaged else "silent"}')
-
     def _switched(self, words: str) -> None:
+        """Note that commands begin or end to leave, the former from a fresh start."""
         if self._engaged:
             self._core.planner.start_afresh()
         self._mode_changes += 1
@@ -403,7 +397,7 @@ class PlannerNode(Managed):
             of_plan = settings.problem.forward, settings.problem.step, settings.period
             self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
         if self._engaged and not settings.dry_run:
-            self._core.sent(command, self._time.nanoseconds / SECOND)
+            self._core.planner.sent(command, self._time.nanoseconds / SECOND)
         self._stamp, heard = stamp, self._heard
         self._tell(report, heard - CLAIMS)  # the vehicle did not wait for it
         self._report = self._core.proved(report, catches='certificate' in heard)

@@ -45,7 +45,8 @@ class Wing(ABC):
     Args:
         node: makes publishers and subscriptions.
         frames: of odometry.
-        changed: is called with whether setpoints may leave, and why, whenever that changes.
+        switched: called with a line whenever setpoints may leave, or may no longer.
+        warn: called with a line about whatever else goes wrong.
 
     Attributes:
         engaged: whether setpoints may leave.
@@ -55,7 +56,13 @@ class Wing(ABC):
     package: ClassVar[str]
     mode: ClassVar[str]
 
-    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
+    def __init__(
+        self,
+        node: Managed,
+        frames: Frames,
+        switched: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
         try:
             self._types = import_module(f'{self.package}.msg')
         except ModuleNotFoundError:
@@ -63,12 +70,18 @@ class Wing(ABC):
             given = f'{self.name}, and {self.package} is missing'
             raise BadInput.stating('autopilot', given, hint) from None
         self.engaged = False
-        self._node, self._frames, self._changed = node, frames, changed
+        self._node, self._frames = node, frames
+        self._switched, self._warn = switched, warn
         self._odometry_out = node.create_publisher(OdometryMessage, 'odom', qos())
         self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
         self._at = dict.fromkeys(('position', 'mode', 'airspeed', 'wind', 'setpoint'), -math.inf)
         self._in_mode, self._airspeed, self._wind = False, math.nan, np.full(2, math.nan)
         node.create_timer(ALIVE, node.guard(self.look), clock=node.steady)
+        self._connect()
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Subscribe to what the autopilot measures, and make what setpoints leave by."""
 
     @abstractmethod
     def _publish(self, wanted: Setpoint) -> None:
@@ -97,7 +110,7 @@ class Wing(ABC):
             self.engaged = engaged
             if not engaged and self._in_mode:
                 self.release()
-            self._changed(engaged, f'{self.name}: {why}')
+            self._switched(f'{self.name}: {why}: {"setpoints" if engaged else "silent"}')
         if self._age('position') <= FRESH and self._age('setpoint') <= 1.0:
             self._keep()
 
@@ -153,8 +166,7 @@ class Px4(Wing):
 
     name, package, mode = 'px4', 'px4_msgs', 'offboard'
 
-    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
-        super().__init__(node, frames, changed)
+    def _connect(self) -> None:
         types = self._types
         self._attitude: Any = None
         self._share, self._origin = 1.0, math.nan
@@ -233,10 +245,9 @@ class ArduPlane(Wing):
 
     name, package, mode = 'arduplane', 'mavros_msgs', 'GUIDED'
 
-    def __init__(self, node: Managed, frames: Frames, changed: Callable[[bool, str], None]) -> None:
-        super().__init__(node, frames, changed)
+    def _connect(self) -> None:
         self._command = import_module(f'{self.package}.srv').CommandInt
-        self._client = node.create_client(self._command, 'mavros/cmd/command_int')
+        self._client = self._node.create_client(self._command, 'mavros/cmd/command_int')
         self._share, self._asked = 1.0, -math.inf
         self._due: list[Mapping[str, float]] = []
         wind = TwistWithCovarianceStamped
@@ -249,7 +260,7 @@ class ArduPlane(Wing):
         try:
             stamp, measured = messages.read_odometry(message, 3, Frames())
         except BadInput as error:
-            self._changed(self.engaged, f'{self.name}: odometry refused: {error}')
+            self._warn(f'{self.name}: odometry refused: {error}')
             return
         velocity = measured.attitude @ measured.body_velocity
         self._moved(stamp.nanoseconds, measured.position, velocity, measured.attitude)
@@ -284,7 +295,7 @@ class ArduPlane(Wing):
     def _on_answer(self, future: Any) -> None:
         done = self._due.pop(0) if self._due else {}
         if not future.result().success:
-            self._changed(self.engaged, f'{self.name}: has refused command {done.get("command")}')
+            self._warn(f'{self.name}: has refused command {done.get("command")}')
         if self._due:
             self._ask()
 
