@@ -46,7 +46,7 @@ def test_a_new_parameter_is_one_field(domain, default_context):
     words = ['node', '--ros-args', '-p', 'patience:=3.0']
     with initialised(words, domain=domain, context=default_context):
         node = Node('node')
-        known = DynamicParameters(node, specs_of(Settings), partial(settings_from, Settings), id)
+        known = DynamicParameters(node, specs_of(Settings), partial(settings_from, Settings))
         assert known.settings().patience == 3.0
         assert node.describe_parameter('patience').description == 'How long to wait [s]'
         for value, held in ((10.0, 3.0), (4.0, 4.0)):

@@ -31,12 +31,12 @@ class SimNode(Managed):
     def __init__(self) -> None:
         # It makes the time: under simulated time it would wait for itself.
         super().__init__('sim', [Parameter('use_sim_time', value=False)])
-        self._live = DynamicParameters(self, SIM, sim_settings, lambda settings: settings)
+        self._live = DynamicParameters(self, SIM, sim_settings)
         warn_of_unused(self)
 
     def configure(self) -> None:
         """Set up the flight that the parameters describe."""
-        settings = self._live.prepared()
+        settings = self._live.settings()
         self._flown = False  # whether it has been active
         self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
         self._simulation = FlightSimulation(self, settings, self._create_subscriptions())

@@ -18,41 +18,34 @@ from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values
 
 S = TypeVar('S')
-W = TypeVar('W')
 
 OF_ROS = ('use_sim_time', 'start_type_description_service')
 
 
-class DynamicParameters(Generic[S, W]):
+class DynamicParameters(Generic[S]):
     """A node's parameters as settings: declared, checked, and kept up to date.
 
     Args:
         node: that has the parameters.
         specs: its table.
         settings_of: makes settings of values, or raises BadInput.
-        prepare: makes of settings what the node works with, or raises BadInput; it must not
-            change anything, for the change may still be refused.
 
     Raises:
         BadInput: a parameter is unknown or its value is not allowed.
     """
 
     def __init__(
-        self,
-        node: Node,
-        specs: Sequence[ParameterSpec],
-        settings_of: Callable[[Values], S],
-        prepare: Callable[[S], W],
+        self, node: Node, specs: Sequence[ParameterSpec], settings_of: Callable[[Values], S]
     ) -> None:
-        self._node, self._specs = node, specs
-        self._settings_of, self._prepare = settings_of, prepare
+        self._node, self._specs, self._settings_of = node, specs, settings_of
         _refuse_unknown(node, specs)
         given = {name: each.value for name, each in node._parameter_overrides.items()}
         for spec in specs:
             _declare(node, replace(spec, default=spec.default_beside(given)))
         self.settings()
-        self._install: Callable[[W], None] | None = None
-        self._pending: W | None = None
+        self._prepare: Callable[[S], Any] | None = None
+        self._install: Callable[[Any], None] | None = None
+        self._pending: Any = None
         node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_changed)
@@ -61,17 +54,17 @@ class DynamicParameters(Generic[S, W]):
         """Return the settings as they are now."""
         return self._settings_of(self._values())
 
-    def prepared(self) -> W:
-        """Return what is made of the settings as they are now."""
-        return self._prepare(self.settings())
+    def keep(
+        self, prepare: Callable[[S], Any] | None, install: Callable[[Any], None] | None
+    ) -> None:
+        """From now on install what is made of changed settings; without, only check changes.
 
-    def keep(self, install: Callable[[W], None]) -> None:
-        """From now on install what is made of changed settings, once a change is certain."""
-        self._install = install
-
-    def release(self) -> None:
-        """From now on only check changes."""
-        self._install = None
+        Args:
+            prepare: makes of settings what the node works with, or raises BadInput; it must not
+                change anything, for the change may still be refused.
+            install: takes that over, once the change is certain.
+        """
+        self._prepare, self._install = prepare, install
 
     def _values(self) -> dict[str, Any]:
         return {spec.name: self._node.get_parameter(spec.name).value for spec in self._specs}
@@ -88,7 +81,7 @@ class DynamicParameters(Generic[S, W]):
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         try:
             settings = self._settings_of(self._merged(changes))
-            self._pending = None if self._install is None else self._prepare(settings)
+            self._pending = None if self._prepare is None else self._prepare(settings)
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:  # a raising callback would end the node from afar

@@ -13,18 +13,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.loop.planner import Planner, Snapshot, joined
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.planner.outputs import Report
-
-if TYPE_CHECKING:
-    from orbimpc_ros.mpc.proof.document import Refutation
 
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
 RESET = Reason(Cause.RESET, 'reset')

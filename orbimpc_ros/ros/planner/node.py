@@ -95,7 +95,7 @@ class PlannerNode(Managed):
         report_compilation(self.get_logger().info)
         if not COMPILED:
             self._log(without_compiler(), warn=True)
-        self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
+        self._live = DynamicParameters(self, PLANNER, planner_settings)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))
         warn_of_unused(self)
@@ -115,7 +115,7 @@ class PlannerNode(Managed):
         if settings.autopilot:
             known = settings.frames, self._switched, partial(self._log, warn=True)
             self._wing = WINGS[settings.autopilot](self, *known)
-        settings, planner = self._live.prepared()
+        settings, planner = planner_of(settings)
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
         if settings.odometry == 'pose_twist':
             names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
@@ -130,7 +130,7 @@ class PlannerNode(Managed):
         )
         self._create_subscriptions(settings)
         self._create_timers(settings)
-        self._live.keep(self._install)
+        self._live.keep(planner_of, self._install)
         self._introduce(settings)
         given = {name: each.value for name, each in self._parameter_overrides.items()}
         for doubt in doubts(settings, given):
@@ -148,7 +148,7 @@ class PlannerNode(Managed):
 
     def clean_up(self) -> None:
         """Let changed parameters wait for the next time."""
-        self._live.release()
+        self._live.keep(None, None)
 
     def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
         self._core.install(*prepared)
