@@ -11,6 +11,7 @@ from stepping import Stepped
 
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
 from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import achieved_clearance, with_clearance
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
@@ -267,14 +268,15 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
     plan = swerving(np.radians([-60.0] * 8), speeds)
     start = meeting(2.5)
     assert violations(BOAT, start, FAR, plan) == []
-    assert not is_clear(BOAT, start, FAR, plan)
+    task = Task(BOAT, start, FAR, np.arange(1.0, 9.0))
+    assert not is_clear(task, plan)
     able = swerving(np.radians([-20.0, -40.0] + [-60.0] * 6), speeds)
-    assert is_clear(BOAT, meeting(4.0), FAR, able)
+    assert is_clear(replace(task, state=meeting(4.0)), able)
     floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # turns are angles: none is cut
-    assert is_clear(floored, start, FAR, plan)
+    assert is_clear(replace(task, problem=floored), plan)
 
-    instead = clear_instead(BOAT, start, FAR, plan)
-    assert is_clear(BOAT, start, FAR, instead)
+    instead = clear_instead(task, plan)
+    assert is_clear(task, instead)
     assert violations(BOAT, start, FAR, instead) == []
     assert instead.lower_bound == plan.lower_bound
 

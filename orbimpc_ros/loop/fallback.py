@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from operator import attrgetter
 
 import numpy as np
 
+from orbimpc_ros.loop.task import Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
@@ -31,7 +32,6 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
-OutOfTime = Callable[[], bool] | None
 SURE_STEPS = 4  # of a steered plan, that have to be clear
 TOUCHING = 1e-6  # of a step's length
 SAME = 1e-2  # of a step's length: ways that differ by less stay out as far
@@ -39,79 +39,64 @@ SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter', 'hover')
 CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
 
 
-def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
+def is_clear(task: Task, plan: Plan) -> bool:
     """Return whether the first steps of a checked plan stay clear of hazards with turns cut."""
-    if not cuts_turns(problem):
+    if not cuts_turns(task.problem):
         return True
-    return _suffices(problem, _room(problem, state, goals, plan, SURE_STEPS))
+    return _suffices(task.problem, _room(task, plan, SURE_STEPS))
 
 
-def cheapest_clear(
-    problem: Problem, state: State, goals: Array, plans: Iterable[Plan]
-) -> Plan | None:
+def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
     """Return the cheapest of some plans that pass their check and are clear; None if none is."""
-    known = problem, state, goals
     for each in sorted(plans, key=attrgetter('objective')):
-        if holds(*known, each) and is_clear(*known, each):
+        if holds(*task.known, each) and is_clear(task, each):
             return each
     return None
 
 
-def clear_instead(
-    problem: Problem, state: State, goals: Array, plan: Plan, out_of_time: OutOfTime = None
-) -> Plan:
+def clear_instead(task: Task, plan: Plan) -> Plan:
     """Return the cheapest way that is clear when steered instead of a plan that is not.
 
     Where none is, that way or plan whose first steps stay the farthest out of hazards. The bound of
     the plan holds for what takes its place.
     """
-    known = problem, state, goals
-    ways = [*_ways(*known, None, plan.projection, plan.proof, out_of_time)]
-    found = cheapest_clear(*known, ways)
+    ways = [*_ways(task, plan.proof)]
+    found = cheapest_clear(task, ways)
     if found is not None:
         return found
-    sound = [each for each in ways if holds(*known, each)]
-    return max([*sound, plan], key=lambda each: _room(*known, each, SURE_STEPS))
+    sound = [each for each in ways if holds(*task.known, each)]
+    return max([*sound, plan], key=lambda each: _room(task, each, SURE_STEPS))
 
 
-def clearest(
-    problem: Problem,
-    state: State,
-    goals: Array,
-    guess: Plan | None,
-    projection: str,
-    out_of_time: OutOfTime = None,
-) -> tuple[Plan | None, float]:
+def clearest(task: Task) -> tuple[Plan | None, float]:
     """Return the way that stays out of hazards the most, and how far outside of them it is [m].
 
-    Of ways that meet all else: the guess, straight ones and turns to all sides; None if none does.
-    The longest clear comes first, since what is met late can still be passed by a later plan. From
-    inside of a hazard all ways are as far out as their start: then where they end decides.
+    Of ways that meet all else: the rest of the plan before, straight ones and turns to all sides;
+    None if none does. The longest clear comes first, since what is met late can still be passed by
+    a later plan. From inside of a hazard all ways are as far out as their start: then where they
+    end decides.
     """
-    alone, known = replace(state, hazards=()), (problem, state, goals)
+    problem, alone = task.problem, replace(task, state=replace(task.state, hazards=()))
+    rest = [] if task.rest is None else [replace(task.rest, proof=UNPROVED)]
     found = [
-        (_room(*known, each, problem.horizon), each)
-        for each in _ways(*known, guess, projection, UNPROVED, out_of_time)
-        if holds(problem, alone, goals, each)
+        (_room(task, each, problem.horizon), each)
+        for each in chain(rest, _ways(task, UNPROVED))
+        if holds(*alone.known, each)
     ]
     if not found:
         return None, 0.0
     if not any(_suffices(problem, room) for room, _ in found):
-        lasting = [_clear_steps(*known, each) for _, each in found]
+        lasting = [_clear_steps(task, each) for _, each in found]
         found = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
     unit = SAME * problem.length_unit
-    room, plan = max(found, key=lambda each: (round(each[0] / unit), _end(problem, state, each[1])))
+    room, plan = max(found, key=lambda each: (round(each[0] / unit), _end(task, each[1])))
     return plan, room
 
 
-def _clear_steps(problem: Problem, state: State, goals: Array, plan: Plan) -> int:
+def _clear_steps(task: Task, plan: Plan) -> int:
     """Return how many of a plan's first steps are clear of hazards."""
     steps = range(1, plan.horizon + 1)
-    return bisect_left(
-        steps,
-        True,
-        key=lambda n: not _suffices(problem, _room(problem, state, goals, plan, n)),
-    )
+    return bisect_left(steps, True, key=lambda n: not _suffices(task.problem, _room(task, plan, n)))
 
 
 def _suffices(problem: Problem, room: float) -> bool:
@@ -119,32 +104,22 @@ def _suffices(problem: Problem, room: float) -> bool:
     return room >= -TOUCHING * problem.length_unit
 
 
-def _end(problem: Problem, state: State, plan: Plan) -> float:
+def _end(task: Task, plan: Plan) -> float:
     """Return how far outside of hazards a plan ends [m]."""
-    over, place = np.array([problem.step * plan.horizon]), plan.positions[-1:]
-    return min(-float(each.body.depth(place - each.moved(over))[0]) for each in state.hazards)
+    over, place = np.array([task.problem.step * plan.horizon]), plan.positions[-1:]
+    return min(-float(each.body.depth(place - each.moved(over))[0]) for each in task.state.hazards)
 
 
-def _ways(
-    problem: Problem,
-    state: State,
-    goals: Array,
-    guess: Plan | None,
-    projection: str,
-    proof: Proof,
-    out_of_time: OutOfTime,
-) -> Iterator[Plan]:
+def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
     """Yield plans that take no search, held against a proof; turns first, which lead aside."""
-    if guess is not None:
-        yield replace(guess, proof=proof)
-    known = problem, state, goals
-    for rotations in in_time(chain(turning(*known), straight(*known)), out_of_time):
-        yield assemble(*known, coordinates(rotations), projection=projection, proof=proof)
+    for rotations in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
+        x = coordinates(rotations)
+        yield assemble(*task.known, x, projection=task.projection, proof=proof)
 
 
-def _room(problem: Problem, state: State, goals: Array, plan: Plan, steps: int) -> float:
+def _room(task: Task, plan: Plan, steps: int) -> float:
     """Return how far outside of hazards the first steps of a plan are when it is steered [m]."""
-    steps = min(steps, plan.horizon)
+    steps, (problem, state, goals) = min(steps, plan.horizon), task.known
     part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
     if cuts_turns(problem):
         x = _steered(problem, state, x)

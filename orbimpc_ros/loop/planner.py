@@ -399,12 +399,6 @@ class Planner:
         before = max(before, min(asked, self.problem.least_speed))
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
-    def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
-        memory, projection = self._memory, self._solvers.projection
-        solver = self._solvers.of(len(knots), memory.pace)
-        known = solver.problem, state, goals, knots, solver
-        return Task(*known, memory.previous, projection, late)
-
     def _planned(
         self,
         snapshot: Snapshot,
@@ -426,7 +420,7 @@ class Planner:
             motion = self._paced(motion, odometry)
         goals = np.array(given if motion is None else motion.at(ends), dtype=float)
         goals, shortened = clamp_goal(self.problem, state, sealed(goals))
-        task = self._task(state, goals, knots, late)
+        task = self._solvers.task(state, goals, knots, memory.pace, memory.previous, late)
         memory.goals = goals
         held, catch = '', None
         if state.hazards or self.problem.obstacles:
@@ -463,7 +457,9 @@ class Planner:
 
         That is all of it, or what the plan before keeps.
         """
-        if not self._reserve or not task.state.hazards:
+        if not task.state.hazards:
+            return task, task.solved()
+        if not self._reserve:
             return task, self._clear(task, task, task.solved())
         every = np.full(len(task.state.hazards), self._reserve)
         wary = replace(task, state=with_clearance(task.state, every))
@@ -480,17 +476,14 @@ class Planner:
         Of other ways those that keep the reserve of the ``wary`` task come first.
         """
         plan, status, words = answer
-        hopeless = not task.state.hazards or status is Status.INFEASIBLE
-        if hopeless or (plan is not None and is_clear(*wary.known, plan)):
+        if status is Status.INFEASIBLE or (plan is not None and is_clear(wary, plan)):
             return answer
         instead = self._clear_way(task, wary, plan)
         if plan is None:
             return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
-        instead = instead or clear_instead(*wary.known, plan, task.late)
+        instead = instead or clear_instead(wary, plan)
         if instead is plan:
-            more = (
-                '' if is_clear(*task.known, plan) else 'it turns into a hazard, as every way does'
-            )
+            more = '' if is_clear(task, plan) else 'it turns into a hazard, as every way does'
             return plan, status, joined(words, more)
         instead = replace(instead, proof=plan.proof)
         less = 'a way that can be turned in time is flown instead of a cheaper one'
@@ -504,7 +497,7 @@ class Planner:
         guess = None if plan is None else task.rest
         for each in (wary,) if wary is task else (wary, task):
             ways = filter(None, (plan, guess, self._scouted(each)))
-            found = cheapest_clear(*each.known, ways)
+            found = cheapest_clear(each, ways)
             if found is not None:
                 return found
         return None
@@ -546,7 +539,7 @@ class Planner:
         if chosen is not None and answer is not None and answer[0] is not None:
             chosen = replace(chosen, state=task.state)
             free = not task.state.hazards or (
-                holds(*chosen.known, answer[0]) and is_clear(*chosen.known, answer[0])
+                holds(*chosen.known, answer[0]) and is_clear(chosen, answer[0])
             )
             if free:
                 memory.catch = now + chosen.problem.step * chosen.problem.horizon
@@ -566,7 +559,8 @@ class Planner:
         if unknown or memory.goals is None or not len(knots):
             return self._safe(state, Status.FAILED, reason)
         memory.goals = sealed(later(memory.goals, knots - 1.0))
-        return self._fall_back(self._task(state, memory.goals, knots), Status.FAILED, reason)
+        task = self._solvers.task(state, memory.goals, knots, memory.pace, memory.previous)
+        return self._fall_back(task, Status.FAILED, reason)
 
     def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
@@ -583,7 +577,7 @@ class Planner:
 
     def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
         """Return the decision for the clearest way, if there is any that meets all else."""
-        plan, apart = clearest(*task.known, task.rest, task.projection, task.late)
+        plan, apart = clearest(task)
         if plan is None:
             return self._safe(task.state, status, reason)
         reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')

@@ -105,6 +105,20 @@ class Solvers:
             self._made[key] = self.new(problem)
         return self._made[key]
 
+    def task(
+        self,
+        state: State,
+        goals: Array,
+        knots: Array,
+        step: float,
+        previous: Plan | None,
+        late: Late | None = None,
+    ) -> Task:
+        """Return the task of steps of a length [s]; the other arguments as of :class:`Task`."""
+        solver = self.of(len(knots), step)
+        known = solver.problem, state, goals, knots, solver
+        return Task(*known, previous, self.projection, late)
+
     def new(self, problem: Problem, enough: Enough | None = None) -> Solver:
         """Return a new solver of a problem."""
         return Solver(
