@@ -106,11 +106,6 @@ class Decision(ByContent):
     left_out: int = 0  # moving obstacles within reach that were too many to plan with
 
     @property
-    def planned(self) -> bool:
-        """Return whether it came of odometry and goals, be it by the plan before."""
-        return self.state is not None
-
-    @property
     def case(self) -> Case | None:
         """Return what the plan solves; None without a plan."""
         if self.problem is None or self.state is None or self.goals is None:
