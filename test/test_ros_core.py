@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
@@ -30,7 +30,8 @@ from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.lifecycle import NodeClock
 from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, RosTime, Stamp
-from orbimpc_ros.ros.planner.core import Core, Timing, planner_of
+from orbimpc_ros.ros.planner.core import Core, planner_of
+from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.planner.outputs import (
     Report,
     condition,
@@ -105,7 +106,7 @@ def test_the_state_is_advanced_by_the_age_of_odometry():
     answer, other = driven.tick(0.18), blind.tick(0.18)
     assert other.decision.advanced == 0.0
     np.testing.assert_allclose(other.decision.plan.positions[0], [0.1, 0.0])
-    took = driven.core.timing.expected
+    took = driven.core.expected
     assert answer.decision.advanced == pytest.approx(0.08 + took, abs=0.05)
     assert answer.decision.advanced >= 0.08 - 1e-6
     moved = answer.decision.plan.positions[0] - [0.1, 0.0]
@@ -165,7 +166,7 @@ def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
     assert driven.tick(0.0).decision.status in ('optimal', 'feasible')  # checked: it may be flown
-    assert driven.core.timing.misses == 1
+    assert driven.core.counts['deadline misses'] == 1
 
 
 ATTITUDE = exp(np.array([0.4]))
@@ -518,20 +519,28 @@ def test_a_clock_that_is_set_is_told(by, monkeypatch):
     np.testing.assert_allclose(told, [by], atol=1e-3)
 
 
-def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected():
-    timing = Timing()
-    assert timing.expected == 0.0
-    for duration in (0.01, 0.01, 0.3, 0.06, 0.01):
-        timing.took(duration, deadline=0.05, period=0.1)
-    assert (timing.misses, timing.overruns) == (2, 1)
-    assert timing.expected == 0.01
+def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected(monkeypatch):
+    times = iter([0.0, 0.01, 1.0, 1.01, 2.0, 2.3, 3.0, 3.06, 4.0, 4.01])
+    driven = Driven(limits={'clock': times.__next__})
+    assert driven.core.expected == 0.0
+    decided = reported(Status.OPTIMAL).decision
+    decided = replace(decided, state=State.at([0.0, 0.0], np.eye(2)))
+    monkeypatch.setattr(driven.core.planner, 'step', lambda *_: decided)
+    for now in range(5):
+        driven.odometry(now, now)
+        driven.core.decide(now, RosTime(stamp(now)))
+    assert driven.core.counts == {'deadline misses': 2, 'overruns': 1}
+    assert driven.core.expected == pytest.approx(0.01)
 
 
 def test_ticks_that_come_late_are_counted():
-    timing = Timing()
+    node = SimpleNamespace(_time=SimpleNamespace(), _ticked=np.inf, _late_ticks=0)
+    node._core = SimpleNamespace(settings=settings(step=0.1))
+    node._plan_if_nothing_is_missing = lambda: None
     for clock in (1.0, 1.1, 1.2, 1.45, 1.55):
-        timing.began(clock, period=0.1)
-    assert timing.late == 1
+        node._time.nanoseconds = clock * SECOND
+        PlannerNode._on_timer(node)
+    assert node._late_ticks == 1
 
 
 def reported(status, reason='', fallback=Fallback.NONE):

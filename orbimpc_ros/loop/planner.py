@@ -364,9 +364,10 @@ class Planner:
         else:
             decision = self._planned(snapshot, start, state, knots, passed, late)
         memory.previous = decision.plan
+        if start.limited:
+            decision = replace(decision, reason=joined(decision.reason, start.limited))
         return replace(
             decision,
-            reason=joined(decision.reason, start.limited),
             advanced=start.advanced,
             led=start.led,
             disturbance=start.disturbance,
@@ -414,7 +415,8 @@ class Planner:
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
         goals = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals, shortened = clamp_goal(self.problem, state, sealed(goals))
+        goals.setflags(write=False)
+        goals, shortened = clamp_goal(self.problem, state, goals)
         task = self._solvers.task(state, goals, knots, memory.pace, memory.previous, late)
         memory.goals = goals
         held, catch = '', None
@@ -422,11 +424,13 @@ class Planner:
             held = held_goal(task.problem, state, goals)
         if isinstance(motion, Paced):
             held = motion.trouble(ends, self._max_rate)
-        if self._interception is None or shortened or isinstance(motion, Paced):
-            task, (plan, status, words) = self._tracked(task)
-        else:
+        if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
+        elif state.hazards:
+            task, (plan, status, words) = self._tracked(task)
+        else:
+            plan, status, words = task.solved()
         reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None

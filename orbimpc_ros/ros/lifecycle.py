@@ -105,14 +105,14 @@ class Managed(LifecycleNodeMixin, Node):
             known: its first arguments, such as the topic.
             at_work: whether it is to do nothing while the node is not active.
         """
-        name = ' '.join((callback.__name__, *known))
+        name, called = ' '.join((callback.__name__, *known)), functools.partial(callback, *known)
 
-        @functools.wraps(callback)
+        @functools.wraps(called)  # rclpy looks at how many arguments there may be
         def guarded(*arguments: Any) -> Any:
             if at_work and not self.active:
                 return None
             try:
-                result = callback(*known, *arguments)
+                result = called(*arguments)
             except BaseException as error:
                 self.failed(name, error)
                 # A service has to answer: with the response as it came.

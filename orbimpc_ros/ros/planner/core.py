@@ -10,7 +10,7 @@ import itertools
 import math
 import statistics
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -32,7 +32,6 @@ OF_PLANNER = (
     *('capture_radius', 'approach', 'centred', 'odom_timeout', 'goal_timeout'),
 )
 RECENT = 15  # decisions
-LATE = 1.5  # periods from one tick of the timer to the next
 LOOK = 1e-4  # [s] that a look at the deadline counts for in lock-step: some take 3e-3
 LONGEST = 0.25  # [s] a deadline counts for at most there, where somebody waits for the answer
 
@@ -51,38 +50,6 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
     if settings.avoid:
         planner.expect_hazards()
     return settings, planner
-
-
-class Timing:
-    """How long decisions take.
-
-    Attributes:
-        misses: decisions that took longer than their deadline.
-        overruns: decisions that took longer than their period.
-        late: ticks of the timer that came late, whatever held them up.
-    """
-
-    def __init__(self) -> None:
-        self.misses = self.overruns = self.late = 0
-        self._recent: deque[float] = deque(maxlen=RECENT)
-        self._last: float | None = None
-
-    @property
-    def expected(self) -> float:
-        """Return how long a decision usually takes [s]."""
-        return statistics.median(self._recent) if self._recent else 0.0
-
-    def began(self, clock: float, period: float) -> None:
-        """Note a tick of the timer, at a time of the timer's clock [s]."""
-        if self._last is not None and clock - self._last > LATE * period:
-            self.late += 1
-        self._last = clock
-
-    def took(self, duration: float, deadline: float, period: float) -> None:
-        """Note how long a decision took, and how long it may and must not take [s]."""
-        self._recent.append(duration)
-        self.misses += duration > deadline
-        self.overruns += duration > period
 
 
 class Core:
@@ -104,7 +71,8 @@ class Core:
         settings: of the planner.
         inputs: take in messages.
         planner: decides.
-        timing: of its decisions.
+        counts: ``deadline misses``, decisions that took longer than their deadline; ``overruns``,
+            that took longer than their period.
         outdated: why the last plan may not be followed, made in too long a time; None if it may.
     """
 
@@ -121,11 +89,17 @@ class Core:
     ) -> None:
         self.settings, self.planner = settings, planner
         self.inputs = Inputs(settings, names, others)
-        self.timing = Timing()
+        self.counts = Counter({'deadline misses': 0, 'overruns': 0})
+        self._recent: deque[float] = deque(maxlen=RECENT)  # how long decisions took [s]
         self.outdated: Reason | None = None
         self._simulated, self._counted = simulated, counted
         self._clock, self._unlimited = clock or time.perf_counter, clock is None
         self._limit, self._end = self._clock, math.inf  # of the last decision
+
+    @property
+    def expected(self) -> float:
+        """Return how long a decision usually takes [s]."""
+        return statistics.median(self._recent) if self._recent else 0.0
 
     def install(self, settings: PlannerSettings, planner: Planner) -> None:
         """Go on with other settings and the planner made for them."""
@@ -164,7 +138,7 @@ class Core:
             stop: why no plan may be followed, if none may.
             fresh: whether odometry counts as fresh, as where somebody else has judged it.
         """
-        begun, taking = self._clock(), 0.0 if self._simulated else self.timing.expected
+        begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
         heard = self.inputs.heard
         if fresh:
@@ -187,7 +161,9 @@ class Core:
             if ros.nanoseconds is not None and not self._simulated:
                 later = replace(ros, nanoseconds=ros.nanoseconds + round(took * SECOND))
             self.outdated = self.unsafe(now + took, later)
-        self.timing.took(took, self.settings.deadline, self.settings.period)
+        self._recent.append(took)
+        self.counts['deadline misses'] += took > self.settings.deadline
+        self.counts['overruns'] += took > self.settings.period
         solved = decision.cause is not Cause.GOAL
         return Report(decision, 1e3 * took if solved else 0.0, heard)
 

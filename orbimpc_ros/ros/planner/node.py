@@ -75,6 +75,7 @@ MARKERS = 10  # messages on obstacles that may wait, for each may matter
 TRANSFORMS = 100  # messages on /tf that may wait: each tells of other frames
 REPEAT = 0.1  # [s] until a repeated request is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
+LATE = 1.5  # periods from one tick of the timer to the next
 HEALTH = 1.0  # [s] between messages on /diagnostics, at most
 CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
@@ -107,6 +108,7 @@ class PlannerNode(Managed):
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # when it was last looked around [s]
+        self._ticked, self._late_ticks = math.inf, 0  # when the timer ticked last [s]
         self._mode_changes, self._changes = 0, deque[float](maxlen=RESTLESS)
         settings = self._live.settings()
         self._gate = not settings.gated
@@ -334,8 +336,9 @@ class PlannerNode(Managed):
             self._plan_if_nothing_is_missing()
 
     def _on_timer(self) -> None:
-        period = self._core.settings.period
-        self._core.timing.began(self._time.nanoseconds / SECOND, period)
+        now, late = self._time.nanoseconds / SECOND, LATE * self._core.settings.period
+        self._late_ticks += now - self._ticked > late  # whatever held it up
+        self._ticked = now
         self._plan_if_nothing_is_missing()
 
     # --- a decision
@@ -519,16 +522,15 @@ class PlannerNode(Managed):
     def _show_health(self) -> None:
         """Publish the condition."""
         self._level, parts = self._condition()
-        timing, inputs = self._core.timing, self._core.inputs
+        inputs = self._core.inputs
         values = {
             'waits_for': inputs.missing,
             'waits with odometry for': ', '.join(inputs.companions),
             'enabled': self._enabled,
             'engaged': self._engaged,
             'changes of mode': self._mode_changes,
-            'deadline misses': timing.misses,
-            'overruns': timing.overruns,
-            'late ticks': timing.late,
+            **self._core.counts,
+            'late ticks': self._late_ticks,
             'callbacks failed': self.failures,
             'bodies known': len(inputs.bodies),
             **{f'refused {what}': count for what, count in inputs.refused.items()},
