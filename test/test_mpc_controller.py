@@ -9,8 +9,7 @@ from problems import ORDERS
 from stepping import Stepped
 
 from orbimpc_ros.loop.compensation import Compensator
-from orbimpc_ros.loop.goal.forecast import Hold, forecast_named
-from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.planner import FALLBACK_TICKS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
@@ -248,12 +247,7 @@ def test_another_controller_goes_on_from_what_this_one_remembers():
     assert len(second.ends(1.0)) == len(first.ends(1.0)) == 5
 
 
-def test_forecasts():
-    hold = forecast_named('hold')
-    assert isinstance(hold, Hold)
-    hold.observe(GoalObservation(0.0, np.array([1.0, 2.0])))
-    hold.observe(GoalObservation(1.0, np.array([3.0, 4.0])))
-    assert np.array_equal(hold.at(np.array([2.0, 9.0])), [[3.0, 4.0], [3.0, 4.0]])
+def test_a_trajectory_is_interpolated_and_its_ends_are_held():
     path = GoalTrajectory(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 4.0]]))
     assert np.allclose(path.at(np.array([-1.0, 1.0, 5.0])), [[0, 0], [1, 2], [2, 4]])
 

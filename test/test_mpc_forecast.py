@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.goal.forecast import FORECASTS, forecast_named
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalObservation
 
 AHEAD = np.arange(1.0, 6.0)
@@ -37,7 +37,7 @@ def test_harmonic_knows_a_swing_after_seeing_it_once(seed):
     rng = np.random.default_rng(seed)
     rope, frequency = swing(rng)
     seconds = max(1.0 / frequency, 6.0)
-    assert error_after(forecast_named('harmonic'), rope, rng, seconds=seconds) < 0.01
+    assert error_after(FORECASTS['harmonic'](), rope, rng, seconds=seconds) < 0.01
 
 
 @pytest.mark.parametrize('seed', range(20))
@@ -46,7 +46,7 @@ def test_harmonic_stands_noise_and_dropouts(seed):
     rng = np.random.default_rng(seed)
     rope, frequency = swing(rng)
     error = error_after(
-        forecast_named('harmonic'),
+        FORECASTS['harmonic'](),
         rope,
         rng,
         seconds=max(1.3 / frequency, 20),
@@ -62,21 +62,21 @@ def test_harmonic_beats_the_others_over_many_swings():
         for kind, found in errors.items():
             rng = np.random.default_rng(seed)
             rope, _ = swing(rng)
-            found.append(error_after(forecast_named(kind), rope, rng, seconds=12, noise=0.01))
+            found.append(error_after(FORECASTS[kind](), rope, rng, seconds=12, noise=0.01))
     median = {kind: np.median(found) for kind, found in errors.items()}
     assert median['harmonic'] < 0.2 * min(median['hold'], median['velocity'])
 
 
 @pytest.mark.parametrize('kind', FORECASTS)
 def test_one_sighting_is_held(kind):
-    forecast = forecast_named(kind)
+    forecast = FORECASTS[kind]()
     forecast.observe(GoalObservation(3.0, np.array([1.0, 2.0, 3.0])))
     assert np.allclose(forecast.at(3.0 + AHEAD), [1.0, 2.0, 3.0], atol=1e-6)
 
 
 @pytest.mark.parametrize('kind', FORECASTS)
 def test_a_goal_at_rest_is_forecast_at_rest(kind):
-    forecast = forecast_named(kind)
+    forecast = FORECASTS[kind]()
     for t in range(10):
         forecast.observe(GoalObservation(float(t), np.array([4.0, -1.0])))
     assert np.allclose(forecast.at(9.0 + AHEAD), [4.0, -1.0], atol=1e-3)
@@ -84,7 +84,7 @@ def test_a_goal_at_rest_is_forecast_at_rest(kind):
 
 @pytest.mark.parametrize('kind', FORECASTS)
 def test_reset_forgets(kind):
-    forecast = forecast_named(kind)
+    forecast = FORECASTS[kind]()
     for t in range(5):
         forecast.observe(GoalObservation(float(t), np.array([float(t), 0.0])))
     forecast.reset()
@@ -93,7 +93,7 @@ def test_reset_forgets(kind):
 
 
 def test_velocity_goes_straight_on():
-    forecast = forecast_named('velocity')
+    forecast = FORECASTS['velocity']()
     for t in (0.0, 1.0, 2.0):
         forecast.observe(GoalObservation(t, np.array([1.0 + 0.5 * t, -t])))
     assert np.allclose(forecast.at(np.array([4.0])), [[3.0, -4.0]])
@@ -102,13 +102,13 @@ def test_velocity_goes_straight_on():
 def test_fast_sightings_resolve_fast_swings():
     rng = np.random.default_rng(0)
     rope, _ = swing(rng, frequency=1.4)
-    error = error_after(forecast_named('harmonic'), rope, rng, seconds=3.0, spacing=0.05)
+    error = error_after(FORECASTS['harmonic'](), rope, rng, seconds=3.0, spacing=0.05)
     assert error < 0.05
 
 
 def test_repeated_stamps_do_not_break_a_forecast():
     for kind in FORECASTS:
-        forecast = forecast_named(kind)
+        forecast = FORECASTS[kind]()
         for _ in range(3):
             forecast.observe(GoalObservation(1.0, np.array([1.0, 1.0])))
         assert np.allclose(forecast.at(1.0 + AHEAD), 1.0, atol=1e-3)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from problems import floor, reference
 
-from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.problem import (
@@ -76,7 +75,6 @@ DRIFTING = MovingObstacle.drifting(DISC, [0.0, 1.0])
         (lambda: State.at([0.0] * 2, np.eye(2), velocity=[1.0]), 'state.velocity'),
         (lambda: State.at([0.0] * 2, np.eye(2), attitude=2 * np.eye(2)), 'state.attitude'),
         (lambda: State.at([0.0] * 2, np.eye(2), coasted=np.zeros((2, 2))), 'state.coasted'),
-        (lambda: forecast_named('guess'), 'goal_prediction'),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         (lambda: Solver(Problem()).solve(STILL, np.zeros((4, 2))), 'goals'),
         (lambda: Problem(tilt=0.2), 'tilt'),
@@ -120,7 +118,7 @@ def test_refused_with_the_culprit_named_in_one_line(make, culprit):
 
 def test_a_huge_value_is_cut_short_in_the_message():
     with pytest.raises(BadInput) as caught:
-        forecast_named('x' * 10_000)
+        Problem(terminal='x' * 10_000)
     assert len(str(caught.value)) < 200
 
 

@@ -18,7 +18,7 @@ from scenarios import retrieval, retrieval_problem  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from orbimpc_ros.loop.goal.forecast import forecast_named  # noqa: E402
+from orbimpc_ros.loop.goal.forecast import FORECASTS  # noqa: E402
 from orbimpc_ros.loop.planner import Planner  # noqa: E402
 from orbimpc_ros.ros.process import qos  # noqa: E402
 
@@ -65,7 +65,7 @@ def values(message) -> dict:
 @pytest.fixture
 def oracle():
     """The same flight, flown without ROS."""
-    return fly(Planner(retrieval_problem()), retrieval(), forecast_named('hold'))
+    return fly(Planner(retrieval_problem()), retrieval(), FORECASTS['hold']())
 
 
 def test_the_rope_is_caught_and_the_topics_are_as_documented(launch, observer, oracle):

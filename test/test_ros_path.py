@@ -19,6 +19,8 @@ from rclpy.publisher import Publisher
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.planner import node as planner_node
+from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.process import initialised
 from orbimpc_ros.sim.vehicle import Model, launched, measured
@@ -110,30 +112,29 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
     node, _ = planner
     shown, done = [100.0], []
     monkeypatch.setattr(node, 'steady_now', lambda: shown[0])
-    for owner, name in ((node._core, 'sent'), (node._monitor, 'look')):
+    for owner, name in ((node._core.planner, 'sent'), (node._monitor, 'look')):
         plain = getattr(owner, name)
         monkeypatch.setattr(
             owner, name, lambda *a, _plain=plain, _name=name: done.append(_name) or _plain(*a)
         )
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
-    node._on_goal(messages.goal_message(Stamp(time.time_ns(), FRAMES), np.array([5.0, 0.5])))
+    goal = messages.goal_message(Stamp(time.time_ns(), FRAMES), np.array([5.0, 0.5]))
+    node._hear('goal', goal)
     for later in (0.0, 0.02, 0.04):  # an odometry message each 20 ms; it is watched each 50 ms
         shown[0] = 100.0 + later
-        node._on_odometry(
-            messages.odometry_message(Stamp(time.time_ns(), FRAMES), measured(vehicle))
-        )
+        stamp = Stamp(time.time_ns(), FRAMES)
+        node._hear('odom', messages.odometry_message(stamp, measured(vehicle)))
     assert done == ['sent', 'look', 'sent', 'sent', 'look']
 
 
 def test_a_planner_can_be_seen_before_it_compiles_and_listens_only_then(unconfigured, monkeypatch):
     node, seen = unconfigured, []
-    plain = node._live.prepared
 
-    def prepared():
+    def compiled(settings):
         seen.extend(each.topic_name for each in (*node.publishers, *node.subscriptions))
-        return plain()
+        return planner_of(settings)
 
-    monkeypatch.setattr(node._live, 'prepared', prepared)
+    monkeypatch.setattr(planner_node, 'planner_of', compiled)
     node.begin()
     assert '/cmd_vel' in seen
     assert not {'/odom', '/goal'}.intersection(seen)

@@ -21,7 +21,7 @@ from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 from scenarios import retrieval, retrieval_problem
 
-from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
@@ -77,7 +77,7 @@ def test_a_flight_through_faults_is_the_one_without_ros(launch):
     """Noise, a fifth of all messages lost: the same seed, the same flight, and no standstill."""
     scenario = replace(retrieval(), capture_radius=0.3)
     view = View(Faults(0.05, 0.035, 0.2), 3, scenario.model.step)
-    forecast = forecast_named('harmonic')
+    forecast = FORECASTS['harmonic']()
     end = fly_disturbed(Planner(retrieval_problem()), scenario, forecast, view)
     assert end.captured
     told = f'{end.miss:.3f} m from the goal, after {end.ticks} ticks'

@@ -8,7 +8,7 @@ import pytest
 from flying import fly, fly_disturbed
 from scenarios import retrieval, retrieval3d, retrieval_problem
 
-from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
@@ -146,9 +146,9 @@ def test_an_occlusion_longer_than_its_period_is_refused(length):
 
 def test_a_flight_without_faults_is_the_flight():
     scenario, controller = retrieval(), Planner(retrieval_problem())
-    log_ = fly(controller, scenario, forecast_named('hold'))
+    log_ = fly(controller, scenario, FORECASTS['hold']())
     controller.reset()
-    end = fly_disturbed(controller, scenario, forecast_named('hold'), View(Faults(), 0, 1.0))
+    end = fly_disturbed(controller, scenario, FORECASTS['hold'](), View(Faults(), 0, 1.0))
     assert end.ticks == len(log_.ticks)
     np.testing.assert_array_equal(end.vehicle.position, log_.flights[-1].vehicle.position)
 
@@ -161,7 +161,7 @@ def test_the_rope_is_caught_through_noise_and_losses():
     for seed in range(100):
         controller.reset()
         view = View(faults, seed, scenario.model.step)
-        caught += fly_disturbed(controller, scenario, forecast_named('harmonic'), view).captured
+        caught += fly_disturbed(controller, scenario, FORECASTS['harmonic'](), view).captured
     assert caught >= 95
 
 
@@ -187,7 +187,7 @@ def test_delay_compensation_catches_what_is_missed_without(delay):
             caught[compensated] += fly_disturbed(
                 controller,
                 quick(seed),
-                forecast_named('harmonic'),
+                FORECASTS['harmonic'](),
                 view,
                 compensated=compensated,
             ).captured

@@ -9,7 +9,7 @@ from flying import fly
 from scenarios import dubins, retrieval, retrieval_problem
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
-from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
@@ -69,7 +69,7 @@ def test_the_papers_story(controller, seed):
         nudge = np.random.default_rng(seed).uniform(-1e-3, 1e-3, 2)
         scenario = replace(scenario, start=launched(scenario.model, nudge, np.eye(2)))
     controller.reset()
-    log = fly(controller, scenario, forecast_named('hold'))
+    log = fly(controller, scenario, FORECASTS['hold']())
     assert log.captured
     assert 23.0 <= log.flights[-1].missed_at <= 25.0
     assert np.sum(log.misses[:-1] < 0.35) >= 3
@@ -90,12 +90,12 @@ class KnownRope:
 
 @pytest.mark.parametrize(
     'forecast',
-    [forecast_named('harmonic'), forecast_named('auto'), KnownRope()],
+    [FORECASTS['harmonic'](), FORECASTS['auto'](), KnownRope()],
     ids=['harmonic', 'auto', 'known'],
 )
 def test_who_knows_the_swing_catches_the_rope_in_well_under_half_of_the_ticks(forecast):
     ticks = []
-    for each in (forecast, forecast_named('hold')):
+    for each in (forecast, FORECASTS['hold']()):
         log = fly(Planner(retrieval_problem()), retrieval(), each)
         assert log.captured
         ticks.append(len(log.ticks))

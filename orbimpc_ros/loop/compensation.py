@@ -451,8 +451,7 @@ class Estimator:
         share = self._mean_share(last, now, history)
         if time > GAP or share is None:
             return None
-        ahead = np.zeros(self._problem.dimension)
-        ahead[0] = self._problem.forward * share
+        ahead = _forward(self._problem, share)
         once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
         if not self._problem.inertial:
             return np.array([time * (last.attitude @ once + given)])

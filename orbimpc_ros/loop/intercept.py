@@ -206,8 +206,9 @@ class Interception:
         self._aim = (NARROW if self._coned else AIM) * radius
         self.problem = lru_cache(maxsize=MEMORY)(self._problem)
         self._made: dict[Target, Solver] = {}
-        for target in self.targets:
-            self._make(target)
+        for end in range(1, self._horizon + 1):  # what nearly every search tries
+            for narrow in (False, True) if self._coned else (False,):
+                self._make(Target(end, narrow))
 
     def _problem(self, target: Target) -> Problem:
         """Return the problem of :func:`catching` the goal."""
@@ -215,12 +216,6 @@ class Interception:
         if not target.narrow:
             return made
         return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
-
-    @property
-    def targets(self) -> list[Target]:
-        """Return what nearly every search tries: the ends of the steps within the horizon."""
-        kinds = (False, True) if self._coned else (False,)
-        return [Target(end, narrow) for end in range(1, self._horizon + 1) for narrow in kinds]
 
     def enough(self, end: float) -> Enough:
         """Return what settles whether the goal is caught at an end.
@@ -287,7 +282,9 @@ class Interception:
         goals = self._goals(query, self._horizon)
         too_far = self._too_far(query.task.state, goals, self._tracked)
         surely = missed(self._tracked, query.task.state, goals, self._radius)
-        travel = self._travel(goals)
+        moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
+        # So far a step takes a vehicle past the goal at most.
+        travel = self._step * self._tracked.forward + float(moved.max(initial=0.0))
         for end in range(1, self._horizon + 1):
             attempt = NEVER if too_far[end - 1] else self._tried(query, end, goals[:end])
             if self._is_well(attempt):
@@ -423,11 +420,6 @@ class Interception:
     def _well(self, end: float) -> float:
         """Return within what a catch at an end is well within the radius [m]."""
         return self._aim if end <= self._horizon else NARROW * self._radius
-
-    def _travel(self, goals: Array) -> float:
-        """Return how far a step takes a vehicle past the goal at most [m]."""
-        moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
-        return self._step * self._tracked.forward + float(moved.max(initial=0.0))
 
     def _surely(self, query: InterceptQuery, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""

@@ -11,6 +11,7 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -131,6 +132,7 @@ LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
 PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting that pays for one more task, and how many at most
 STEPS = 4  # of Gauss-Newton on a closer look
+SPECTRAL = ((SWING, FIXED), (CARRIER, DRIFTING))  # found in the spectrum, by their middles
 SPEED_OVER = 0.5  # [s]
 WORTHWHILE = 0.01  # units of the noise that a step should gain
 
@@ -313,8 +315,8 @@ class Bank:
         if self._count < SWINGS_FROM:
             return
         self._tasks += 1
-        seek = self._seek_swing, self._seek_carrier, self._seek_damped, self._seek_turn
-        search = (self._read, *seek)
+        swing, carrier = (partial(self._seek, *where) for where in SPECTRAL)
+        search = self._read, swing, carrier, self._seek_damped, self._seek_turn
         if self._tasks % 2 and self._spectrum is not None:
             search[self._tasks // 2 % len(search)]()
         else:
@@ -323,8 +325,8 @@ class Bank:
     def _look_closely(self) -> None:
         """Do at once what is otherwise done over many sightings."""
         self._read()
-        self._seek_swing()
-        self._seek_carrier()
+        for where in SPECTRAL:
+            self._seek(*where)
         for _ in range(STEPS):
             self._put_waiting()
             self._conclude()
@@ -350,12 +352,6 @@ class Bank:
         if self._spectrum is not None:
             times, seen = self._past()
             self._spectrum.add(times[self._spectrum.count :], seen[self._spectrum.count :])
-
-    def _seek_swing(self) -> None:
-        self._seek(SWING, FIXED)
-
-    def _seek_carrier(self) -> None:
-        self._seek(CARRIER, DRIFTING)
 
     def _seek(self, family: int, middle: int) -> None:
         """Place a family at the best frequency of the spectrum, where that fits better."""

@@ -15,7 +15,6 @@ from orbimpc_ros.loop.goal.bank import Bank
 from orbimpc_ros.loop.goal.harmonic import Harmonic
 from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import BadInput
 
 
 class Velocity:
@@ -57,14 +56,3 @@ FORECASTS: dict[str, Callable[[], Forecast]] = {
     'harmonic': Harmonic,
     'auto': Bank,
 }
-
-
-def forecast_named(kind: str) -> Forecast:
-    """Return a fresh forecast of a kind.
-
-    Raises:
-        BadInput: no such kind.
-    """
-    if kind not in FORECASTS:
-        raise BadInput.choice('goal_prediction', kind, FORECASTS)
-    return FORECASTS[kind]()

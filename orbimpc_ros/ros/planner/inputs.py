@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from orbimpc_ros.loop.goal.bank import Bank
-from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, GoalTrajectory
 from orbimpc_ros.loop.goal.route import Route
 from orbimpc_ros.loop.planner import Snapshot
@@ -127,7 +127,7 @@ class Inputs:
         self.settings, self.others = settings, tuple(others)
         self.names = {each: each for each in NAMED} | dict(names or {})
         self.latest: dict[str, Received[Any]] = {}
-        self.forecast: Forecast = forecast_named(settings.goal_prediction)
+        self.forecast: Forecast = FORECASTS[settings.goal_prediction]()
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         known = settings.stated_transforms, settings.transform_timeout, settings.tf
         self.transforms, self.displaced = Transforms(*known), ''
@@ -148,7 +148,7 @@ class Inputs:
         self.settings = settings
         self.transforms.adopt(settings.stated_transforms, settings.transform_timeout)
         if renewed:
-            self.forecast = forecast_named(settings.goal_prediction)
+            self.forecast = FORECASTS[settings.goal_prediction]()
             if 'goal' in self.latest:
                 self.forecast.observe(self.latest['goal'].value)
 
