@@ -64,17 +64,11 @@ START, AT_ONCE = 'node: start to first command', 'planners at 5 Hz'
 
 @dataclass
 class RoundTrip:
-    """One odometry message and its answer.
+    """One odometry message and its answer."""
 
-    Attributes:
-        sent: time of publishing [s].
-        latency: until the command has arrived [s]; infinite before.
-        solve_ms: solve time that the planner reports [ms]; NaN before.
-    """
-
-    sent: float
-    latency: float = math.inf
-    solve_ms: float = math.nan
+    sent: float  # time of publishing [s]
+    latency: float = math.inf  # until the command has arrived [s]; infinite before
+    solve_ms: float = math.nan  # solve time that the planner reports [ms]; NaN before
 
 
 class Driver:

@@ -45,23 +45,14 @@ FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
 class Message(NamedTuple):
-    """A message in a bag.
+    """A message in a bag."""
 
-    Attributes:
-        topic: it came on.
-        type: of the message.
-        stamp: under which it was recorded [ns].
-        sent: when it was sent; the stamp if that is not known [ns].
-        data: in CDR.
-        content: decoded; None where only bytes are read.
-    """
-
-    topic: str
-    type: str
-    stamp: int
-    sent: int
-    data: bytes
-    content: Any = None
+    topic: str  # it came on
+    type: str  # of the message
+    stamp: int  # under which it was recorded [ns]
+    sent: int  # when it was sent; the stamp if that is not known [ns]
+    data: bytes  # in CDR
+    content: Any = None  # decoded; None where only bytes are read
 
 
 # --- the content of messages, from bags and from DDS alike

@@ -43,25 +43,15 @@ HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no c
 
 
 class TickVerdict(NamedTuple):
-    """What became of a tick's bound.
+    """What became of a tick's bound."""
 
-    Attributes:
-        tick: its number, None of a file.
-        of: what is bounded: a cost, which is infinite where nothing is feasible, or a time [s].
-        claimed: the bound that was published; None if none was.
-        proved: the bound that holds; None without a certificate.
-        leaves: of the certificate.
-        outcome: in a word or two.
-        words: why there is no certificate, or none can be, if that is so.
-    """
-
-    tick: int | None
-    of: str
-    claimed: float | None = None
-    proved: float | None = None
-    leaves: int = 0
-    outcome: str = NOTHING
-    words: str = ''
+    tick: int | None  # its number, None of a file
+    of: str  # what is bounded: a cost, which is infinite where nothing is feasible, or a time [s]
+    claimed: float | None = None  # the bound that was published; None if none was
+    proved: float | None = None  # the bound that holds; None without a certificate
+    leaves: int = 0  # of the certificate
+    outcome: str = NOTHING  # in a word or two
+    words: str = ''  # why there is no certificate, or none can be, if that is so
 
     def __str__(self) -> str:
         name = '' if self.tick is None else f'{self.tick:>6}  '

@@ -50,21 +50,13 @@ class FlightFailure(OrbimpcError):
 
 @dataclass(frozen=True)
 class Job:
-    """A flight to be flown.
+    """A flight to be flown."""
 
-    Attributes:
-        study: its name, by which baselines find what they were tuned to.
-        controller: :data:`OURS`, or the name of a baseline.
-        index: of the flight.
-        values: of all parameters, drawn ones included.
-        margin: by how much larger than they are bodies in the traffic are reported [m].
-    """
-
-    study: str
-    controller: str
-    index: int
-    values: dict[str, Any]
-    margin: float = 0.0
+    study: str  # its name, by which baselines find what they were tuned to
+    controller: str  # :data:`OURS`, or the name of a baseline
+    index: int  # of the flight
+    values: dict[str, Any]  # of all parameters, drawn ones included
+    margin: float = 0.0  # by how much larger than they are bodies in the traffic are reported [m]
 
 
 def flown(job: Job) -> Row:
