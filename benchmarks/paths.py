@@ -43,29 +43,18 @@ MET, ALONG = 3.0, math.radians(20.0)  # [m] from the path, and the course off it
 
 @dataclass(frozen=True)
 class Airframe:
-    """A wing.
+    """A wing."""
 
-    Attributes:
-        airspeed: commanded [m/s].
-        bank: largest commanded [rad].
-        stall: airspeed [m/s].
-        radius: of its orbit [m].
-        aside: how far from the path it starts, at most [m].
-        seconds: of a flight.
-        gust: standard deviation along each axis [m/s].
-        tuned: the followers' numbers: NPFG's and L1's periods [s], the vector field's gain [1/m].
-        planner: parameters.
-    """
-
-    airspeed: float
-    bank: float
-    stall: float
-    radius: float
-    aside: float
-    seconds: float
-    gust: float
+    airspeed: float  # commanded [m/s]
+    bank: float  # largest commanded [rad]
+    stall: float  # airspeed [m/s]
+    radius: float  # of its orbit [m]
+    aside: float  # how far from the path it starts, at most [m]
+    seconds: float  # of a flight
+    gust: float  # standard deviation along each axis [m/s]
+    # the followers' numbers: NPFG's and L1's periods [s], the vector field's gain [1/m]
     tuned: dict[str, float]
-    planner: dict[str, object]
+    planner: dict[str, object]  # parameters
 
     @property
     def max_rate(self) -> float:

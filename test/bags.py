@@ -14,6 +14,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import advance, launched
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool.history import History, Planned
 from orbimpc_ros.tool.topics import Topic
 
 
@@ -91,6 +92,22 @@ def command_of(found, stamp, model):
         return twist.linear.x / model.forward, vector(twist.angular)
     force = found['cmd_thrust'][stamp].wrench.force.x
     return force / (model.mass * model.forward), vector(twist.angular)
+
+
+def made_up(positions, values, **others):
+    """Return a flight along positions, shape (M, 3), a second apart, its nose along x."""
+    count, times = len(positions), 10.0 + np.arange(len(positions))
+    known = {
+        'attitudes': np.tile(np.eye(3), (count, 1, 1)),
+        'velocities': np.diff(positions, axis=0, append=2 * positions[-1:] - positions[-2:-1]),
+        'rates': np.zeros((count, 3)),
+        'ropes': np.tile(values['rope.center'], (count, 1)),
+        'plans': tuple(Planned(t, positions[k : k + 3]) for k, t in enumerate(times)),
+        'forces': tuple((t, 0.25) for t in times),
+        'ticks': tuple((t, {'speed_fraction': [1.0, 0.6]}) for t in times),
+        'captured': True,
+    }
+    return History(times, positions, values=values, **known | others)
 
 
 GOLDEN = Path(__file__).parent / 'golden'

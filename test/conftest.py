@@ -107,6 +107,19 @@ def default_context():
 
 
 @pytest.fixture
+def tool(capsys):
+    """Return a function that runs a command of the tool here: (exit code, stdout, stderr)."""
+    from orbimpc_ros.tool import cli
+
+    def run(*words):
+        capsys.readouterr()
+        code = cli.main([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
 def launch(domain, tmp_path):
     with launching(domain, tmp_path) as start:
         yield start

@@ -19,12 +19,22 @@ from typing import Any
 
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.tool.run.discovery import claimed, free
+from orbimpc_ros.tool.run.processes import PROGRAM, Child
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 240.0  # [s] for anything awaited: enough with ten processes for each core, too
 KEPT = 1000  # messages: none may be missed
 
+TOOL = (sys.executable, '-m', 'orbimpc_ros.tool.cli')
+
+os.environ['PYTHONFAULTHANDLER'] = '1'
 _numbers = itertools.count()
+
+
+def orbimpc(*words: object, text: str = '') -> subprocess.CompletedProcess:
+    """Run a command of the tool as a user does, on some input."""
+    command = [*TOOL, *map(str, words)]
+    return subprocess.run(command, input=text, capture_output=True, text=True, check=False)
 
 
 def new_domain() -> int:
@@ -42,8 +52,8 @@ def new_domain() -> int:
     return next(filter(claimed, drawn), None) or next(filter(free, drawn))
 
 
-class LaunchedProcess:
-    """A node in a process of its own, its output kept: a module's, or a test's own script's."""
+class LaunchedProcess(Child):
+    """A node in a process of its own: a module's, or a test's own script's."""
 
     def __init__(
         self,
@@ -54,44 +64,28 @@ class LaunchedProcess:
         files: list[Path],
         remapped: dict,
     ) -> None:
-        runs = [str(module)] if isinstance(module, Path) else ['-m', PACKAGES[module]]
-        command = [sys.executable, *runs, '--ros-args']
+        script = [PROGRAM, sys.executable, str(module)]
+        words = [*(script if isinstance(module, Path) else [PACKAGES[module]]), '--ros-args']
         for file in files:
-            command += ['--params-file', str(file)]
+            words += ['--params-file', str(file)]
         for name, value in parameters.items():
-            command += ['-p', f'{name}:={value}']
+            words += ['-p', f'{name}:={value}']
         for name, other in remapped.items():
-            command += ['-r', f'{name}:={other}']
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'}
-        self._log = log
-        with log.open('wb') as output:
-            self._process = subprocess.Popen(
-                command, env=environment, stdout=output, stderr=subprocess.STDOUT, cwd=log.parent
-            )
+            words += ['-r', f'{name}:={other}']
+        super().__init__(str(module), words, log, domain)
 
-    @property
-    def output(self) -> str:
-        return self._log.read_text()
+    def wait(self, patience: float = PATIENCE) -> int | None:
+        return super().wait(patience)
 
-    @property
-    def ended(self) -> bool:
-        return self._process.poll() is not None
-
-    def tell(self, number: int) -> None:
-        self._process.send_signal(number)
-
-    def wait(self) -> int:
-        return self._process.wait(PATIENCE)
-
-    def stop(self) -> int:
-        if not self.ended:
-            self.tell(signal.SIGINT)
-        try:
-            return self.wait()
-        except subprocess.TimeoutExpired:
+    def stop(self, number: int = signal.SIGINT) -> int:
+        if self.running:
+            self.tell(number)
+        code = self.wait()
+        if code is None:
             self.tell(signal.SIGABRT)  # says where each of its threads hangs
-            self._process.wait(PATIENCE)
-            raise TimeoutError(f'did not end: {self.output}') from None
+            self.wait()
+            raise TimeoutError(f'did not end: {self.output}')
+        return code
 
 
 @contextlib.contextmanager
@@ -119,6 +113,27 @@ def launching(domain: int, folder: Path):
             return process
 
         yield start
+
+
+RECORDER = """
+import sys
+from pathlib import Path
+from orbimpc_ros.tool.run.processes import interruptions
+from orbimpc_ros.tool.run.recorder import Recorder
+from orbimpc_ros.tool.topics import topics_of
+
+with interruptions() as received:
+    recorder = Recorder(Path(sys.argv[1]), topics_of(), {'parameters': '{}'}, sys.argv[2:])
+    while not received:
+        recorder.spin(0.05)
+    recorder.close()
+"""
+
+
+def recording(bag: Path, domain: int, *planners: str) -> subprocess.Popen:
+    """Return the process of a recorder that knows planners, which a signal ends."""
+    words = [sys.executable, '-c', RECORDER, str(bag), *planners]
+    return subprocess.Popen(words, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
 
 
 class Observer:

@@ -106,17 +106,3 @@ class Bench:
 
         self.until(answer, 'a command')
         return answer()[0]
-
-    def fly_now(self):
-        """Send what is measured now until that moves the vehicle."""
-        before, sent = len(self.commands), -math.inf
-
-        def moved():
-            nonlocal sent
-            if time.time() - sent > 0.1:
-                sent = time.time()
-                self.goal.publish(goal(sent))
-                self.odometry.publish(odometry(sent))
-            return any(map(moving, self.commands[before:]))
-
-        self.until(moved, 'a command')

@@ -278,11 +278,6 @@ def test_a_requirement_that_is_missed_fails_the_run(run, monkeypatch, most, code
     assert run('--only', 'square')[0] == code
 
 
-def test_an_unknown_problem_is_refused_in_one_line(capsys):
-    assert cli.main(['bench', '--only', 'chess']) == 2
-    assert 'chess' in capsys.readouterr().err.splitlines()[-1]
-
-
 @pytest.fixture
 def second(monkeypatch):
     """Return a function that replaces the second measurement."""

@@ -6,18 +6,16 @@ import json
 import math
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
-from harness import PATIENCE, alive, children_of, wait_for
+from harness import PATIENCE, TOOL, alive, children_of, orbimpc, wait_for
 
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 
-from benchmarks import faults
 from benchmarks.faults import inputs, processes
 from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
@@ -28,10 +26,6 @@ from orbimpc_ros.tool import cli
 MATRIX = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
 LIMITS = Limits(speed=1.0, rate=3.0)
 NAN, INF = math.nan, math.inf
-
-
-def command(*words):
-    return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'faults', *words]
 
 
 # --- the monitor
@@ -170,8 +164,7 @@ def short(tmp_path_factory):
     done = []
     for first, file in enumerate(files):
         rows = [case.name for case in MATRIX[first::2]]
-        words = command('--json', str(file), '--only', *rows)
-        half = subprocess.run(words, capture_output=True, text=True, check=False)
+        half = orbimpc('faults', '--json', file, '--only', *rows)
         done.append((half, half.stdout, half.stderr))
     halves = [json.loads(file.read_text())['rows'] for file in files]
     return done, halves, {found['name']: found for half in halves for found in half}
@@ -196,14 +189,6 @@ def test_the_table_says_what_the_rows_say(short):
         assert 'Traceback' not in err
 
 
-def test_without_ros_it_says_what_to_install(capsys, monkeypatch):
-    monkeypatch.setattr(faults, 'find_spec', lambda _name: None)
-    assert cli.main(['faults']) == 2
-    complaint = capsys.readouterr().err
-    assert complaint.count('\n') == 1
-    assert 'ros-jazzy-rclpy' in complaint
-
-
 def test_rows_are_listed(capsys):
     assert cli.main(['faults', '--list']) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -212,9 +197,8 @@ def test_rows_are_listed(capsys):
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_an_interrupted_matrix_leaves_no_process(number):
-    child = subprocess.Popen(
-        command('--only', 'odometry'), stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
+    words = [*TOOL, 'faults', '--only', 'odometry']
+    child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     wait_for(lambda: children_of(child.pid))
     nodes = children_of(child.pid)
     time.sleep(1.0)  # into the run

@@ -5,13 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from harness import recording
 
 from orbimpc_ros.ros.entry import PACKAGES
 
@@ -64,21 +64,6 @@ def test_every_node_has_an_enclave_of_its_own(policy):
     assert {each[0].get('ns') for each in profiles} == {'/'}
 
 
-RECORD = """
-    import sys
-    from pathlib import Path
-    from orbimpc_ros.tool.run.processes import Interruptions
-    from orbimpc_ros.tool.run.recorder import Recorder
-    from orbimpc_ros.tool.topics import topics_of
-
-    with Interruptions() as interruptions:
-        recorder = Recorder(Path(sys.argv[1]), topics_of(), {})
-        while not interruptions.requested:
-            recorder.spin(0.05)
-        recorder.close()
-"""
-
-
 @pytest.fixture(scope='module')
 def endpoints(shared, tmp_path_factory):
     """Return what three real nodes have, by node and kind of endpoint.
@@ -91,9 +76,7 @@ def endpoints(shared, tmp_path_factory):
     sim = {'wait_subscribers': 9, 'goal_path_steps': 3, 'vehicle': 'continuous'}
     sim['traffic'] = [9.0, 9.0, 9.0, 0.0, 0.0, 0.0, 1.0]
     launch('sim', sim, 'spacecraft')
-    words = [sys.executable, '-c', textwrap.dedent(RECORD), str(tmp_path_factory.mktemp('r') / 'b')]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(observer.domain)}
-    recorder = subprocess.Popen(words, env=environment)
+    recorder = recording(tmp_path_factory.mktemp('r') / 'b', observer.domain, '/planner')
 
     def names(node, kind):
         found = getattr(observer.node, f'get_{kind}_names_and_types_by_node')(node, '/')

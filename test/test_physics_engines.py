@@ -1,19 +1,59 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Engines of any kind: how a new one is added, one that is missing, and one that fails."""
+"""Vehicles in engines behind the simulator: commands, air, goals, limits, seeds, failures."""
 
+import math
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from dying_engine import FAILURES, Straight
+from scipy.integrate import solve_ivp, trapezoid
+
+pytest.importorskip('rclpy')
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp, log
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant, Kind, class_of
-from orbimpc_ros.sim.engines import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure, Start
+from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.vehicle import launched
-from orbimpc_ros.sim.world import Scenario, departure, fixed
+from orbimpc_ros.sim.world import Rope, Scenario, departure, fixed, outcome
+from orbimpc_ros.tool.study import flights as study
+from orbimpc_ros.tool.study.draws import draws_of
+
+BASILISK = "Basilisk is not installed: pip install 'orbimpc_ros[basilisk]' runs this"
+
+
+@pytest.fixture
+def cessna():
+    return pytest.importorskip('orbimpc_ros.sim.engines.cessna')
+
+
+@pytest.fixture
+def hummingbird():
+    pytest.importorskip('mujoco')
+    return pytest.importorskip('orbimpc_ros.sim.engines.hummingbird')
+
+
+@pytest.fixture
+def servicer():
+    return pytest.importorskip('orbimpc_ros.sim.engines.servicer', reason=BASILISK)
+
+
+def flown(flight, seconds, fraction=None, turn=0.0):
+    """Return the flights, one for each step, at the speed of the start if nothing else is said."""
+    found, model = [flight], flight.scenario.model
+    fraction = flight.scenario.start.fraction if fraction is None else fraction
+    for _ in range(round(seconds / model.step)):
+        found.append(found[-1].after(fraction, np.resize(turn, model.rates)))
+    return found
+
+
+# --- engines of any kind
 
 BLAME = {
     'Straight': 'broken: went from t = 2.000 s to 2.000 s',
@@ -24,17 +64,17 @@ BLAME = {
 }
 
 
-def flight_of(engine='cessna'):
+def straight(engine='cessna'):
     model = EnginePlant(forward=50.0, engine=engine)
     start = launched(model, np.zeros(2), np.eye(2), fraction=0.9)
     return departure(Scenario(model, start, fixed([1e5, 0.0]), 5.0, 1000))
 
 
 def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
-    monkeypatch.setitem(engines.ENGINES, 'glider', Kind((), 'Glider', 2, 1))
+    monkeypatch.setitem(engines.ENGINES, 'glider', Kind((), 2, 1))
     module = SimpleNamespace(Glider=Straight)
     monkeypatch.setitem(sys.modules, 'orbimpc_ros.sim.engines.glider', module)
-    vehicle = flight_of('glider').after(0.9, np.zeros(1)).vehicle
+    vehicle = straight('glider').after(0.9, np.zeros(1)).vehicle
     np.testing.assert_allclose(vehicle.position, [45.0, 0.0])
     assert vehicle.airspeed == pytest.approx(45.0)
 
@@ -42,7 +82,7 @@ def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
 @pytest.mark.parametrize('failure', FAILURES)
 def test_an_engine_that_fails_is_named(monkeypatch, failure):
     monkeypatch.setattr(engines, 'class_of', lambda _name: FAILURES[failure])
-    flight = flight_of()
+    flight = straight()
     for _ in range(2):
         flight = flight.after(0.9, np.zeros(1))
     with pytest.raises(EngineFailure) as raised:
@@ -72,3 +112,317 @@ def test_the_library_of_an_engine_that_is_missing_is_named(monkeypatch, name, mo
 def test_an_engine_flies_in_its_own_dimension_and_order(name, value):
     with pytest.raises(BadInput, match=f'{name} is {value}; allowed: [12] with vehicle: cessna'):
         EnginePlant(**{name: value})
+
+
+# --- the Cessna of JSBSim
+
+WIND = np.array([-4.0, 6.0])
+AFAR = np.array([1e5, 0.0])
+
+
+def aircraft(heading=0.0, wind=WIND, goal=AFAR, **others):
+    model = EnginePlant(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
+    cos, sin = math.cos(heading), math.sin(heading)
+    start = launched(model, np.zeros(2), np.array([[cos, -sin], [sin, cos]]), fraction=0.9)
+    return departure(Scenario(model, start, fixed(goal), 5.0, 1000, rope_length=40.0))
+
+
+@pytest.mark.parametrize('heading', [0.4, 2.5, -1.9])
+def test_it_starts_in_level_flight_through_air_that_moves(cessna, heading):
+    vehicle = aircraft(heading).vehicle
+    axis = np.array([math.cos(heading), math.sin(heading)])
+    np.testing.assert_allclose(vehicle.wind, WIND, atol=1e-6)
+    np.testing.assert_allclose(vehicle.velocity - WIND, 45.0 * axis, atol=0.1)
+    np.testing.assert_allclose(vehicle.attitude[:, 0], axis, atol=1e-3)
+    assert vehicle.airspeed == pytest.approx(45.0, abs=0.01)
+
+
+@pytest.mark.parametrize('heading', [0.4, -1.9])
+def test_positions_follow_velocities(cessna, heading):
+    """The globe is turned into a plane well enough, in both of its directions."""
+    trail = [v for each in flown(aircraft(heading), 40)[1:] for v in each.trail]
+    times = np.array([v.time for v in trail])
+    way = trapezoid([v.velocity for v in trail], times, axis=0)
+    np.testing.assert_allclose(trail[-1].position - trail[0].position, way, rtol=1e-4)
+
+
+@pytest.mark.parametrize('turn', [0.06, -0.06])
+def test_it_turns_as_it_is_told_within_its_bank(cessna, turn):
+    flights = flown(aircraft(wind=np.zeros(2)), 30, turn=turn)
+    late = flights[10:]
+    yaws = np.unwrap([math.atan2(*f.vehicle.attitude[::-1, 0]) for f in late])
+    assert np.diff(yaws).mean() == pytest.approx(turn, rel=0.1)
+    assert late[-1].vehicle.body_rate[0] == pytest.approx(turn, rel=0.1)
+    banks = [v.facts['bank'] for f in flights[1:] for v in f.trail]
+    assert math.copysign(1.0, banks[-1]) == math.copysign(1.0, turn)
+    assert max(map(abs, banks)) < math.radians(30.0)
+
+
+def test_it_tends_to_the_airspeed_that_it_is_told(cessna):
+    slow, fast = (flown(aircraft(), 60, fraction)[-1].vehicle for fraction in (0.8, 1.0))
+    assert slow.airspeed == pytest.approx(40.0, abs=1.5)
+    assert fast.airspeed == pytest.approx(50.0, abs=1.5)
+
+
+def test_throttles_are_those_of_the_engines_own_trim(cessna):
+    for speed, throttle in zip(cessna.SPEEDS, cessna.THROTTLES, strict=True):
+        still = np.zeros(2)
+        start = Start(still, still, np.eye(2), np.zeros(1), speed, still, 0.0, 0, still, still)
+        assert cessna.Cessna(start).motion().facts['throttle'] == pytest.approx(throttle, abs=2e-3)
+
+
+def test_turbulence_is_as_strong_as_is_said(cessna):
+    flights = flown(aircraft(turbulence=1.0, seed=3), 300)
+    felt = np.array([v.wind - WIND for f in flights[1:] for v in f.trail])
+    assert 0.6 < felt.std() < 1.4
+
+
+def test_a_point_is_missed_by_height_and_a_line_is_not(cessna):
+    flights = flown(aircraft(wind=np.zeros(2), goal=np.array([200.0, 0.0])), 6)
+    best = min(flights, key=lambda each: each.miss)
+    height = abs(best.vehicle.height)
+    assert best.captured
+    assert best.miss < 2.0 < height
+    point = replace(best.scenario, rope_length=0.0)
+    again = departure(point)
+    assert min(f.miss for f in flown(again, 6)) == pytest.approx(height, abs=1.0)
+
+
+def test_odometry_may_come_late(cessna):
+    flights = flown(aircraft(), 3)
+    view = View(Faults(delay=0.4), 0, 1.0)
+    seen = [view.of(flight)[-1].content for flight in flights]
+    assert seen[-1].time == pytest.approx(2.6)
+    assert flights[2].vehicle.position[0] < seen[-1].position[0] < flights[3].vehicle.position[0]
+
+
+def test_a_start_that_cannot_be_flown_is_refused(cessna):
+    model = EnginePlant(forward=50.0)
+    start = launched(model, np.zeros(2), np.eye(2), fraction=0.2)
+    with pytest.raises(BadInput, match=r'start.speed_fraction is 0.2; .*no level flight'):
+        model.begun(start)
+
+
+# --- the Hummingbird in MuJoCo
+
+STILL, FAR = np.zeros(2), np.array([50.0, 0.0])
+
+
+def multirotor(rest=FAR, aside=STILL, wind=STILL, **others):
+    rope = Rope(np.asarray(rest), np.asarray(aside), 0.0, np.full(2, 0.5 * math.pi))
+    model = EnginePlant(
+        forward=2.0,
+        step=0.1,
+        engine='hummingbird',
+        rope=rope,
+        disturbance=tuple(map(float, wind)),
+        **others,
+    )
+    start = launched(model, np.zeros(2), np.eye(2), fraction=0.0, velocity=STILL)
+    return departure(Scenario(model, start, rope, 0.15, 1000))
+
+
+def test_it_hovers_where_it_starts_in_wind(hummingbird):
+    flights = flown(multirotor(wind=[0.0, 2.0]), 2.0)
+    vehicle = flights[-1].vehicle
+    assert np.hypot(*vehicle.position) < 0.3  # the controller has no integral
+    assert np.hypot(*vehicle.velocity) < 0.1
+    assert abs(vehicle.height) < 0.1
+    assert vehicle.wind.tolist() == [0.0, 2.0]
+    assert vehicle.facts['bank'] > 0.02  # it leans against the wind
+
+
+@pytest.mark.parametrize('turn', [0.5, -0.5])
+def test_it_flies_as_fast_and_turns_as_it_is_told(hummingbird, turn):
+    vehicle = flown(multirotor(), 3.0, 0.75, turn)[-1].vehicle
+    assert vehicle.fraction * 2.0 == pytest.approx(1.5, abs=0.1)
+    assert vehicle.body_rate[0] == pytest.approx(turn, abs=0.05)
+    assert math.atan2(*vehicle.attitude[::-1, 0]) == pytest.approx(3.0 * turn, abs=0.15)
+    assert vehicle.facts['off'] < 0.15
+
+
+def test_the_rope_is_let_go_aside_and_swings(hummingbird):
+    flights = flown(multirotor([6.0, 1.0], [0.3, 0.6]), 1.5)
+    goals = np.array([each.goal for each in flights]) - [6.0, 1.0]
+    np.testing.assert_allclose(goals[0], [0.3, 0.6], atol=1e-6)
+    assert goals[:, 1].min() < -0.4  # half a swing later it is on the other side
+
+
+def test_wind_moves_the_rope(hummingbird):
+    flights = flown(multirotor(wind=[0.0, 6.0]), 1.0)
+    assert flights[-1].goal[1] > 0.01
+    assert flown(multirotor(), 1.0)[-1].goal[1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_rope_that_the_hook_touches_is_caught(hummingbird):
+    flights = flown(multirotor([1.0, 0.1]), 1.4, 1.0)
+    caught = next(each for each in flights if each.captured)
+    assert caught.miss == pytest.approx(0.1, abs=0.06)  # off the middle of a bar of 0.3 m
+    assert caught.over
+    assert caught.missed_at < 1.5
+    assert flights[0].captured is False
+
+
+def test_a_rope_that_something_else_touches_first_is_not_caught(hummingbird):
+    flights = flown(multirotor([1.0, 0.22]), 1.4, 1.0)
+    lost = next(each for each in flights if each.vehicle.lost)
+    assert lost.over
+    assert outcome(lost).startswith('not captured: something else of the vehicle')
+    assert not any(each.captured for each in flights)
+
+
+def test_a_rope_that_is_passed_is_not_caught(hummingbird):
+    flights = flown(multirotor([1.0, 0.6]), 1.2, 1.0)
+    assert not any(each.captured for each in flights)
+    assert not any(each.vehicle.lost for each in flights)
+
+
+def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):
+    flight = flown(multirotor(), 0.2)[-1]
+    flight.vehicle.engine._data.qvel[-1] = 1e12
+    with pytest.raises(EngineFailure, match=r'mujoco: unstable after t = 0.200 s'):
+        flight.after(0.0, np.zeros(1))
+
+
+def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
+    with pytest.raises(BadInput, match=r'rope.amplitude is \[1.0, 1.0\]; .*at most 1.2 m aside'):
+        multirotor(aside=[1.0, 1.0])
+
+
+# --- the servicer in Basilisk
+
+REST, AWAY = np.zeros(3), np.array([30.0, -20.0, 10.0])
+TURNED = exp(np.array([0.4, -0.7, 1.1]))
+FULL = 0.015  # [m/s^2]
+
+
+def spacecraft(goal=AWAY, velocity=REST, rate=REST, push=REST, **others):
+    model = EnginePlant(
+        3,
+        translation_order=2,
+        step=5.0,
+        forward=FULL,
+        mass=60.0,
+        engine='servicer',
+        rope=fixed(goal),
+        disturbance=tuple(map(float, push)),
+        **others,
+    )
+    start = launched(model, REST, TURNED, fraction=0.0, velocity=velocity, body_rate=rate)
+    return departure(Scenario(model, start, fixed(goal), 0.1, 1000, finish='arrival'))
+
+
+def test_it_starts_as_it_is_told(servicer):
+    velocity, rate = np.array([0.1, 0.2, -0.3]), np.array([0.01, 0.0, -0.02])
+    vehicle = spacecraft(velocity=velocity, rate=rate).vehicle
+    np.testing.assert_allclose(vehicle.position, REST, atol=1e-8)
+    np.testing.assert_allclose(vehicle.velocity, velocity, atol=1e-10)
+    np.testing.assert_allclose(vehicle.attitude, TURNED, atol=1e-12)
+    np.testing.assert_allclose(vehicle.body_rate, rate, atol=1e-12)
+    assert vehicle.fraction == 0.0
+
+
+def falling(_time, state):
+    """Of a point around the Earth; state: place and velocity."""
+    return np.append(state[3:], -3.986004418e14 * state[:3] / np.linalg.norm(state[:3]) ** 3)
+
+
+def test_the_earth_pulls_it_and_its_client_differently(servicer, monkeypatch):
+    monkeypatch.setattr(servicer, 'OFF_CENTER', 0.0)
+    client = np.array([6.878e6, 0.0, 0.0, 0.0, math.sqrt(3.986004418e14 / 6.878e6), 0.0])
+    ends = [
+        solve_ivp(falling, (0.0, 300.0), state, method='DOP853', rtol=1e-13, atol=1e-7).y[:3, -1]
+        for state in (client, client - np.append(AWAY, REST))
+    ]
+    drifted = flown(spacecraft(), 300.0)[-1].vehicle.position
+    np.testing.assert_allclose(drifted, AWAY + ends[1] - ends[0], atol=1e-5)
+    assert np.linalg.norm(drifted) > 1.0
+
+
+def test_pulses_come_to_the_thrust_that_is_commanded(servicer, monkeypatch):
+    for name in ('OFF_CENTER', 'OFF_FORCE', 'OFF_AXIS'):
+        monkeypatch.setattr(servicer, name, 0.0)
+    vehicle = flown(spacecraft(REST), 60.0, 0.5)[-1].vehicle
+    np.testing.assert_allclose(vehicle.velocity, 60.0 * 0.5 * FULL * TURNED[:, 0], atol=0.02)
+    assert vehicle.fraction == pytest.approx(0.5, abs=0.05)
+    assert vehicle.facts['pointing'] < 1e-3
+
+
+def test_a_push_that_nothing_explains_moves_it(servicer):
+    push = np.array([1e-3, 0.0, -2e-3])
+    pushed, alone = (flown(spacecraft(push=each), 20.0)[-1].vehicle for each in (push, REST))
+    np.testing.assert_allclose(pushed.velocity - alone.velocity, 20.0 * push, atol=1e-5)
+
+
+@pytest.mark.parametrize('rate', [[0.05, -0.1, 0.15], [-0.2, 0.05, 0.0]])
+def test_it_turns_at_the_rate_that_is_commanded(servicer, rate):
+    before, after = (each.vehicle for each in flown(spacecraft(), 20.0, 0.3, rate)[-2:])
+    np.testing.assert_allclose(after.body_rate, rate, atol=2e-3)
+    turned = log(before.attitude.T @ after.attitude)
+    np.testing.assert_allclose(turned, 5.0 * np.array(rate), atol=5e-3)
+    assert 0.0 < after.facts['pointing'] < 0.05
+    assert after.facts['wheel'] > 1.0
+
+
+def test_an_error_of_basilisk_is_a_failure(servicer, monkeypatch):
+    def failing(*_words):
+        raise servicer.bskLogging.BasiliskError('the task list is empty')
+
+    flight = spacecraft()
+    monkeypatch.setattr(flight.vehicle.engine._simulation, 'StepUntilStop', failing)
+    with pytest.raises(EngineFailure, match='basilisk: the task list is empty'):
+        flight.after(0.0, REST)
+
+
+# --- what all of them do
+
+ENGINES = {'cessna': aircraft, 'hummingbird': multirotor, 'servicer': spacecraft}
+
+
+@pytest.mark.parametrize(
+    ('name', 'own', 'seconds'),
+    [
+        ('cessna', {'turbulence': 1.0}, 10.0),
+        ('hummingbird', {'turbulence': 0.8}, 0.5),
+        ('servicer', {}, 20.0),
+    ],
+)
+def test_a_seed_brings_the_same_air_and_vehicle_again(request, name, own, seconds):
+    request.getfixturevalue(name)
+    ends = [
+        flown(ENGINES[name](seed=seed, **own), seconds, 1.0)[-1].vehicle.position
+        for seed in (1, 1, 2)
+    ]
+    assert np.array_equal(ends[0], ends[1])
+    assert not np.array_equal(ends[0], ends[2])
+
+
+@pytest.mark.parametrize(
+    ('name', 'own', 'there', 'seconds', 'command', 'within'),
+    [
+        ('cessna', {'wind': np.array([3.0, 0.0])}, [600.0, 400.0], 40.0, (0.9, -0.09), 50.0),
+        ('hummingbird', {}, [2.0, 1.0], 2.0, (1.0, -1.5), 0.15),  # the hook
+    ],
+)
+def test_its_own_guidance_flies_to_a_waypoint(request, name, own, there, seconds, command, within):
+    request.getfixturevalue(name)
+    flight = ENGINES[name](**own)
+    flight.vehicle.engine.steer_to(np.array(there))
+    places = [each.vehicle.position for each in flown(flight, seconds, *command)]
+    assert min(np.hypot(*(place - there)) for place in places) < within
+
+
+@pytest.mark.skipif(not COMPILED, reason='slow in plain Python: pip install numba')
+@pytest.mark.parametrize(
+    ('name', 'task', 'most'),
+    [
+        ('hummingbird', 'rope', {'time': 15.0, 'off': 0.5}),
+        ('servicer', 'servicer', {'missed': 0.1, 'speed': 0.05, 'pointing': 0.1}),
+    ],
+)
+def test_the_planner_does_its_job(request, name, task, most):
+    """The first flight of a seed that no study has used."""
+    request.getfixturevalue(name)
+    row = study.flown(study.Job(task, 'orbitope', 0, draws_of(task).of(901, 0)))
+    assert row['caught']
+    assert all(row[field] < value for field, value in most.items())

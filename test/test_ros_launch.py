@@ -60,32 +60,39 @@ def launched():
     return load
 
 
-def nodes_in(entities):
+def nodes_of(description, **told):
+    """Return the nodes that are launched, given arguments, and the launch's context."""
+    from launch.actions import OpaqueFunction
     from launch_ros.actions import Node
 
-    return [entity for entity in entities if isinstance(entity, Node)]
+    from launch import LaunchContext
+
+    context = LaunchContext()
+    for argument in description.get_launch_arguments():
+        default = argument.default_value
+        context.launch_configurations[argument.name] = default[0].text if default else ''
+    context.launch_configurations.update(told)
+    (late,) = (each for each in description.entities if isinstance(each, OpaqueFunction))
+    return [each for each in late.execute(context) if isinstance(each, Node)], context
 
 
 @pytest.mark.parametrize('file', FLIGHTS, ids=lambda file: file.name)
 def test_a_launch_file_starts_planner_and_simulator(file, launched):
     description = launched(file)
-    assert [n.node_executable for n in nodes_in(description.entities)] == ['planner', 'sim']
+    nodes, context = nodes_of(description)
+    assert [node.node_executable for node in nodes] == ['planner', 'sim']
     arguments = {argument.name for argument in description.get_launch_arguments()}
     assert arguments == EVERYWHERE | {'scenario', 'clock', 'use_sim_time'}
+    name = file.name.split('.')[0].replace('flight', 'retrieval')
+    assert context.launch_configurations['params_file'].endswith(f'/{name}.yaml')
 
 
 def test_a_planner_takes_the_topics_of_its_autopilot(launched):
-    from launch.actions import OpaqueFunction
     from launch.utilities import perform_substitutions
-
-    from launch import LaunchContext
 
     description = launched(FILES[0].parent / 'vehicle.launch.py')
     for name, topics in TOPICS.items():
-        context = LaunchContext()
-        context.launch_configurations.update(autopilot=name, params_file='', namespace='')
-        (late,) = (e for e in description.entities if isinstance(e, OpaqueFunction))
-        (node,) = nodes_in(late.execute(context))
+        (node,), context = nodes_of(description, autopilot=name)
         assert node.node_executable == 'planner'
         told = [
             tuple(perform_substitutions(context, part) for part in pair)
@@ -96,19 +103,10 @@ def test_a_planner_takes_the_topics_of_its_autopilot(launched):
 
 
 def test_a_fleet_is_as_large_as_asked_for(launched):
-    from launch.actions import OpaqueFunction
-
-    from launch import LaunchContext
-
     description = launched(FILES[0].parent / 'fleet.launch.py')
     arguments = {argument.name for argument in description.get_launch_arguments()}
     assert arguments == EVERYWHERE | {'vehicles', 'seed'}
-    context = LaunchContext()
-    context.launch_configurations.update(
-        vehicles='3', seed='0', namespace='team', record='true', params_file=''
-    )
-    *_, late = (e for e in description.entities if isinstance(e, OpaqueFunction))
-    nodes = nodes_in(late.execute(context))
+    nodes, _ = nodes_of(description, vehicles='3', namespace='team', record='true')
     assert [node.node_executable for node in nodes] == ['planner'] * 3 + ['sim'] * 3
 
 

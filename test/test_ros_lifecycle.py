@@ -202,7 +202,7 @@ def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
     observer.until(lambda: not moving(manager.commands[-1]), 'the safe command')
     assert manager.state == 'finalized'
     observer.until(lambda: not observer.node.count_publishers('cmd_vel'), 'silence')
-    assert not manager.process.ended
+    assert manager.process.running
     assert manager.process.stop() == 0, manager.process.output
 
 

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.sim.markers import world_markers
+from orbimpc_ros.sim.outputs import world_markers
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.world import departure
 

@@ -5,6 +5,7 @@ import contextlib
 import math
 import re
 from dataclasses import replace
+from functools import reduce
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,20 +16,24 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from flying import fly_disturbed
-from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, WrenchStamped
 from lifecycle_msgs.msg import TransitionEvent
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
-from scenarios import retrieval, retrieval_problem
+from scenarios import retrieval
 
-from orbimpc_ros.loop.goal.forecast import FORECASTS
-from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.sim import simulation
+from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.pacing import LockStep
-from orbimpc_ros.sim.waiting import Waiting
+from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.sim.vehicle import Model
+from orbimpc_ros.tool.replay.recording import stamp_of
 
 DISTURBED = {
     'faults.position_noise': 0.05,
@@ -77,8 +82,7 @@ def test_a_flight_through_faults_is_the_one_without_ros(launch):
     """Noise, a fifth of all messages lost: the same seed, the same flight, and no standstill."""
     scenario = replace(retrieval(), capture_radius=0.3)
     view = View(Faults(0.05, 0.035, 0.2), 3, scenario.model.step)
-    forecast = FORECASTS['harmonic']()
-    end = fly_disturbed(Planner(retrieval_problem()), scenario, forecast, view)
+    end = fly_disturbed(LOCKSTEP, scenario, view)
     assert end.captured
     told = f'{end.miss:.3f} m from the goal, after {end.ticks} ticks'
     assert any(told in flown_through(launch, DISTURBED, new_domain()) for _ in range(3))
@@ -154,11 +158,6 @@ STEPS = 12
 LONG = LOCKSTEP | {'goal_prediction': 'hold'}  # the paper's, which catches nothing so soon
 
 
-def stamp_of(message):
-    stamp = message.clock if hasattr(message, 'clock') else message.header.stamp
-    return messages.nanoseconds(stamp, 'stamp')
-
-
 def test_whoever_is_waited_for_hears_a_flight_whole(launch, domain):
     """As somebody who comes late to record a flight that takes a tenth of a second."""
     launch('planner', LONG)
@@ -195,25 +194,27 @@ def test_a_simulator_sees_that_a_planner_is_being_configured(launch, observer):
     observer.until(lambda: 'waits for subscribers of odom' in sim.output, 'the next lack')
 
 
-def test_what_a_planner_takes_to_be_configured_is_not_counted():
+def test_what_a_planner_takes_to_be_configured_is_not_counted(monkeypatch):
     """The first start compiles for minutes on a small computer."""
-    now, lines = [0.0], []
+    monkeypatch.setattr(simulation, 'TransformBroadcaster', None)
+    now, lines, readers_of_goals = [0.0], [], []
     logger = SimpleNamespace(info=lines.append, fatal=lines.append)
     planner = SimpleNamespace(node_namespace='/', node_name='planner')
-    readers_of_goals = []
+    end = SimpleNamespace(topic_name='/goal', get_subscription_count=lambda: 0)
     node = SimpleNamespace(
         steady_now=lambda: now[0],
         get_logger=lambda: logger,
+        get_namespace=lambda: '/',
         every=lambda *_: None,
+        at_work=lambda callback: callback,
         exit_code=None,
+        create_publisher=lambda *_: end,
+        create_subscription=lambda *_: end,
         count_publishers=lambda _: 1,
         get_publishers_info_by_topic=lambda _: [planner],
         get_subscriptions_info_by_topic=lambda _: readers_of_goals,
     )
-    end = SimpleNamespace(topic_name='/goal', get_subscription_count=lambda: 0)
-    settings = SimpleNamespace(rate=0.0, wait_timeout=120.0, shared_clock=False)
-    waiting = Waiting(node, end, 1, {}, end, end)
-    pace = LockStep(SimpleNamespace(node=node, settings=settings, waiting=waiting, finished=False))
+    pace = LockStep(node, sim_settings(completed(SIM, {})))
 
     def look_until(end):
         while now[0] < end:
@@ -257,7 +258,7 @@ def flown_at(launch, domain, rate):
         launch('planner', LONG, domain=domain)
         paced = {'rate': rate, 'max_ticks': STEPS, 'wait_subscribers': 2, 'exit_when_done': True}
         sim = launch('sim', paced, domain=domain)
-        observer.until(lambda: sim.ended and len(places) == STEPS + 1, 'the flight')
+        observer.until(lambda: not sim.running and len(places) == STEPS + 1, 'the flight')
     return sent, places
 
 
@@ -294,3 +295,93 @@ def test_bad_commands_are_refused_counted_and_not_flown(commanded, observer):
         return wanted <= {pair.key for m in diagnostics for s in m.status for pair in s.values}
 
     observer.until(lambda: complained() and counted(), 'each count')
+
+
+# --- the commands that are obeyed, and those that are refused
+
+
+NOW = 5_000_000_000  # [ns]
+FRAMES = Frames('odom', 'base_link')
+
+
+def at(stamp=NOW):
+    return Stamp(stamp, FRAMES)
+
+
+def twist(speed, rate, stamp=NOW):
+    return messages.twist_message(at(stamp), speed, np.atleast_1d(rate))
+
+
+def test_orders_join_twist_and_force_of_one_stamp():
+    orders = Orders(Model(2, 1, 2, forward=2.0, mass=3.0), FRAMES)
+    assert not orders.take_twist(twist(0.0, 0.3), NOW)
+    assert not orders.take_force(messages.wrench_message(at(NOW + 1), 3.0), NOW)
+    assert orders.latest is None
+    assert orders.take_twist(twist(0.0, 0.4, NOW + 1), NOW)
+    assert orders.latest.stamp == NOW + 1
+    assert orders.latest.fraction == pytest.approx(0.5)
+    np.testing.assert_array_equal(orders.latest.body_rate, [0.4])
+
+
+def test_a_vehicle_that_pushes_along_z_takes_what_is_along_z():
+    frames = Frames('odom', 'base_link', 'z')
+    rate = np.array([0.1, -0.2, 0.3])
+    sent = Stamp(NOW, frames)
+    orders = Orders(Model(3, 1, 1, forward=2.0), frames)
+    message = messages.twist_message(sent, 1.0, rate)
+    assert message.twist.linear.z == 1.0
+    assert orders.take_twist(message, NOW)
+    assert orders.latest.fraction == pytest.approx(0.5)
+    np.testing.assert_allclose(orders.latest.body_rate, rate, atol=1e-15)
+    with pytest.raises(BadInput, match=r'twist\.linear\.z'):
+        orders.take_twist(messages.twist_message(sent, 2.1, rate), NOW)
+    pulled = Orders(Model(3, 1, 2, forward=2.0, mass=3.0), frames)
+    pulled.take_twist(messages.twist_message(sent, 0.0, rate), NOW)
+    force = messages.wrench_message(sent, 3.0)
+    assert force.wrench.force.z == 3.0
+    assert pulled.take_force(force, NOW)
+    assert pulled.latest.fraction == pytest.approx(0.5)
+
+
+def test_a_twist_alone_is_an_order_at_translation_order_1():
+    orders = Orders(Model(forward=2.0, step=0.5), FRAMES)
+    for speed, rate in ((0.0, 0.0), (2.0, 2 * math.pi), (-1e-4, -2 * math.pi)):
+        assert orders.take_twist(twist(speed, rate), NOW)
+        assert orders.latest.fraction == pytest.approx(speed / 2.0)
+
+
+def force(newtons, stamp=NOW):
+    return messages.wrench_message(at(stamp), newtons)
+
+
+def malformed(message, path):
+    """Return a message of which one number is none."""
+    *way, last = path.split('.')
+    setattr(reduce(getattr, way, message), last, math.nan)
+    return message
+
+
+STEPPED, PUSHED = Model(forward=2.0, step=0.5), Model(2, 1, 2, forward=2.0, mass=3.0)
+REFUSED = [
+    (STEPPED, twist(2.1, 0.0), 'twist.linear.x'),
+    (STEPPED, twist(-0.1, 0.0), 'twist.linear.x'),
+    (STEPPED, twist(math.nan, 0.0), 'twist.linear'),
+    (STEPPED, twist(1.0, 6.3), 'twist.angular'),
+    (STEPPED, twist(1.0, -6.3), 'twist.angular'),
+    (STEPPED, twist(1.0, math.inf), 'twist.angular'),
+    (STEPPED, twist(1.0, 0.0, NOW + 1_100_000_000), 'header.stamp'),
+    (PUSHED, malformed(TwistStamped(), 'twist.angular.z'), 'twist.angular'),
+    (PUSHED, force(6.1), 'wrench.force.x'),
+    (PUSHED, force(-0.1), 'wrench.force.x'),
+    (PUSHED, force(1.0, 2 * NOW), 'header.stamp'),
+    (PUSHED, malformed(WrenchStamped(), 'wrench.torque.y'), 'wrench.torque'),
+]
+
+
+@pytest.mark.parametrize(('model', 'message', 'culprit'), REFUSED)
+def test_what_is_malformed_or_beyond_the_vehicle_is_refused(model, message, culprit):
+    orders = Orders(model, FRAMES)
+    take = orders.take_force if isinstance(message, WrenchStamped) else orders.take_twist
+    with pytest.raises(BadInput, match=re.escape(culprit)):
+        take(message, NOW)
+    assert orders.latest is None

@@ -1,19 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The demos beside the retrieval, end to end: real processes over DDS, numbers, bags, pictures."""
 
-import subprocess
-import sys
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-import scenarios
 from bags import check_pictures, check_rollout, messages_of
+from harness import orbimpc
 
-from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.tool import cli, settings
-from orbimpc_ros.tool.settings import config
+from orbimpc_ros.tool import cli
 
 pytest.importorskip('rclpy')
 ONE = ('trajectory.png', 'data.png')
@@ -39,11 +34,6 @@ DEMOS = {
 }
 
 
-def run(name, out, *words):
-    command = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'demo', name, '--out', str(out)]
-    return subprocess.run([*command, *words], capture_output=True, text=True, check=False)
-
-
 def commanded(found, axis):
     """Return the speeds or, along an axis, the forces commanded but the last, shape (K, 3)."""
     if axis:
@@ -56,7 +46,7 @@ def commanded(found, axis):
 @pytest.mark.parametrize('name', DEMOS)
 def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, tmp_path, capsys):
     """Every odometry is answered on every topic; the last one need not have a plan to fly."""
-    shown, done = DEMOS[name], run(name, tmp_path)
+    shown, done = DEMOS[name], orbimpc('demo', name, '--out', tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count(shown.end) == len(shown.flights)
     check_pictures(tmp_path / name, *shown.pictures)
@@ -91,30 +81,9 @@ def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, tmp_path, 
     ],
 )
 def test_who_does_not_arrive_or_touches_a_box_has_failed(name, changes, end, tmp_path):
-    done = run(name, tmp_path, *(word for each in changes for word in ('--set', each)))
+    words = [word for each in changes for word in ('--set', each)]
+    done = orbimpc('demo', name, '--out', tmp_path, *words)
     assert done.returncode == 1, done.stdout + done.stderr
     assert end in done.stdout
     assert 'Traceback' not in done.stderr
     assert (tmp_path / name / 'trajectory.png').is_file()
-
-
-PROBLEMS = {
-    'retrieval': scenarios.retrieval_problem,
-    'retrieval3d': scenarios.retrieval3d_problem,
-    'dubins': scenarios.dubins_problem,
-    'spacecraft': scenarios.spacecraft_problem,
-}
-
-
-@pytest.mark.parametrize('name', PROBLEMS)
-def test_configurations_say_what_the_scenarios_say(name):
-    values = settings.resolve(config(f'{name}.yaml'))
-    assert planner_settings(values).problem == PROBLEMS[name]()
-    found, known = sim_settings(settings.of_sim(values)).scenario, getattr(scenarios, name)()
-    assert found.model == known.model
-    for name in ('position', 'velocity', 'attitude'):
-        assert np.allclose(getattr(found.start, name), getattr(known.start, name), atol=1e-12)
-    for name, value in vars(known.rope).items():
-        assert np.allclose(getattr(found.rope, name), value, atol=1e-12)
-    for field in ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed'):
-        assert getattr(found, field) == getattr(known, field)

@@ -3,18 +3,16 @@
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import GOLDEN, made_up
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from orbimpc_ros.tool import animation, cli, demo, figures, history, plot, settings, style, summary
-from orbimpc_ros.tool.history import History, Planned
+from orbimpc_ros.tool import animation, demo, figures, history, plot, settings, style, summary
 from orbimpc_ros.tool.settings import config
 
-GOLDEN = Path(__file__).parent / 'golden'
 STILL = {'trajectory.png', 'data.png'}
 
 
@@ -23,30 +21,9 @@ def caught():
     return replace(history.of_bag(GOLDEN / 'retrieval'), captured=True)
 
 
-def run(capsys, *words):
-    """Return the exit code and the lines on stdout and stderr."""
-    code = cli.main(['plot', *map(str, words)])
-    printed = capsys.readouterr()
-    return code, printed.out.splitlines(), printed.err.splitlines()
-
-
-def made_up(name, positions, *changes):
-    """Return a flight of a scenario along positions, shape (M, 3), its nose along x."""
-    values = settings.resolve(config(f'{name}.yaml'), changes)
-    count, times = len(positions), 5.0 + np.arange(len(positions))
-    return History(
-        times=times,
-        positions=positions,
-        attitudes=np.tile(np.eye(3), (count, 1, 1)),
-        velocities=np.diff(positions, axis=0, append=2 * positions[-1:] - positions[-2:-1]),
-        rates=np.zeros((count, 3)),
-        ropes=np.tile(values['rope.center'], (count, 1)),
-        plans=tuple(Planned(t, positions[k : k + 3]) for k, t in enumerate(times)),
-        forces=tuple((t, 0.25) for t in times),
-        ticks=tuple((t, {'speed_fraction': [1.0, 0.6]}) for t in times),
-        captured=True,
-        values=values,
-    )
+def flight(name, positions, *changes):
+    """Return a flight of a scenario."""
+    return made_up(positions, settings.resolve(config(f'{name}.yaml'), changes))
 
 
 def line(end, count):
@@ -69,21 +46,21 @@ def charts(figure):
 
 
 @pytest.mark.parametrize('name', ['spacecraft', 'obstacles', 'lander'])
-def test_every_scenario_is_drawn(capsys, tmp_path, name):
+def test_every_scenario_is_drawn(tool, tmp_path, name):
     out = tmp_path / 'deep' / name
-    code, printed, _ = run(capsys, GOLDEN / name, '-o', out, '--no-animation')
+    code, printed, _ = tool('plot', GOLDEN / name, '-o', out, '--no-animation')
     assert code == 0
     assert {file.name for file in out.iterdir()} == STILL
-    assert printed == [f'written: trajectory.png, data.png in {out}']
+    assert printed == f'written: trajectory.png, data.png in {out}\n'
     for file in out.iterdir():
         with Image.open(file) as image:
             assert min(image.size) >= 1000
             assert np.ptp(np.asarray(image.convert('L'))) > 200
 
 
-def test_a_dark_retrieval_with_its_animation(capsys, tmp_path):
+def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
     before = style.paper()
-    assert run(capsys, GOLDEN / 'retrieval', '-o', tmp_path, '--dark')[0] == 0
+    assert tool('plot', GOLDEN / 'retrieval', '-o', tmp_path, '--dark')[0] == 0
     assert style.paper() == before != style.PAGE
     assert {file.name for file in tmp_path.iterdir()} == STILL | {plot.ANIMATION}
     dark = tuple(round(255 * part) for part in to_rgb(style.PAGE))
@@ -110,11 +87,11 @@ def first(flight, count):
     return replace(flight, **{part: getattr(flight, part)[:count] for part in parts})
 
 
-def test_a_single_sighting_is_no_flight(capsys, tmp_path, monkeypatch, caught):
+def test_a_single_sighting_is_no_flight(tool, tmp_path, monkeypatch, caught):
     monkeypatch.setattr(history, 'of_bag', lambda *_: first(caught, 1))
-    code, _, complaint = run(capsys, 'short', '-o', tmp_path / 'out')
-    assert (code, len(complaint)) == (2, 1)
-    assert 'single odometry' in complaint[0]
+    code, _, complaint = tool('plot', 'short', '-o', tmp_path / 'out')
+    assert (code, complaint.count('\n')) == (2, 1)
+    assert 'single odometry' in complaint
 
 
 # --- paths
@@ -146,7 +123,7 @@ def test_paths_have_equal_axes_units_and_a_legend(caught, captured, shape):
 
 
 def test_space_is_drawn_to_scale():
-    figure = paths({'': made_up('retrieval3d', line([6.0, 3.0, 4.0], 9))})
+    figure = paths({'': flight('retrieval3d', line([6.0, 3.0, 4.0], 9))})
     space = next(axes for axes in figure.axes if hasattr(axes, 'get_zlim'))
     limits = [np.ptp(getattr(space, f'get_{axis}lim')()) for axis in 'xyz']
     box = space.get_box_aspect()
@@ -156,7 +133,7 @@ def test_space_is_drawn_to_scale():
 
 def test_two_flights_are_told_apart_by_name_and_dashes():
     both = {
-        name: made_up('dubins', line([5.0, 10.0, 0.0], 21), f'floor.shape={name}')
+        name: flight('dubins', line([5.0, 10.0, 0.0], 21), f'floor.shape={name}')
         for name in ('none', 'polygon')
     }
     (figure,) = figures.of_runs(both).values()
@@ -177,7 +154,7 @@ def test_a_fleet_has_its_names_and_the_distance_of_the_closest_pair():
     values, own = demo.fleet(3, ['avoid_radius=1.0'])
     ways = ([[-3.0, 0, 0], [3.0, 0, 0]], [[0, -3.0, 0], [0, 3.2, 0]], [[9.0, 9, 0], [9.0, 8, 0]])
     flown = {
-        name: replace(made_up('fleet', np.linspace(*way, 31)), values=values | each)
+        name: replace(flight('fleet', np.linspace(*way, 31)), values=values | each)
         for (name, each), way in zip(own.items(), map(np.array, ways), strict=True)
     }
     figure = paths(flown)
@@ -206,7 +183,7 @@ def panels(flight):
 
 
 def test_thrust_is_shown_as_it_was_applied():
-    shown = panels(made_up('spacecraft', line([5.0, 10.0, 25.0], 21)))
+    shown = panels(flight('spacecraft', line([5.0, 10.0, 25.0], 21)))
     assert {'Position [m]', 'Velocity [m/s]', 'Body rates [rad/s]', 'Thrust [N]'} <= set(shown)
     thrust = shown['Thrust [N]'].get_lines()[0]
     assert np.allclose(thrust.get_xdata(), np.arange(21))

@@ -20,6 +20,12 @@ REFUSED = {
     **{f'solve a --time-limit {limit}': '--time-limit' for limit in ('0', '-1', 'nan', 'soon')},
     'demo --set flor.shape=none': 'floor.shape',
     'demo --set step=fast': 'step',
+    'demo --set step': 'name=value',
+    'demo --set zzzzzz=1': 'dimension',  # unlike anything
+    'demo --set horizon=2.5': 'horizon',
+    'demo --set floor.fraction=0.9': 'floor.fraction',  # above the limit
+    'demo --set rope.center=[1.0]': 'rope.center',
+    'demo --set rope.center=[1.0': 'rope.center',
     'demo swim': 'swim',
     'demo --out /dev/null/x': '--out',
     'demo retrieval --vehicles 2': '--vehicles',
@@ -70,6 +76,24 @@ CASES = [
 
 def no_workers(*_given):
     raise AssertionError('nothing was to be flown')
+
+
+def no_module(_name):
+    raise ModuleNotFoundError(name='jsbsim')
+
+
+MISSING = {
+    'faults': ('benchmarks.faults.find_spec', lambda _name: None, 'ros-jazzy-rclpy'),
+    f'view {DUBINS}': ('orbimpc_ros.tool.view.installed', lambda: False, 'rerun-sdk'),
+    'demo cessna': ('orbimpc_ros.sim.engine_vehicle.import_module', no_module, 'jsbsim>=1.2'),
+}
+
+
+@pytest.mark.parametrize('line', MISSING)
+def test_what_is_not_installed_is_named(line, tmp_path, monkeypatch, capsys):
+    absent, instead, hint = MISSING[line]
+    monkeypatch.setattr(absent, instead)
+    test_bad_input_is_one_line_and_writes_nothing(line, hint, tmp_path, monkeypatch, capsys)
 
 
 @pytest.mark.parametrize(('line', 'culprit'), CASES)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness import TOOL, orbimpc
 
 from orbimpc_ros.tool import cli
 
@@ -38,15 +39,14 @@ def case(**changes):
 
 
 @pytest.fixture
-def solve(tmp_path, capsys):
+def solve(tmp_path, tool):
     """Return a function that solves text or a mapping: (exit code, stdout, stderr)."""
 
     def run(problem):
-        file = tmp_path / 'problem'
-        file.write_text(problem if isinstance(problem, str) else json.dumps(problem))
-        capsys.readouterr()
-        code = cli.main(['solve', str(file)])
-        return code, *capsys.readouterr()
+        (tmp_path / 'problem').write_text(
+            problem if isinstance(problem, str) else json.dumps(problem)
+        )
+        return tool('solve', tmp_path / 'problem')
 
     return run
 
@@ -223,12 +223,11 @@ def test_bad_text_is_refused_in_one_line(solve, text, culprit):
 
 
 @pytest.mark.parametrize('content', [None, b'\xff\xfe\x00'], ids=['missing', 'not UTF-8'])
-def test_unreadable_file_is_refused_in_one_line(tmp_path, capsys, content):
+def test_unreadable_file_is_refused_in_one_line(tmp_path, tool, content):
     file = tmp_path / 'problem'
     if content is not None:
         file.write_bytes(content)
-    code = cli.main(['solve', str(file)])
-    assert_one_line((code, *capsys.readouterr()), str(file))
+    assert_one_line(tool('solve', file), str(file))
 
 
 OUT_OF_REACH = {'terminal': 'constraint', 'goal': [50.0, 0.0]}
@@ -259,20 +258,15 @@ def test_infeasible_names_the_constraint(solve, changes, blamed):
     assert blamed in err
 
 
-def run_process(*words, text=''):
-    command = [sys.executable, '-m', 'orbimpc_ros.tool.cli', *words]
-    return subprocess.run(command, input=text, capture_output=True, text=True, check=False)
-
-
 def test_process_reads_standard_input():
-    done = run_process('solve', '-', text=json.dumps(case()))
+    done = orbimpc('solve', '-', text=json.dumps(case()))
     assert done.returncode == 0
     assert json.loads(done.stdout)['status'] == 'optimal'
     assert done.stderr == ''
 
 
 def test_process_keeps_tracebacks_to_itself():
-    done = run_process('solve', '-', text=json.dumps(case(horizon=0)))
+    done = orbimpc('solve', '-', text=json.dumps(case(horizon=0)))
     assert done.returncode == cli.BAD_INPUT
     assert done.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
 
@@ -301,8 +295,8 @@ def test_on_a_terminal_a_plan_is_a_table(solve, monkeypatch, name):
 
 
 def test_help_and_version():
-    assert 'solve' in run_process('--help').stdout
-    assert run_process('--version').stdout.startswith('orbimpc_ros ')
+    assert 'solve' in orbimpc('--help').stdout
+    assert orbimpc('--version').stdout.startswith('orbimpc_ros ')
 
 
 def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
@@ -325,7 +319,7 @@ def test_the_tool_can_be_interrupted_before_it_has_imported_what_takes_long():
 
 def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
     (tmp_path / 'problem').write_text(json.dumps(case()))
-    words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'solve', str(tmp_path / 'problem')]
+    words = [*TOOL, 'solve', str(tmp_path / 'problem')]
     with open('/dev/full', 'w') as full:
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == cli.FAILED
@@ -357,13 +351,13 @@ def test_what_is_no_case_is_told_the_fields_of_one_once_each(solve):
     assert len(set(fields)) == len(fields)
 
 
-def test_a_search_that_would_take_hours_ends_at_its_limit_with_a_bound(tmp_path, capsys):
+def test_a_search_that_would_take_hours_ends_at_its_limit_with_a_bound(tool, tmp_path):
     """Thirty steps, sixty-four faces: more combinations than anybody can look through."""
-    file = tmp_path / 'long.json'
     floor = {'shape': 'polygon', 'faces': 24, 'fraction': 0.9}
     limits = {'horizon': 60, 'step': 0.3, 'max_rate': 0.7, 'floor': floor}
-    file.write_text(json.dumps(case(**limits, goal=[0.3, 0.2])))
-    assert cli.main(['solve', str(file), '--time-limit', '1']) == 0
-    told = json.loads(capsys.readouterr().out)
+    (tmp_path / 'long.json').write_text(json.dumps(case(**limits, goal=[0.3, 0.2])))
+    code, out, _ = tool('solve', tmp_path / 'long.json', '--time-limit', 1)
+    assert code == 0
+    told = json.loads(out)
     assert told['status'] == 'feasible'
     assert 0.0 <= told['lower_bound'] < told['objective']

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dying_engine import FAILURES
+from harness import TOOL, orbimpc
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import cli, settings
@@ -192,16 +192,13 @@ def test_results_go_on_where_they_were_cut_off_and_only_with_the_same_study(tmp_
             flights.rows_of(file, about, resumed=True)
 
 
-def command(*words):
-    return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'study', *map(str, words)]
-
-
 def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     folder = tmp_path / 'study'
-    words = ['retrieval', '--set', 'max_ticks=2', '--runs', 40, '--workers', 1, '-o', folder]
+    flown = ('--set', 'max_ticks=2', '--runs', 40, '--workers', 1)
+    words = ('study', 'retrieval', *flown, '-o', folder)
     # Its own session: the signal goes to its workers as well, as from a terminal.
     process = subprocess.Popen(
-        command(*words),
+        [*TOOL, *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -217,7 +214,7 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     assert 'Traceback' not in err
     kept = file.read_text().splitlines()
     assert f'kept {len(kept) - 1} of 40 flights' in out
-    done = subprocess.run(command(*words, '--resume'), capture_output=True, text=True, cwd=ROOT)
+    done = orbimpc(*words, '--resume')
     assert done.returncode == 0, done.stderr
     assert file.read_text().splitlines()[: len(kept)] == kept
     rows = [json.loads(line) for line in file.read_text().splitlines()[1:]]
@@ -249,7 +246,7 @@ def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch):
 
 def test_a_flight_that_ends_with_an_error_is_reported(monkeypatch):
     monkeypatch.setattr(flights, 'sim_settings', lambda values: 1 / 0)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(flights.FlightFailure, match='ZeroDivision'):
+    with ThreadPoolExecutor(1) as pool, pytest.raises(OrbimpcError, match='ZeroDivision'):
         list(flights.each_flown(pool, [job('retrieval')], lambda: True))
 
 

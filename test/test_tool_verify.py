@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof.document import OLD, Certificate
 from orbimpc_ros.mpc.proof.prove import WORD, Unproved
 from orbimpc_ros.mpc.proof.tree import one
-from orbimpc_ros.tool import bags, cli
+from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.replay import recording, ticks_of
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -26,38 +26,26 @@ CASES = json.loads((HERE / 'reference' / 'cases.json').read_text())
 FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 
 
-@pytest.fixture
-def run(capsys):
-    """Return a function that runs a command: (exit code, stdout, stderr)."""
-
-    def ran(*words):
-        capsys.readouterr()
-        code = cli.main([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return ran
-
-
-def solve(run, folder, stated):
+def solve(tool, folder, stated):
     """Return a problem's file, that of its certificate, and what the command answers."""
     problem, made = folder / 'problem.json', folder / 'certificate.json'
     problem.write_text(json.dumps(stated))
-    return problem, made, run('solve', problem, '--certificate', made)
+    return problem, made, tool('solve', problem, '--certificate', made)
 
 
 @pytest.fixture
-def solved(tmp_path, run):
+def solved(tmp_path, tool):
     """Return a problem's file, and that of the certificate of its plan."""
-    problem, made, (code, out, _) = solve(run, tmp_path, CASES['uav_square_0'])
+    problem, made, (code, out, _) = solve(tool, tmp_path, CASES['uav_square_0'])
     assert code == 0
     assert json.loads(made.read_text())['lower_bound'] == json.loads(out)['lower_bound']
     return problem, made
 
 
 @pytest.fixture
-def unsatisfied(tmp_path, run):
+def unsatisfied(tmp_path, tool):
     """Return a problem's file, and that of the certificate that nothing satisfies it."""
-    problem, made, (code, out, error) = solve(run, tmp_path, FAR)
+    problem, made, (code, out, error) = solve(tool, tmp_path, FAR)
     assert (code, out) == (3, '')
     assert 'beyond what' in error
     assert error.count('\n') == 1
@@ -77,41 +65,41 @@ def without_a_pull(known):
     ('kind', 'spoil', 'another'),
     [('solved', too_high, {'step': 0.9}), ('unsatisfied', without_a_pull, {'goal': [61.0, 0.0]})],
 )
-def test_a_certificate_holds_for_its_problem_until_it_is_spoilt(run, request, kind, spoil, another):
+def test_a_certificate_holds_for_its_problem_until_spoilt(tool, request, kind, spoil, another):
     problem, made = request.getfixturevalue(kind)
-    code, out, _ = run('verify', made, '--problem', problem)
+    code, out, _ = tool('verify', made, '--problem', problem)
     assert code == 0
     assert '1 holds' in out
     assert out.count('inf') == (2 if kind == 'unsatisfied' else 0)
     known = json.loads(made.read_text())
     spoil(known)
     made.write_text(json.dumps(known))
-    code, out, _ = run('verify', made)
+    code, out, _ = tool('verify', made)
     assert code == 1
     assert '1 DOES NOT HOLD' in out
     problem.write_text(json.dumps({**json.loads(problem.read_text()), **another}))
-    code, _, error = run('verify', made, '--problem', problem)
+    code, _, error = tool('verify', made, '--problem', problem)
     assert code == 2
     assert 'not of' in error
 
 
 @pytest.mark.parametrize('text', ['', '{}', '{"format": NaN}', '[]'])
-def test_what_is_no_certificate_is_bad_input(run, tmp_path, text):
+def test_what_is_no_certificate_is_bad_input(tool, tmp_path, text):
     file = tmp_path / 'broken.json'
     file.write_text(text)
-    code, out, error = run('verify', file)
+    code, out, error = tool('verify', file)
     assert (code, out) == (2, '')  # no head of a table without rows
     assert error.count('\n') == 1
 
 
-def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path, monkeypatch):
+def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, monkeypatch):
     def unproved(*_):
         raise Unproved('no certificate: one tangent proves 3')
 
     monkeypatch.setattr('orbimpc_ros.tool.solve.certificate_of', unproved)
     problem = tmp_path / 'problem.json'
     problem.write_text(json.dumps(CASES['uav_square_0']))
-    code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
+    code, out, error = tool('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
     assert 'one tangent proves' in error
@@ -119,22 +107,22 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path, monk
 
 
 @pytest.mark.parametrize('own', [True, False], ids=['with a bound', 'whose bound proves nothing'])
-def test_a_bound_above_what_a_trajectory_costs_fails(run, monkeypatch, own):
+def test_a_bound_above_what_a_trajectory_costs_fails(tool, monkeypatch, own):
     known = recording.recording_of(HERE / 'golden' / 'disturbed').answers[3].answer
     claiming(monkeypatch, 'lower_bound', 1.01 * known['lower_bound'])
     if not own:
         monkeypatch.setattr('orbimpc_ros.mpc.plan.Plan.lower_bound', 0.0)
-    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
     assert code == 1
     assert 'DOES NOT HOLD: a trajectory costs' in out
 
 
 @pytest.mark.parametrize('claimed', [{'lower_bound': 1e-3}, {'catch_bound': 3.0}])
-def test_a_claim_about_what_is_not_found_any_more_fails(run, monkeypatch, claimed):
+def test_a_claim_about_what_is_not_found_any_more_fails(tool, monkeypatch, claimed):
     (known,) = claimed.items()
     claiming(monkeypatch, *known)
     monkeypatch.setattr('orbimpc_ros.tool.replay.ticks_of', lost)
-    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
     assert code == 1
     assert 'DOES NOT HOLD: ' in out
     assert ' now\n' in out
@@ -151,7 +139,7 @@ def lost(*known):
 BROKEN = ['', '[]', '{"lower_bound": "much"}', '{"refuted": 1}', f'{{"lower_bound": {10**400}}}']
 
 
-def test_certificates_in_a_bag_are_verified_each_as_it_is(run, tmp_path, solved):
+def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path, solved):
     sound = solved[1].read_text()
     spoilt = json.loads(sound)
     too_high(spoilt)
@@ -164,14 +152,14 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(run, tmp_path, solved)
         data = bytes(STORE.serialize_cdr(message, kind))
         messages.append(messages[0]._replace(topic='/certificate', type=kind, data=data))
     bag = write(tmp_path / 'bag', messages, bags.notes(HERE / 'golden' / 'dubins'))
-    code, out, _ = run('verify', bag)
+    code, out, _ = tool('verify', bag)
     assert code == 1
     assert f'{len(BROKEN) + 1} DOES NOT HOLD' in out
     assert '21 holds' in out  # 20 of ticks
 
 
 @pytest.mark.parametrize('rows', [3, 5])
-def test_where_what_a_search_left_proves_less_there_is_no_certificate(run, monkeypatch, rows):
+def test_where_what_a_search_left_proves_less_there_is_no_certificate(tool, monkeypatch, rows):
     """Be it that it is weaker, or that it is refused."""
 
     def poor(problem, state, goals, proof):
@@ -179,31 +167,31 @@ def test_where_what_a_search_left_proves_less_there_is_no_certificate(run, monke
         return Certificate(problem, state, goals, proof.lower_bound, leaf)
 
     monkeypatch.setattr('orbimpc_ros.tool.verify.certificate_of', poor)
-    code, out, _ = run('verify', HERE / 'golden' / 'retrieval', '--tick', 3)
+    code, out, _ = tool('verify', HERE / 'golden' / 'retrieval', '--tick', 3)
     assert code == 0
     assert '1 no certificate' in out
 
 
-def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):
+def test_a_certificate_without_the_problems_walls_is_refused(tool, tmp_path):
     problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
     box = {'min': [1.5, -1.0], 'max': [2.5, 0.5]}
     case = {**CASES['uav_square_0'], 'floor': {'shape': 'none'}}
     problem.write_text(json.dumps({**case, 'obstacles': [box]}))
-    assert run('solve', problem, '--certificate', made)[0] == 0
-    assert run('verify', made, '--problem', problem)[0] == 0
+    assert tool('solve', problem, '--certificate', made)[0] == 0
+    assert tool('verify', made, '--problem', problem)[0] == 0
     problem.write_text(json.dumps(case))
-    code, _, error = run('verify', made, '--problem', problem)
+    code, _, error = tool('verify', made, '--problem', problem)
     assert code == 2
     assert 'not of' in error
 
 
-def test_ticks_of_a_bag_hold(run, tmp_path):
+def test_ticks_of_a_bag_hold(tool, tmp_path):
     bag = HERE / 'golden' / 'disturbed'
-    code, out, _ = run('verify', bag, '--out', tmp_path / 'made')
+    code, out, _ = tool('verify', bag, '--out', tmp_path / 'made')
     assert code == 0
     assert '20 holds, 1 nothing claimed' in out
     assert len(list((tmp_path / 'made').iterdir())) == 20
-    assert run('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
+    assert tool('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -215,16 +203,16 @@ def test_ticks_of_a_bag_hold(run, tmp_path):
         ('lander', ('--tick', 18), '\n1 holds'),
     ],
 )
-def test_every_tick_of_a_bag_holds(run, bag, words, said):
-    code, out, _ = run('verify', HERE / 'golden' / bag, *words)
+def test_every_tick_of_a_bag_holds(tool, bag, words, said):
+    code, out, _ = tool('verify', HERE / 'golden' / bag, *words)
     assert code == 0
     assert said in out
     assert 'no certificate' not in out
     assert out.count('inf') == (2 * 2 if bag == 'obstacles' else 0)  # where nothing was feasible
 
 
-def test_ticks_of_a_wing_hold_within_a_cone(run, tmp_path):
-    code, out, _ = run('verify', HERE / 'golden' / 'cessna', '--out', tmp_path)
+def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
+    code, out, _ = tool('verify', HERE / 'golden' / 'cessna', '--out', tmp_path)
     assert code == 0
     counts = re.search(r'(\d+) holds, 7 nothing claimed, \d+ no certificate', out)
     assert int(counts[1]) >= 98  # of 103; the rest are within 1e-5 of what another search proves
@@ -232,28 +220,28 @@ def test_ticks_of_a_wing_hold_within_a_cone(run, tmp_path):
     assert {each['cones'][0]['least'] for each in known if 'cones' in each} == {0.8}
 
 
-def test_what_is_not_refuted_says_so_and_leaves_no_file(run, tmp_path, monkeypatch):
+def test_what_is_not_refuted_says_so_and_leaves_no_file(tool, tmp_path, monkeypatch):
     problem, made = tmp_path / 'problem.json', tmp_path / 'none.json'
     problem.write_text(json.dumps(FAR))
     monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
-    code, _, error = run('solve', problem, '--certificate', made)
+    code, _, error = tool('solve', problem, '--certificate', made)
     assert code == 3
     assert 'beyond what' in error
     assert WORD in error
     assert 'no certificate' in error
     assert not made.exists()
-    code, _, plainly = run('solve', problem)
+    code, _, plainly = tool('solve', problem)
     assert (code, plainly) == (3, error)
 
 
 WING = HERE / 'golden' / 'fixed_wing'
 
 
-def test_before_which_time_nothing_catches_is_proved(run, tmp_path):
-    code, out, _ = run('verify', WING, '--tick', 9, '--out', tmp_path)
+def test_before_which_time_nothing_catches_is_proved(tool, tmp_path):
+    code, out, _ = tool('verify', WING, '--tick', 9, '--out', tmp_path)
     assert code == 0
     assert '2 holds' in out
-    code, out, _ = run('verify', tmp_path / 'tick_00009_catch.json')
+    code, out, _ = tool('verify', tmp_path / 'tick_00009_catch.json')
     assert code == 0
     assert out.split()[4:8] == ['catch', '2.5', '2.5', '4']
 
@@ -263,39 +251,39 @@ def claiming(monkeypatch, name, value):
     monkeypatch.setattr(recording, 'fields', lambda tick: read(tick) | {name: value})
 
 
-def test_a_time_before_which_a_plan_catches_fails(run, monkeypatch):
+def test_a_time_before_which_a_plan_catches_fails(tool, monkeypatch):
     claiming(monkeypatch, 'catch_bound', 3.5)
-    code, out, _ = run('verify', WING, '--tick', 9)
+    code, out, _ = tool('verify', WING, '--tick', 9)
     assert code == 1
     assert 'DOES NOT HOLD: a plan catches it at' in out
 
 
 @pytest.mark.parametrize('flown', [3.0, float('nan')])
-def test_a_bound_on_another_catch_is_not_held_against_this_one(run, monkeypatch, flown):
+def test_a_bound_on_another_catch_is_not_held_against_this_one(tool, monkeypatch, flown):
     claiming(monkeypatch, 'lower_bound', 1e3)
-    assert 'DOES NOT HOLD: a trajectory costs' in run('verify', WING, '--tick', 9)[1]
+    assert 'DOES NOT HOLD: a trajectory costs' in tool('verify', WING, '--tick', 9)[1]
     claiming(monkeypatch, 'earliest_catch', flown)
-    code, out, _ = run('verify', WING, '--tick', 9)
+    code, out, _ = tool('verify', WING, '--tick', 9)
     assert code == 0
     assert 'it was about another catch, or none' in out
     assert '1 no certificate, 1 holds' in out
 
 
-def test_a_time_without_a_proof_is_no_failure(run, monkeypatch):
+def test_a_time_without_a_proof_is_no_failure(tool, monkeypatch):
     monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
-    code, out, _ = run('verify', WING, '--tick', 9)
+    code, out, _ = tool('verify', WING, '--tick', 9)
     assert code == 0
     assert 'no refutation of a catch at step 1 was found' in out
     assert '1 holds, 1 no certificate' in out
 
 
-def test_a_time_that_excludes_no_step_has_no_row(run, monkeypatch):
+def test_a_time_that_excludes_no_step_has_no_row(tool, monkeypatch):
     claiming(monkeypatch, 'catch_bound', 0.5)
-    assert 'catch' not in run('verify', WING, '--tick', 9)[1]
+    assert 'catch' not in tool('verify', WING, '--tick', 9)[1]
 
 
-def test_a_tick_that_was_infeasible_and_has_a_plan_fails(run, monkeypatch):
+def test_a_tick_that_was_infeasible_and_has_a_plan_fails(tool, monkeypatch):
     claiming(monkeypatch, 'status', 'infeasible')
-    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
     assert code == 1
     assert 'DOES NOT HOLD: it is optimal now' in out

@@ -1,16 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The viewer: what it draws of bags, and what it refuses."""
 
+import re
+import signal
 import socket
+import subprocess
+import time
 from types import SimpleNamespace
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 from drawing import GOLDEN, INSTALL, Drawing, needs_rerun
+from harness import TOOL
 
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.tool import cli, view
+from orbimpc_ros.tool import view
 from orbimpc_ros.tool.bags import fields
 
 # --- drawing
@@ -143,25 +149,126 @@ def test_what_the_planner_would_refuse_is_not_drawn(drawn):
 # --- the command
 
 
-def run(capsys, *words):
-    """Return the exit code and the lines on stderr."""
-    code = cli.main(['view', *map(str, words)])
-    return code, capsys.readouterr().err.splitlines()
-
-
 @needs_rerun
-def test_a_port_that_is_taken_is_refused(capsys):
+def test_a_port_that_is_taken_is_refused(tool):
     with socket.socket() as taken:
         taken.bind(('127.0.0.1', 0))
         taken.listen()
         port = taken.getsockname()[1]
-        code, complaint = run(capsys, GOLDEN / 'dubins', '--port', port)
-    assert (code, len(complaint)) == (2, 1)
-    assert str(port) in complaint[0]
+        code, _, complaint = tool('view', GOLDEN / 'dubins', '--port', port)
+    assert (code, complaint.count('\n')) == (2, 1)
+    assert str(port) in complaint
 
 
-def test_without_the_viewer_it_says_what_to_install(capsys, monkeypatch):
-    monkeypatch.setattr(view, 'installed', lambda: False)
-    code, complaint = run(capsys, GOLDEN / 'dubins')
-    assert (code, len(complaint)) == (2, 1)
-    assert 'rerun-sdk' in complaint[0]
+# --- the page, and live nodes
+
+
+class Served:
+    """A running ``orbimpc view BAG`` and its page."""
+
+    def __init__(self, bag):
+        words = [*TOOL, 'view', str(bag), '--no-browser']
+        self.process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.line = self.process.stdout.readline()
+        self.page = re.search(r'http://\S+', self.line)[0]
+        self.ports = [int(port) for port in re.findall(r'127\.0\.0\.1(?::|%3A)(\d+)', self.page)]
+
+    def stop(self):
+        self.process.send_signal(signal.SIGINT)
+        out, err = self.process.communicate(timeout=30)
+        return self.process.returncode, out, err
+
+
+@pytest.fixture(scope='module')
+def served():
+    if not view.installed():
+        pytest.skip(f'needs rerun-sdk: {INSTALL}')
+    serving = Served(GOLDEN / 'retrieval')
+    yield serving
+    if serving.process.poll() is None:
+        serving.stop()
+
+
+def reachable(host, port):
+    with socket.socket() as probe:
+        probe.settimeout(2.0)
+        return probe.connect_ex((host, port)) == 0
+
+
+def test_page_program_and_data_come_from_this_machine(served):
+    with urlopen(served.page) as answer:
+        page = answer.read().decode()
+    assert 'Rerun' in page
+    root = f'http://127.0.0.1:{served.ports[0]}'
+    with urlopen(f'{root}/re_viewer_bg.wasm') as answer:
+        assert answer.read(4) == b'\0asm'
+    assert all(reachable('127.0.0.1', port) for port in served.ports)
+
+
+def test_nobody_else_can_reach_it(served):
+    others = {'127.0.0.2'}  # also this machine, but another address of it
+    others |= {
+        info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+    }
+    assert len(served.ports) == 2
+    for host in others - {'127.0.0.1'}:
+        assert not any(reachable(host, port) for port in served.ports), host
+
+
+def test_it_ends_in_order_and_leaves_nothing(served):
+    code, _, err = served.stop()
+    assert (code, err) == (0, '')
+    assert not any(reachable('127.0.0.1', port) for port in served.ports)
+
+
+@needs_rerun
+def test_it_leaves_nothing_when_it_is_killed():
+    serving = Served(GOLDEN / 'dubins')
+    assert all(reachable('127.0.0.1', port) for port in serving.ports)
+    serving.process.kill()
+    serving.process.communicate()
+    end = time.monotonic() + 20.0
+    while any(reachable('127.0.0.1', port) for port in serving.ports):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+# --- live
+
+
+@needs_rerun
+def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch):
+    pytest.importorskip('rclpy')
+    from orbimpc_ros.tool.view.live import Watcher
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    drawing = Drawing()
+    watcher = Watcher('', drawing)
+    try:
+        launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
+        launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500})
+        found = drawing.drawn
+        wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
+        spin_until(watcher, lambda: all(len(found[each]) > 3 for each in wanted))
+        # The floor is empty until the planner has answered what its parameters are.
+        square = (4, 2, 3)
+        spin_until(
+            watcher,
+            lambda: (
+                found['thrust/floor']
+                and drawing.numbers('thrust/floor', -1, 'strips').shape == square
+            ),
+        )
+    finally:
+        watcher.close()
+    at, _ = found['world/vehicle'][-1]
+    assert abs(at['timestamp'] - time.time()) < 60.0, at
+
+
+def spin_until(watcher, happened):
+    end = time.monotonic() + 40.0
+    while not happened():
+        assert time.monotonic() < end
+        watcher.spin()

@@ -144,25 +144,24 @@ def test_an_occlusion_longer_than_its_period_is_refused(length):
         Faults(occlusion_length=length)
 
 
+RETRIEVAL = {'floor.shape': 'polygon'}
+
+
 def test_a_flight_without_faults_is_the_flight():
-    scenario, controller = retrieval(), Planner(retrieval_problem())
-    log_ = fly(controller, scenario, FORECASTS['hold']())
-    controller.reset()
-    end = fly_disturbed(controller, scenario, FORECASTS['hold'](), View(Faults(), 0, 1.0))
+    scenario = retrieval()
+    log_ = fly(Planner(retrieval_problem()), scenario, FORECASTS['hold']())
+    end = fly_disturbed(RETRIEVAL, scenario, View(Faults(), 0, 1.0))
     assert end.ticks == len(log_.ticks)
-    np.testing.assert_array_equal(end.vehicle.position, log_.flights[-1].vehicle.position)
+    np.testing.assert_allclose(end.vehicle.position, log_.flights[-1].vehicle.position, atol=1e-6)
 
 
 def test_the_rope_is_caught_through_noise_and_losses():
     """A fifth of all messages lost, 5 cm and 2 degrees of noise: at least 95 of 100 runs."""
-    scenario = replace(retrieval(), capture_radius=0.3)
-    controller, caught = Planner(retrieval_problem()), 0
+    scenario, harmonic = replace(retrieval(), capture_radius=0.3), {'goal_prediction': 'harmonic'}
     faults = Faults(position_noise=0.05, attitude_noise=np.radians(2.0), dropout=0.2)
-    for seed in range(100):
-        controller.reset()
-        view = View(faults, seed, scenario.model.step)
-        caught += fly_disturbed(controller, scenario, FORECASTS['harmonic'](), view).captured
-    assert caught >= 95
+    views = [View(faults, seed, scenario.model.step) for seed in range(100)]
+    ends = [fly_disturbed(RETRIEVAL | harmonic, scenario, view) for view in views]
+    assert sum(end.captured for end in ends) >= 95
 
 
 def quick(seed):
@@ -175,21 +174,16 @@ def quick(seed):
     return replace(scenario, capture_radius=0.15, max_ticks=20)  # 12 are enough where it is caught
 
 
+QUICK = {'step': 0.2, 'forward': 5.0, 'weights.input': 0.002, 'goal_prediction': 'harmonic'}
+
+
 @pytest.mark.parametrize('delay', [0.2, 0.3])
 def test_delay_compensation_catches_what_is_missed_without(delay):
-    weights = replace(retrieval_problem().weights, input=0.002)
-    controller = Planner(replace(retrieval_problem(), step=0.2, forward=5.0, weights=weights))
-    caught = {True: 0, False: 0}
-    for seed in range(25):
-        for compensated in caught:
-            controller.reset()
-            view = View(Faults(delay=delay, position_noise=0.01), seed, 0.2)
-            caught[compensated] += fly_disturbed(
-                controller,
-                quick(seed),
-                FORECASTS['harmonic'](),
-                view,
-                compensated=compensated,
-            ).captured
-    assert caught[True] >= 24
-    assert caught[False] <= 15
+    def caught(compensated):
+        own = RETRIEVAL | QUICK | {'delay_compensation': compensated}
+        views = [View(Faults(delay=delay, position_noise=0.01), seed, 0.2) for seed in range(25)]
+        ends = [fly_disturbed(own, quick(seed), view) for seed, view in enumerate(views)]
+        return sum(end.captured for end in ends)
+
+    assert caught(True) >= 24
+    assert caught(False) <= 15

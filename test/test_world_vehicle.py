@@ -2,17 +2,22 @@
 """Laws of the simulated vehicle: it does what the planner's dynamics say, and stays on SO(n)."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scenarios import model_of
+from scipy.integrate import solve_ivp, trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.sim.vehicle import Model, advance, launched
+from orbimpc_ros.sim.faults import Faults, View
+from orbimpc_ros.sim.plant import Gusts, Plant
+from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
+from orbimpc_ros.sim.world import Airspeeds, Rope, Scenario, departure, fixed
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 
@@ -91,3 +96,254 @@ def test_nonsense_is_refused():
     ):
         with pytest.raises(BadInput, match=r'start\.'):
             replace(vehicle, **{field: value})
+
+
+# --- in continuous time
+
+
+ORDERS = list(itertools.product((2, 3), (1, 2)))
+
+
+def plant_of(n=2, order=1, *, wind=None, gust=0.0, gust_time=3.0, seed=0, **others):
+    values = {'step': 0.5, 'forward': 15.0} | others
+    blown = () if wind is None else tuple(wind)
+    return Plant(n, 1, order, disturbance=blown, gusts=Gusts(gust, gust_time, seed), **values)
+
+
+def moving(plant, rng):
+    """Return a vehicle of a plant in a random state."""
+    return plant.begun(
+        launched(
+            plant,
+            10.0 * rng.normal(size=plant.dimension),
+            exp(rng.normal(size=plant.rates)),
+            fraction=rng.uniform(0.2, 1.0),
+            velocity=rng.normal(size=plant.dimension),
+            body_rate=0.3 * rng.normal(size=plant.rates),
+        )
+    )
+
+
+def scenario_of(plant, vehicle, goal=None):
+    n = plant.dimension
+    return Scenario(plant, vehicle, fixed(np.full(n, 1e5) if goal is None else goal), 1.0, 1000)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_without_lag_and_wind_it_flies_exact_arcs(n):
+    rng = np.random.default_rng(1)
+    plant = plant_of(n)
+    vehicle = moving(plant, rng)
+    rate, t = rng.normal(size=plant.rates), 0.7
+    end = plant.flown(vehicle, t, 0.8, rate, 0.0)[-1]
+    turned = vehicle.attitude @ exp(t * rate)
+    np.testing.assert_allclose(end.attitude, turned, atol=1e-12)
+    fine = np.linspace(0.0, t, 20001)
+    headings = np.array([(vehicle.attitude @ exp(at * rate))[:, 0] for at in fine])
+    way = 0.8 * plant.forward * trapezoid(headings, fine, axis=0)
+    np.testing.assert_allclose(end.position, vehicle.position + way, atol=1e-8)
+    np.testing.assert_allclose(end.velocity, 12.0 * turned[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(('n', 'order'), ORDERS)
+def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
+    """Lags, gain, wind, drag and a limit of acceleration at once, any attitude."""
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        own = {'max_acceleration': 4.0} if order == 1 else {'drag': 0.3}
+        plant = plant_of(
+            n, order, wind=rng.normal(size=n), speed_lag=0.8, rate_lag=0.3, gain=0.9, **own
+        )
+        vehicle, rate, t = moving(plant, rng), rng.normal(size=plant.rates), 1.3
+        end = plant.flown(vehicle, t, 0.6, rate, 0.0)[-1]
+        position, velocity, attitude, body_rate, fraction = integrated(plant, vehicle, t, 0.6, rate)
+        np.testing.assert_allclose(end.body_rate, body_rate, atol=1e-9)
+        assert end.fraction == pytest.approx(fraction, abs=1e-6)
+        np.testing.assert_allclose(end.attitude, attitude, atol=1e-4)
+        np.testing.assert_allclose(end.position, position, atol=1e-4)
+        np.testing.assert_allclose(end.velocity, velocity, atol=1e-4)
+
+
+def integrated(plant, vehicle, time, fraction, rate):
+    """Return position, velocity, attitude, body rate and fraction by SciPy, from the equations."""
+    n, order = plant.dimension, plant.translation_order
+    limit = plant.max_acceleration / (plant.forward * plant.gain) or math.inf
+    pull = plant.blown
+
+    def slope(_t, state):
+        velocity, attitude = state[n : 2 * n], state[2 * n : 2 * n + n * n].reshape(n, n)
+        body_rate, share = state[2 * n + n * n : -1], state[-1]
+        pushed = plant.gain * plant.forward * share * attitude[:, 0] + pull
+        return np.concatenate(
+            [
+                pushed if order == 1 else velocity,
+                pushed - plant.drag * velocity,
+                (attitude @ skew(body_rate)).ravel(),
+                (rate - body_rate) / plant.rate_lag,
+                [np.clip((fraction - share) / plant.speed_lag, -limit, limit)],
+            ]
+        )
+
+    start = np.concatenate(
+        [
+            vehicle.position,
+            vehicle.velocity,
+            vehicle.attitude.ravel(),
+            vehicle.body_rate,
+            [vehicle.fraction],
+        ]
+    )
+    end = solve_ivp(slope, (0.0, time), start, rtol=1e-11, atol=1e-11, max_step=0.01).y[:, -1]
+    attitude = end[2 * n : 2 * n + n * n].reshape(n, n)
+    pushed = plant.gain * plant.forward * end[-1] * attitude[:, 0] + pull
+    velocity = pushed if order == 1 else end[n : 2 * n]
+    return end[:n], velocity, attitude, end[2 * n + n * n : -1], end[-1]
+
+
+@pytest.mark.parametrize(('n', 'order'), ORDERS)
+def test_two_halves_of_a_step_are_the_step(n, order):
+    rng = np.random.default_rng(4)
+    plant = plant_of(n, order, gust=2.0, speed_lag=0.3, rate_lag=0.2)
+    vehicle, rate = moving(plant, rng), rng.normal(size=plant.rates)
+    whole = plant.flown(vehicle, 1.0, 0.4, rate, 2.0)[-1]
+    half = plant.flown(vehicle, 0.5, 0.4, rate, 2.0)[-1]
+    halves = plant.flown(half, 0.5, 0.4, rate, 2.5)[-1]
+    for name in ('time', 'position', 'velocity', 'attitude', 'body_rate', 'fraction', 'wind'):
+        np.testing.assert_allclose(getattr(whole, name), getattr(halves, name), atol=1e-9)
+
+
+@pytest.mark.parametrize('lag', [0.0, 0.4])
+def test_a_speed_changes_no_faster_than_the_limit(lag):
+    plant = plant_of(speed_lag=lag, max_acceleration=3.0)
+    slow = launched(plant, np.zeros(2), np.eye(2), fraction=0.2)
+    trail = (slow, *plant.flown(slow, 8.0, 1.0, np.zeros(1), 0.0))
+    speeds, times = np.array([v.airspeed for v in trail]), np.array([v.time for v in trail])
+    gains = np.diff(speeds) / np.diff(times)
+    assert gains.max() <= 3.0 + 1e-9
+    ramped = times[1:] <= (15.0 - 3.0) / 3.0 - lag
+    np.testing.assert_allclose(gains[ramped], 3.0, atol=1e-9)
+    assert speeds[-1] == pytest.approx(15.0, abs=1e-3)
+    fast = replace(slow, fraction=1.0)
+    assert plant.flown(fast, 1.0, 0.0, np.zeros(1), 0.0)[-1].airspeed == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_it_turns_no_faster_than_it_can(n):
+    plant = plant_of(n, max_rate=0.4)
+    rate = np.arange(1.0, plant.rates + 1.0)
+    vehicle = plant.begun(launched(plant, np.zeros(n), np.eye(n)))
+    end = plant.flown(vehicle, 1.0, 1.0, rate, 0.0)[-1]
+    np.testing.assert_allclose(end.body_rate, 0.4 * rate / np.linalg.norm(rate))
+    small = 0.3 * rate / np.linalg.norm(rate)
+    np.testing.assert_allclose(plant.flown(vehicle, 1.0, 1.0, small, 0.0)[-1].body_rate, small)
+
+
+def test_odometry_measures_over_ground_or_through_the_air():
+    plant = plant_of(wind=[0.0, 4.0])
+    vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2), fraction=0.8))
+    vehicle = plant.flown(vehicle, 1.0, 0.8, np.zeros(1), 0.0)[-1]
+    np.testing.assert_allclose(measured(vehicle).body_velocity, [12.0, 4.0])
+    np.testing.assert_allclose(measured(vehicle, 'air').body_velocity, [12.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(vehicle.position, [12.0, 4.0])
+    assert vehicle.airspeed == pytest.approx(12.0)
+
+
+def test_each_fall_below_the_stall_speed_counts_once():
+    plant = plant_of(speed_lag=0.3, stall_speed=10.0)
+    vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2)))
+    seen = Airspeeds(10.0).seeing([vehicle])
+    for fraction in (1.0, 0.5, 0.4, 1.0, 10.0 / 15.0, 0.5, 1.0):
+        trail = plant.flown(vehicle, 2.0, fraction, np.zeros(1), 0.0)
+        seen, vehicle = seen.seeing(trail), trail[-1]
+    assert (seen.stalls, seen.stalled) == (2, False)
+    assert 6.0 < seen.least < 6.1  # of 0.4 * 15 m/s, after 2 s of a lag of 0.3 s
+    assert seen.seeing(plant.flown(vehicle, 2.0, 0.5, np.zeros(1), 0.0)).stalled
+
+
+def test_a_flight_catches_between_its_steps_where_it_flew():
+    """On an arc, which is 3.7 m off the straight line from one end of the step to the other."""
+    plant = plant_of(step=2.0)
+    start = launched(plant, np.zeros(2), np.eye(2))
+    trail = plant.flown(start, 2.0, 1.0, np.array([0.5]), 0.0)
+    passed = trail[50].position
+    flight = departure(scenario_of(plant, start, passed)).after(1.0, np.array([0.5]))
+    assert flight.miss == pytest.approx(0.0, abs=1e-9)
+    assert flight.missed_at == pytest.approx(trail[50].time)
+    assert flight.captured
+
+
+def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
+    plant = plant_of(speed_lag=0.5, failsafe_fraction=0.7, failsafe_rate=0.1)
+    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2))))
+    after = flight.after(0.2, np.array([0.3]), held=0.2)
+    obeyed = plant.flown(flight.vehicle, 0.2, 0.2, np.array([0.3]), 0.0)[-1]
+    end = plant.flown(obeyed, 0.3, 0.7, np.array([0.1]), 0.2)[-1]
+    np.testing.assert_allclose(after.vehicle.position, end.position, atol=1e-12)
+    assert after.vehicle.fraction == pytest.approx(end.fraction)
+    assert len(after.trail) == 25
+
+
+def test_late_odometry_shows_the_vehicle_where_it_was_on_its_way():
+    """Between two ticks, too: with the speed and the rate of that moment, not of a step."""
+    plant = plant_of(step=1.0, speed_lag=0.5, rate_lag=0.4)
+    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2), fraction=0.4)))
+    view = View(Faults(delay=0.7), 0, plant.step)
+    for command in ((1.0, 0.2), (0.5, -0.3), (0.8, 0.4)):
+        view.of(flight)
+        flight = flight.after(command[0], np.array(command[1:]))
+    (seen,) = [each.content for each in view.of(flight) if each.is_odometry]
+    was = flight.trail[14]
+    assert seen.time == pytest.approx(was.time)
+    assert was.time == pytest.approx(flight.vehicle.time - 0.7)
+    there = measured(was)
+    for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
+        np.testing.assert_allclose(getattr(seen, name), getattr(there, name), atol=0.05)
+    assert abs(there.body_velocity[0] - measured(flight.vehicle).body_velocity[0]) > 1.0
+
+
+def test_a_goal_drifts_while_it_swings():
+    still = Rope(np.array([1.0, 2.0]), np.array([0.5, 0.0]), 0.1, np.zeros(2))
+    drifting = replace(still, velocity=np.array([0.3, -0.4]))
+    for t in (0.0, 2.5, 40.0):
+        np.testing.assert_allclose(drifting.at(t), still.at(t) + t * np.array([0.3, -0.4]))
+
+
+LONG = 10_000.0  # [s]
+
+
+def series(gusts, every=0.5):
+    return np.array([gusts.at(t, 2) for t in np.arange(0.0, LONG, every)])
+
+
+@pytest.mark.parametrize('memory', [0.5, 3.0])
+def test_gusts_have_the_deviation_and_the_memory_asked_for(memory):
+    """Within four standard errors of estimates from as many independent gusts as there were."""
+    blown = series(Gusts(1.5, memory, 7)) / 1.5
+    error = 4.0 * np.sqrt(2.0 * memory / LONG)
+    np.testing.assert_allclose(blown.mean(axis=0), 0.0, atol=error)
+    np.testing.assert_allclose(blown.var(axis=0), 1.0, atol=error + 0.02 / memory)
+    later = round(memory / 0.5)
+    correlation = (blown[later:] * blown[:-later]).mean(axis=0)
+    np.testing.assert_allclose(correlation, np.exp(-1.0), atol=error)
+    assert abs((blown[:, 0] * blown[:, 1]).mean()) < error
+
+
+def test_the_first_gust_is_as_strong_as_any():
+    begun = np.array([Gusts(2.0, 5.0, seed).at(0.0, 3) for seed in range(400)])
+    assert begun.std() == pytest.approx(2.0, rel=4.0 / np.sqrt(2 * begun.size))
+
+
+def test_a_seed_brings_the_same_gusts_in_whatever_order_they_are_asked_for():
+    times = np.random.default_rng(1).uniform(0.0, 100.0, size=200)
+    gusts, again = Gusts(1.0, 3.0, 5), Gusts(1.0, 3.0, 5)
+    first = {t: gusts.at(t, 2) for t in times}
+    for t in sorted(times):
+        np.testing.assert_array_equal(again.at(t, 2), first[t])
+    assert not np.allclose(Gusts(1.0, 3.0, 6).at(1.0, 2), gusts.at(1.0, 2))
+
+
+def test_gusts_never_jump():
+    """Not between samples either, nor where one block of them ends: as rough as their law says."""
+    gusts = Gusts(1.0, 3.0, 5)
+    steps = np.diff([gusts.at(t, 2) for t in np.arange(0.0, 100.0, 0.01)], axis=0)
+    assert np.abs(steps).max() < 5.0 * np.sqrt(2.0 * 0.02 / 3.0)

@@ -26,21 +26,14 @@ LINED = math.radians(30.0)  # off the direction of approach: behind the goal by 
 
 
 class Sight(NamedTuple):
-    """The inputs of a baseline at a tick.
+    """The inputs of a baseline at a tick."""
 
-    Attributes:
-        time: earliest time at which it can act, after its lags [s].
-        state: at that time.
-        goals: g_1..g_N at the ends of the steps, shape (N, 2) [m].
-        ahead: returns the goal's positions at times, shape (M,) [s], as shape (M, 2) [m].
-        wind: shape (2,) [m/s].
-    """
-
-    time: float
-    state: State
-    goals: Array
+    time: float  # earliest time at which it can act, after its lags [s]
+    state: State  # at that time
+    goals: Array  # g_1..g_N at the ends of the steps, shape (N, 2) [m]
+    # returns the goal's positions at times, shape (M,) [s], as shape (M, 2) [m]
     ahead: Callable[[Array], Array]
-    wind: Array
+    wind: Array  # shape (2,) [m/s]
 
     @property
     def hazards(self) -> tuple[MovingObstacle, ...]:

@@ -25,17 +25,11 @@ GRAVITY = 9.80665  # [m/s^2]
 
 
 class Track(NamedTuple):
-    """A path as seen from a wing.
+    """A path as seen from a wing."""
 
-    Attributes:
-        error: distance from the path, positive to the left of it [m].
-        tangent: where it leads, shape (2,).
-        curvature: positive to the left [1/m].
-    """
-
-    error: float
-    tangent: Array
-    curvature: float
+    error: float  # distance from the path, positive to the left of it [m]
+    tangent: Array  # where it leads, shape (2,)
+    curvature: float  # positive to the left [1/m]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ cost. Goals are taken in as well, since they come just before odometry.
 
 from __future__ import annotations
 
-import signal
 import sys
 
 import rclpy
@@ -17,14 +16,12 @@ from rclpy.qos import ReliabilityPolicy
 from rclpy.utilities import get_default_context
 
 from orbimpc_ros.ros.process import executor_named, initialised, qos
+from orbimpc_ros.tool.run.processes import interruptions
 
 
 def main() -> None:
     """Echo until a signal comes."""
-    signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _frame: signals.append(number))
-    with initialised(sys.argv, context=get_default_context()):
+    with interruptions() as received, initialised(sys.argv, context=get_default_context()):
         node = rclpy.create_node('echo', automatically_declare_parameters_from_overrides=True)
         commands = node.create_publisher(TwistStamped, 'cmd_vel', qos())
 
@@ -36,7 +33,7 @@ def main() -> None:
         node.create_subscription(PoseStamped, 'goal', lambda _message: None, latest)
         executor = executor_named(node.get_parameter('executor').value)
         executor.add_node(node)
-        while not signals:
+        while not received:
             executor.spin_once(timeout_sec=0.05)
 
 

@@ -17,17 +17,11 @@ WARM = 1.0  # [s] after which no further warm-up begins
 
 @dataclass
 class Samples:
-    """The results of one solver, by instance.
+    """The results of one solver, by instance."""
 
-    Attributes:
-        times: solve times [ms].
-        solutions: results.
-        refused: why it takes no part (any more); empty if it does.
-    """
-
-    times: dict[int, float] = field(default_factory=dict)
-    solutions: dict[int, Solution] = field(default_factory=dict)
-    refused: str = ''
+    times: dict[int, float] = field(default_factory=dict)  # solve times [ms]
+    solutions: dict[int, Solution] = field(default_factory=dict)  # results
+    refused: str = ''  # why it takes no part (any more); empty if it does
 
     @property
     def spent(self) -> float:

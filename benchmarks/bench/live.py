@@ -7,7 +7,6 @@ the odometry that it answers, so that each latency is from one publish to one re
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -37,6 +36,8 @@ from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import fields
+from orbimpc_ros.tool.replay.recording import stamp_of
 from orbimpc_ros.tool.run import discovery
 from orbimpc_ros.tool.run.processes import Process
 
@@ -64,17 +65,11 @@ START, AT_ONCE = 'node: start to first command', 'planners at 5 Hz'
 
 @dataclass
 class RoundTrip:
-    """One odometry message and its answer.
+    """One odometry message and its answer."""
 
-    Attributes:
-        sent: time of publishing [s].
-        latency: until the command has arrived [s]; infinite before.
-        solve_ms: solve time that the planner reports [ms]; NaN before.
-    """
-
-    sent: float
-    latency: float = math.inf
-    solve_ms: float = math.nan
+    sent: float  # time of publishing [s]
+    latency: float = math.inf  # until the command has arrived [s]; infinite before
+    solve_ms: float = math.nan  # solve time that the planner reports [ms]; NaN before
 
 
 class Driver:
@@ -108,15 +103,14 @@ class Driver:
 
     def _on_command(self, i: int, message: TwistStamped) -> None:
         now = time.monotonic()
-        tick = self.ticks[i].get(_stamp_of(message))
+        tick = self.ticks[i].get(stamp_of(message))
         if tick is not None and tick.latency == math.inf:
             tick.latency, self._answered[i] = now - tick.sent, True
 
     def _on_tick(self, i: int, message: DiagnosticArray) -> None:
-        tick = self.ticks[i].get(_stamp_of(message))
+        tick = self.ticks[i].get(stamp_of(message))
         if tick is not None:
-            values = {pair.key: pair.value for pair in message.status[0].values}
-            tick.solve_ms = float(json.loads(values['solve_time_ms']))
+            tick.solve_ms = float(fields(message)['solve_time_ms'])
 
     def drive(self, rate: float, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Publish odometry at a rate [Hz] for a while, or until ``done``."""
@@ -165,11 +159,6 @@ def answered(ticks: Any) -> bool:
     commanded = all(tick.latency < math.inf for tick in ticks)
     reports = [not math.isnan(tick.solve_ms) for tick in ticks]
     return commanded and (all(reports) or not any(reports))
-
-
-def _stamp_of(message: Any) -> int:
-    stamp = message.header.stamp
-    return stamp.sec * messages.SECOND + stamp.nanosec
 
 
 def measurements(

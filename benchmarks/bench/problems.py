@@ -50,31 +50,18 @@ NO_FLOOR, SQUARE = Floor('none'), Floor('polygon', 4, math.sqrt(0.5))
 
 @dataclass(frozen=True)
 class Comparison:
-    """A problem with its instances and solvers.
+    """A problem with its instances and solvers."""
 
-    Attributes:
-        key: short name, for ``--only``.
-        title: description.
-        problem: to solve.
-        instances: makes that many.
-        counts: instances to measure, quickly or not.
-        gap: relative gap to prove.
-        rivals: names of the solvers beside ours.
-        required: limits by solver.
-        closed_loop: whether instances follow each other.
-        every: rivals meet the first of so many instances, where they would take too long.
-    """
-
-    key: str
-    title: str
-    problem: Problem
-    instances: Callable[[Problem, int], list[Instance]]
-    counts: tuple[int, int]
-    gap: float = 1e-4
-    rivals: tuple[str, ...] = ()
-    required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    closed_loop: bool = False
-    every: int = 1
+    key: str  # short name, for ``--only``
+    title: str  # description
+    problem: Problem  # to solve
+    instances: Callable[[Problem, int], list[Instance]]  # makes that many
+    counts: tuple[int, int]  # instances to measure, quickly or not
+    gap: float = 1e-4  # relative gap to prove
+    rivals: tuple[str, ...] = ()  # names of the solvers beside ours
+    required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # limits by solver
+    closed_loop: bool = False  # whether instances follow each other
+    every: int = 1  # rivals meet the first of so many instances, where they would take too long
 
     def budget(self, cap: float) -> float:
         """Return how long a solver takes part [s], given the time limit of a solve."""

@@ -30,39 +30,25 @@ WIDTH, INDENT = 80, 4 * ' '
 
 @dataclass(frozen=True)
 class BenchRow:
-    """One solver on one problem; what was not measured is NaN, in JSON null.
+    """One solver on one problem; what was not measured is NaN, in JSON null."""
 
-    Attributes:
-        problem: title.
-        contender: name of the solver.
-        n: solves measured; 0 for a solver that is absent.
-        p50_ms: median time [ms].
-        p99_ms: 99th percentile [ms].
-        worst_gap: largest relative gap it proved; NaN if it proves nothing.
-        objective: median over the instances it solved; of a live measurement, the figure that
-            the problem's title ends with.
-        ratio_p50: its median over ours, on common instances.
-        ratio_p99: the same at the 99th percentile.
-        required: limits by field: ratios at least, everything else at most.
-        note: for the table alone.
-        beaten: whether it found a trajectory that costs less than ours.
-        failed: whether the measurement itself, or our own solver, broke off.
-        capped: solves that ran into their time limit: its times and ratios are at least these.
-    """
-
-    problem: str
-    contender: str
-    n: int = 0
-    p50_ms: float = math.nan
-    p99_ms: float = math.nan
-    worst_gap: float = math.nan
+    problem: str  # title
+    contender: str  # name of the solver
+    n: int = 0  # solves measured; 0 for a solver that is absent
+    p50_ms: float = math.nan  # median time [ms]
+    p99_ms: float = math.nan  # 99th percentile [ms]
+    worst_gap: float = math.nan  # largest relative gap it proved; NaN if it proves nothing
+    # median over the instances it solved; of a live measurement, the figure that the problem's
+    # title ends with
     objective: float = math.nan
-    ratio_p50: float = math.nan
-    ratio_p99: float = math.nan
+    ratio_p50: float = math.nan  # its median over ours, on common instances
+    ratio_p99: float = math.nan  # the same at the 99th percentile
+    # limits by field: ratios at least, everything else at most
     required: Mapping[str, float] | None = None
-    note: str = ''
-    beaten: bool = False
-    failed: bool = False
+    note: str = ''  # for the table alone
+    beaten: bool = False  # whether it found a trajectory that costs less than ours
+    failed: bool = False  # whether the measurement itself, or our own solver, broke off
+    # solves that ran into their time limit: its times and ratios are at least these
     capped: int = 0
 
     def as_json(self) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 
@@ -13,14 +12,12 @@ from nav_msgs.msg import Odometry
 from benchmarks.faults import stimulus
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.run.processes import tether
 
 AT_ONCE = 0.1  # [s] to catch up with, at most
 
 
 def main() -> None:
     """Publish odometry, its pose moved on a hundred times a second."""
-    tether(os.getppid())
     period = 1.0 / float(sys.argv[1])
     source = Observer()
     publisher = source.node.create_publisher(Odometry, 'odom', qos())

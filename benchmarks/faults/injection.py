@@ -44,32 +44,22 @@ def _flawless(_harness: Harness, _since: float) -> str:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault, and the reaction that it requires.
+    """A fault, and the reaction that it requires."""
 
-    Attributes:
-        name: of the fault.
-        begin: makes it begin.
-        end: makes everything healthy again.
-        wait: time after which no earlier plan may be flown: an input counts as stale, and the plan
-            that outlives it has had its ticks [s].
-        allowed: ticks after that.
-        strict: whether the planner must be safe as long as the fault lasts.
-        event: returns when the reaction came, since a time [s]; None where none is due.
-        flaw: returns any other failure in words, since a time [s].
-        times: moments of injection in the long form.
-        unit: of the reaction [s].
-    """
-
-    name: str
-    begin: Callable[[Harness], None]
-    end: Callable[[Harness], None] = _healthy
+    name: str  # of the fault
+    begin: Callable[[Harness], None]  # makes it begin
+    end: Callable[[Harness], None] = _healthy  # makes everything healthy again
+    # time after which no earlier plan may be flown: an input counts as stale, and the plan that
+    # outlives it has had its ticks [s]
     wait: float = 0.0
-    allowed: float = 1.0
-    strict: bool = True
+    allowed: float = 1.0  # ticks after that
+    strict: bool = True  # whether the planner must be safe as long as the fault lasts
+    # returns when the reaction came, since a time [s]; None where none is due
     event: Callable[[Monitor, float], float] | None = Monitor.first_safe
+    # returns any other failure in words, since a time [s]
     flaw: Callable[[Harness, float], str] = _flawless
-    times: Sequence[str] = TIMES
-    unit: float = STEP
+    times: Sequence[str] = TIMES  # moments of injection in the long form
+    unit: float = STEP  # of the reaction [s]
 
 
 def fault_case(

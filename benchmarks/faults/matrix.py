@@ -19,38 +19,24 @@ SHOWN = 3  # failures that a row names
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one case.
+    """The outcome of one case."""
 
-    Attributes:
-        case: description in a few words.
-        unsafe: commands that should never have been sent.
-        reaction: delay, in the row's unit; NaN if nothing had to happen.
-        failure: other failures, in words; empty if there were none.
-    """
-
-    case: str
-    unsafe: int = 0
-    reaction: float = math.nan
-    failure: str = ''
+    case: str  # description in a few words
+    unsafe: int = 0  # commands that should never have been sent
+    reaction: float = math.nan  # delay, in the row's unit; NaN if nothing had to happen
+    failure: str = ''  # other failures, in words; empty if there were none
 
 
 @dataclass(frozen=True)
 class FaultCase:
-    """A fault: a row of the matrix before it is injected.
+    """A fault: a row of the matrix before it is injected."""
 
-    Attributes:
-        name: for ``--only``.
-        title: description.
-        allowed: latest reaction, in ``unit``.
-        cases: yields the outcomes; of every case in the long form.
-        unit: of reactions.
-    """
-
-    name: str
-    title: str
-    allowed: float
+    name: str  # for ``--only``
+    title: str  # description
+    allowed: float  # latest reaction, in ``unit``
+    # yields the outcomes; of every case in the long form
     cases: Callable[[Fixtures, bool], Iterator[Outcome]]
-    unit: str = 'ticks'
+    unit: str = 'ticks'  # of reactions
 
 
 @dataclass

@@ -63,18 +63,12 @@ class Monitor:
 
     Times are of the monotonic clock, of when a message was sent: how long it waited for a
     monitor that was held up is not the planner's delay.
-
-    Attributes:
-        limits: of commands.
-        commands: received so far.
-        ticks: reports on ``tick``.
-        health: diagnostics.
     """
 
-    limits: Limits
-    commands: list[HeardCommand] = field(default_factory=list)
-    ticks: list[HeardStatus] = field(default_factory=list)
-    health: list[HeardStatus] = field(default_factory=list)
+    limits: Limits  # of commands
+    commands: list[HeardCommand] = field(default_factory=list)  # received so far
+    ticks: list[HeardStatus] = field(default_factory=list)  # reports on ``tick``
+    health: list[HeardStatus] = field(default_factory=list)  # diagnostics
 
     def on_command(self, message: TwistStamped, about: About) -> None:
         """Record a command."""

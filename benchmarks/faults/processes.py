@@ -5,11 +5,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,6 +36,7 @@ from benchmarks.faults.stimulus import HEALTHY, SLIP, Spoiled, with_field
 from benchmarks.machine import resident
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.run.processes import Child
 from orbimpc_ros.tool.settings import config
 
 ALTERED = 'benchmarks.faults.altered'  # the planner's module, made to raise
@@ -84,16 +82,14 @@ def _slowest(harness: Harness, since: float) -> float:
 def flooded(harness: Harness, rate: float) -> Iterator[None]:
     """Have another process publish a harness's odometry, at a rate [Hz]."""
     harness.mute()
-    words = [sys.executable, '-m', 'benchmarks.faults.flood', str(rate)]
-    domain = {'ROS_DOMAIN_ID': str(harness.domain)}
-    child = subprocess.Popen(words, env=os.environ | domain, stdin=subprocess.DEVNULL)
+    words, log = ['benchmarks.faults.flood', str(rate)], harness.folder / 'flood.log'
+    child = Child('the flood', words, log, harness.domain)
     try:
         harness.until(lambda: harness.node.count_publishers('odom') > 0, 'the flood')
         harness.spin(SETTLED)
         yield
     finally:
-        child.kill()
-        child.wait()
+        child.stop(signal.SIGTERM)
         harness.unmute()
 
 

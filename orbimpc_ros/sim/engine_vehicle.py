@@ -20,10 +20,9 @@ from orbimpc_ros.sim.world import Rope, fixed
 
 
 class Kind(NamedTuple):
-    """A vehicle in an engine."""
+    """A vehicle in an engine: the class in the module of ``engines`` that has its name."""
 
     libraries: tuple[str, ...]  # that it takes, by the names of their modules
-    made_by: str  # the class of the module in ``engines`` that has the vehicle's name
     dimension: int  # in which it is flown
     translation_order: int  # 1, it takes speeds; 2, thrusts
     moves_goal: bool = False  # whether the goal is a body of the engine, too
@@ -31,9 +30,9 @@ class Kind(NamedTuple):
 
 
 ENGINES = {
-    'cessna': Kind(('jsbsim',), 'Cessna', 2, 1),
-    'hummingbird': Kind(('mujoco', 'rotorpy'), 'Hummingbird', 2, 1, moves_goal=True),
-    'servicer': Kind(('Basilisk',), 'Servicer', 3, 2, extra='basilisk'),
+    'cessna': Kind(('jsbsim',), 2, 1),
+    'hummingbird': Kind(('mujoco', 'rotorpy'), 2, 1, moves_goal=True),
+    'servicer': Kind(('Basilisk',), 3, 2, extra='basilisk'),
 }
 
 
@@ -64,24 +63,18 @@ class EnginePlant(Continuous):
         """
         goal = self.rope or fixed(vehicle.position)
         start = Start(
-            vehicle.position,
-            vehicle.velocity,
-            vehicle.attitude,
-            vehicle.body_rate,
+            *(vehicle.position, vehicle.velocity, vehicle.attitude, vehicle.body_rate),
             self.forward * vehicle.fraction,
-            self.blown,
-            self.turbulence,
-            self.seed,
-            goal.center,
-            goal.at(0.0),
+            *(self.blown, self.turbulence, self.seed),
+            *(goal.center, goal.at(0.0)),
         )
+        given = {
+            'start.speed_fraction': vehicle.fraction,
+            'rope.amplitude': goal.amplitude.tolist(),
+        }
         try:
             engine = class_of(self.engine)(start)
         except NoStart as error:
-            given = {
-                'start.speed_fraction': vehicle.fraction,
-                'rope.amplitude': goal.amplitude.tolist(),
-            }
             allowed = f'a start ({error})'
             raise BadInput(error.culprit, given[error.culprit], allowed) from None
         return self._read(engine, engine.motion(), vehicle.time)
@@ -141,5 +134,5 @@ def class_of(name: str) -> Callable[..., Engine]:
             raise
         hint = command_for_extra(kind.extra)
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
-    made: Callable[..., Engine] = getattr(module, kind.made_by)
+    made: Callable[..., Engine] = getattr(module, name.capitalize())
     return made

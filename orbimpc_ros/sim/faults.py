@@ -20,6 +20,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.ros.parameters.spec import TINY, parameter
 from orbimpc_ros.sim.vehicle import Continuous, Vehicle, between, measured
 from orbimpc_ros.sim.world import Flight
 
@@ -29,19 +30,31 @@ CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
 
 @dataclass(frozen=True)
 class Faults:
-    """How often, and how far, messages are wrong; shares are of all messages of a kind."""
+    """How often, and how far, messages are wrong; each a parameter of the simulator."""
 
-    position_noise: float = 0.0  # [m] deviation along each axis, of odometry and goal
-    attitude_noise: float = 0.0  # [rad] deviation about each axis, of odometry
-    dropout: float = 0.0  # share of odometry, goals and commands that is lost
-    delay: float = 0.0  # [s] age of odometry when it comes
-    reorder: float = 0.0  # share of odometry and goals that comes a tick late
-    duplicate: float = 0.0  # share of odometry and goals that comes twice
-    nan: float = 0.0  # share of odometry and goals with a NaN
-    occlusion_length: float = 0.0  # [s] that the goal is hidden, at a random time in each period
-    occlusion_period: float = 10.0  # [s]
-    clock_jump: float = 0.0  # [s] that every stamp is off from clock_jump_tick on
-    clock_jump_tick: int = 0  # steps flown before the clock jumps
+    # fmt: off
+    position_noise: float = parameter('faults.position_noise', 0.0,
+        'Noise of odometry and goal along each axis, deviation', 'm', 0.0, 1e3)
+    attitude_noise: float = parameter('faults.attitude_noise', 0.0,
+        'Noise of odometry about each axis, deviation', 'rad', 0.0, math.pi)
+    dropout: float = parameter('faults.dropout', 0.0,
+        'Share of odometry, goals and commands that is lost', '', 0.0, 1.0)
+    delay: float = parameter('faults.delay', 0.0, 'Age of odometry when it comes', 's', 0.0, 10.0)
+    reorder: float = parameter('faults.reorder', 0.0,
+        'Share of odometry and goals that comes a step late', '', 0.0, 1.0)
+    duplicate: float = parameter('faults.duplicate', 0.0,
+        'Share of odometry and goals that comes twice', '', 0.0, 1.0)
+    nan: float = parameter('faults.nan', 0.0,
+        'Share of odometry and goals whose position is not a number', '', 0.0, 1.0)
+    occlusion_length: float = parameter('faults.occlusion_length', 0.0,
+        'How long the goal is hidden in each period', 's', 0.0, 1e6)
+    occlusion_period: float = parameter('faults.occlusion_period', 10.0,
+        'The goal is hidden once in it, at a random time', 's', TINY, 1e6)
+    clock_jump: float = parameter('faults.clock_jump', 0.0,
+        'What every stamp is off from clock_jump_tick on', 's', -1e6, 1e6)
+    clock_jump_tick: int = parameter('faults.clock_jump_tick', 0,
+        'Steps flown before the clock jumps', '', 0, 1_000_000)
+    # fmt: on
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.occlusion_length <= self.occlusion_period:
@@ -56,6 +69,9 @@ class Faults:
     def jumped(self, ticks: int) -> float:
         """Return how far off stamps are after a number of steps [s]."""
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
+
+
+NO_FAULTS = Faults()
 
 
 class Delivery(NamedTuple):

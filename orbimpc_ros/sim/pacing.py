@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The paces of a simulated flight: a step as soon as it is commanded, or when its time is over."""
+"""The two paces of a simulated flight: in step with its planner, or in real time."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import math
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import TwistStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rosgraph_msgs.msg import Clock
 
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.process import FAILED, qos
 from orbimpc_ros.sim.commands import Order
 from orbimpc_ros.sim.faults import Delivery
+from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation
 
 LOOK = 0.02  # [s] between looks at who is there
@@ -26,7 +30,7 @@ NO_ANSWER = (
 )
 
 
-class LockStep:
+class LockStep(FlightSimulation):
     """Flies a step as soon as the command for the newest odometry's own stamp is there.
 
     The last odometry is answered too, so that every run has the same messages. Where faults leave
@@ -36,27 +40,23 @@ class LockStep:
     the next step is not shown before its time.
     """
 
-    def __init__(self, simulation: FlightSimulation) -> None:
-        self._simulation, self._node = simulation, simulation.node
-        self._settings, self._waiting = simulation.settings, simulation.waiting
-        self._paced = self._settings.rate > 0.0
+    def __init__(self, node: Managed, settings: SimSettings) -> None:
+        super().__init__(node, settings)
         self._shared = math.inf  # what the shared clock shows, if there is one [ns]
-        if self._settings.shared_clock:
+        if settings.clock == 'shared':
             self._shared = -math.inf
-            self._node.create_subscription(
-                Clock, '/clock', self._node.at_work(self._on_clock), qos(DEPTH)
-            )
-        self.restart()
-        self._node.every(LOOK, self.look)
-        if self._paced:
-            took = self._settings.scenario.model.step / self._settings.rate
-            self._node.every(took, self._on_due)
-            if self._settings.rate <= 1.0 / SHORTEST_TIMEOUT:
+            node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
+        self.start()
+        node.every(LOOK, self.look)
+        if settings.rate > 0.0:
+            took = settings.scenario.model.step / settings.rate
+            node.every(took, self._on_due)
+            if settings.rate <= 1.0 / SHORTEST_TIMEOUT:
                 wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
-                self._node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
+                node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
 
-    def restart(self) -> None:
-        """Start again as soon as planner and readers are there."""
+    def start(self) -> None:
+        """Start as soon as planner and readers are there."""
         self._begun = False
         self._asking = False  # whether a step waits for a command
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
@@ -66,57 +66,68 @@ class LockStep:
         self._heard = -np.inf  # when the last command came, in simulated time [s]
         self._sent: list[Delivery] = []
         self._held_back: list[Delivery] = []  # odometry that follows
-        self._progress = self._asked_at = self._node.steady_now()
-        self._waiting.restart()
+        self._progress = self._asked_at = self.node.steady_now()
+        self.waiting.restart()
 
     @property
     def now(self) -> int:
         """Return the simulated time [ns], which jumps where faults make it."""
-        return round((self._simulation.flight.vehicle.time + self._simulation.jump) * SECOND)
+        return round((self.flight.vehicle.time + self.jump) * SECOND)
 
     def look(self) -> None:
         """Start once planner and readers are there; send again, or give up, without an answer."""
-        if self._simulation.finished:
+        if self.finished:
             return
         if not self._begun:
             self._begin_or_wait()
         elif self._held_back:
-            self._follow_up()
+            if self.node.steady_now() - self._asked_at >= 0.5 * LOOK:
+                self.deliver(self.now, self._held_back)
+                self._held_back = []
         elif self._asking:
             self._keep_asking()
 
     def _begin_or_wait(self) -> None:
-        absent = self._waiting.for_all()
+        absent = self.waiting.for_all()
         if not absent:
             self._begun = True
             self._ask_when_due()
-        elif self._waiting.lasted > self._settings.wait_timeout:
-            self._give_up(absent, self._waiting.lasted)
+        elif self.waiting.lasted > self.settings.wait_timeout:
+            self._give_up(absent, self.waiting.lasted)
 
     def _keep_asking(self) -> None:
-        now, patience = self._node.steady_now(), self._settings.wait_timeout
-        if not self._settings.shared_clock:  # where vehicles wait for each other, too
+        now, patience = self.node.steady_now(), self.settings.wait_timeout
+        if self.settings.clock != 'shared':  # where vehicles wait for each other, too
             patience = min(PATIENCE, patience)
         if self._awaited is None:
             if now - self._asked_at > SETTLED:
                 self._fly_on()
         elif now - self._progress > patience:
-            self._give_up(self._waiting.planner_lacking or NO_ANSWER, now - self._progress)
+            self._give_up(self.waiting.planner_lacking or NO_ANSWER, now - self._progress)
         elif now - self._asked_at > RESEND:
             self._send()
 
     def _give_up(self, awaited: str, waited: float) -> None:
-        self._node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
-        self._node.exit_code = FAILED
+        self.node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
+        self.node.exit_code = FAILED
+
+    def _on_clock(self, message: Clock) -> None:
+        self._shared = message.clock.sec * SECOND + message.clock.nanosec
+        self._ask_when_due()
+
+    def _ask_when_due(self) -> None:
+        """Ask, unless the shared clock has not come to the next step."""
+        half = 0.5 * self.settings.scenario.model.step * SECOND  # rounding is less
+        if self.now <= self._shared + half:
+            self._on_due()
 
     def _on_due(self) -> None:
-        if self._begun and not self._asking and not self._simulation.finished:
-            self._ask()
-
-    def _ask(self) -> None:
+        """Ask for the command of the next step, unless one is under way."""
+        if not self._begun or self._asking or self.finished:
+            return
         self._asking = True
-        self._progress = self._node.steady_now()
-        self._sent = self._simulation.view.of(self._simulation.flight)
+        self._progress = self.node.steady_now()
+        self._sent = self.view.of(self.flight)
         self._awaited = self._to_be_answered()
         self._send()
 
@@ -127,52 +138,36 @@ class LockStep:
             self._goal_sent |= sent.finite and not sent.is_odometry
             if sent.is_odometry and sent.finite and sent.content.time > self._newest:
                 self._newest = sent.content.time
-                fresh = self._simulation.stamp_of(sent, self.now)
+                fresh = self.stamp_of(sent, self.now)
         return fresh if self._goal_sent else None
 
     def _send(self) -> None:
-        self._asked_at = self._node.steady_now()
-        apart = self._settings.faults.any
+        self._asked_at = self.node.steady_now()
+        apart = self.settings.faults.any
         self._held_back = [sent for sent in self._sent if apart and sent.is_odometry]
-        self._simulation.show(self.now, [s for s in self._sent if not (apart and s.is_odometry)])
-
-    def _follow_up(self) -> None:
-        if self._node.steady_now() - self._asked_at >= 0.5 * LOOK:
-            self._simulation.deliver(self.now, self._held_back)
-            self._held_back = []
+        self.show([sent for sent in self._sent if not (apart and sent.is_odometry)])
 
     def on_order(self) -> None:
         """Fly a step if this is the answer awaited."""
-        order, flight = self._simulation.orders.latest, self._simulation.flight
-        if self._simulation.finished or order is None or order.stamp != self._awaited:
+        order = self.orders.latest
+        if self.finished or order is None or order.stamp != self._awaited:
             return
-        if not self._simulation.view.command_lost(flight.ticks):
-            self._order, self._heard = order, flight.vehicle.time
+        if not self.view.command_lost(self.flight.ticks):
+            self._order, self._heard = order, self.flight.vehicle.time
         self._fly_on()
 
     def _fly_on(self) -> None:
-        if self._simulation.flight.over:
-            self._simulation.finish(self.now)
+        if self.flight.over:
+            self.finish()
             return
-        held = self._heard + self._settings.command_timeout - self._simulation.flight.vehicle.time
-        self._simulation.fly(self._order, held)
+        held = self._heard + self.settings.command_timeout - self.flight.vehicle.time
+        self.fly(self._order, held)
         self._asking, self._awaited = False, None
-        if not self._paced:
+        if not self.settings.rate:
             self._ask_when_due()
 
-    def _on_clock(self, message: Clock) -> None:
-        self._shared = message.clock.sec * SECOND + message.clock.nanosec
-        self._ask_when_due()
 
-    def _ask_when_due(self) -> None:
-        """Ask, unless a step is under way or the shared clock has not come to the next one."""
-        half = 0.5 * self._settings.scenario.model.step * SECOND  # rounding is less
-        due = self.now <= self._shared + half
-        if due and self._begun and not self._asking and not self._simulation.finished:
-            self._ask()
-
-
-class RealTime:
+class RealTime(FlightSimulation):
     """Flies a step when its time is over, on the command in force; waits for the first command.
 
     The vehicle is stopped when no command has come for ``command_timeout``, or as soon as DDS
@@ -180,74 +175,79 @@ class RealTime:
     a busy machine living planners miss some, too: the command is in force again with the next one.
     """
 
-    def __init__(self, simulation: FlightSimulation) -> None:
-        self._simulation, self._node = simulation, simulation.node
-        self._settings, self._waiting = simulation.settings, simulation.waiting
-        self.restart()
-        self._node.every(LOOK, self.look)
-        self._node.every(self._settings.scenario.model.step, self.on_time)
+    def __init__(self, node: Managed, settings: SimSettings) -> None:
+        super().__init__(node, settings)
+        self.start()
+        node.every(LOOK, self.look)
+        node.every(settings.scenario.model.step, self.on_time)
+        # A planner that promises no signs of life does not match, which is no fault.
+        events = SubscriptionEventCallbacks(
+            liveliness=node.at_work(self.on_life), incompatible_qos=lambda _event: None
+        )
+        promised = qos(lease=settings.lease)
+        node.create_subscription(
+            TwistStamped, 'cmd_vel', lambda _message: None, promised, event_callbacks=events
+        )
 
-    def restart(self) -> None:
+    def start(self) -> None:
         """Wait for subscribers, then for a first command."""
         self._begins = False
         self._order: Order | None = None
         self._until = -np.inf  # when the command in force ends, on the steady clock [s]
         self._ends = -np.inf  # when it would have ended, had the planner not been missed [s]
-        self._begun = self._node.steady_now()  # this step
+        self._begun = self.node.steady_now()  # this step
         self._latched = False
-        self._waiting.restart()
+        self.waiting.restart()
 
     @property
     def now(self) -> int:
         """Return the time of ROS [ns], which jumps where faults make it."""
-        now: int = self._node.get_clock().now().nanoseconds
-        return now + round(self._simulation.jump * SECOND)
+        now: int = self.node.get_clock().now().nanoseconds
+        return now + round(self.jump * SECOND)
 
     def on_order(self) -> None:
         """Put a command in force."""
-        if self._simulation.view.command_lost(self._simulation.flight.ticks):
+        if self.view.command_lost(self.flight.ticks):
             return
-        self._order, self._latched = self._simulation.orders.latest, False
-        self._until = self._node.steady_now() + self._settings.command_timeout
+        self._order, self._latched = self.orders.latest, False
+        self._until = self.node.steady_now() + self.settings.command_timeout
 
     def on_life(self, event: Any) -> None:
         """Stop, or go on, as signs of life from the planner cease or come again."""
         if event.alive_count == 0 and event.alive_count_change < 0:
             self._stop('the planner gives no sign of life')
-        elif event.alive_count_change > 0 > event.not_alive_count_change:
-            self._resume()  # the one that was missed; a new one would not lessen the missed ones
-
-    def _resume(self) -> None:
-        if self._latched and self._node.steady_now() < self._ends:
+            return
+        # The one that was missed is back; a new one would not lessen the missed ones.
+        back = event.alive_count_change > 0 > event.not_alive_count_change
+        if back and self._latched and self.node.steady_now() < self._ends:
             self._latched, self._until = False, self._ends
-            self._node.get_logger().info('the planner lives: its command is in force again')
+            self.node.get_logger().info('the planner lives: its command is in force again')
 
     def look(self) -> None:
         """Stop when the command in force has ended."""
-        if not self._latched and self._node.steady_now() >= self._until:
-            self._stop(f'no command for {self._settings.command_timeout:g} s')
+        if not self._latched and self.node.steady_now() >= self._until:
+            self._stop(f'no command for {self.settings.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
         """Stop the vehicle, and report why, even where it has been stopped for another reason."""
-        if self._order is None or self._simulation.finished:
+        if self._order is None or self.finished:
             return
         self._ends = self._until
-        self._latched, self._until = True, min(self._until, self._node.steady_now())
-        model = self._settings.scenario.model
-        share, turn = model.failsafe_fraction, model.failsafe_rate
+        self._latched, self._until = True, min(self._until, self.node.steady_now())
+        share, turn = self.settings.failsafe_fraction, self.settings.failsafe_rate
         kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
-        self._simulation.warn(self.now, f'{reason}: {kept if share or turn else "stopped"}')
+        self.warn(f'{reason}: {kept if share or turn else "stopped"}')
 
     def on_time(self) -> None:
         """Fly a step, unless nobody has commanded yet, and show where it led."""
-        self._begins = self._begins or not self._waiting.for_readers()
-        if self._simulation.finished or not self._begins:
+        self._begins = self._begins or not self.waiting.for_readers()
+        if self.finished or not self._begins:
             return
         if self._order is not None:
-            self._simulation.fly(self._order, self._until - self._begun)
-        if self._simulation.finished:
+            self.fly(self._order, self._until - self._begun)
+        if self.finished:
             return
-        self._begun = self._node.steady_now()
-        self._simulation.show(self.now, self._simulation.view.of(self._simulation.flight))
-        if self._simulation.flight.over:
-            self._simulation.finish(self.now)
+        self._begun = self.node.steady_now()
+        self.show(self.view.of(self.flight))
+        if self.flight.over:
+            self.finish()

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.errors import BadInput
@@ -28,14 +29,18 @@ from orbimpc_ros.ros.parameters.spec import (
 from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
-from orbimpc_ros.sim.faults import Faults
+from orbimpc_ros.sim.faults import NO_FAULTS, Faults
 from orbimpc_ros.sim.plant import Gusts, Plant
 from orbimpc_ros.sim.vehicle import Model, Vehicle, launched
-from orbimpc_ros.sim.waiting import wanted_readers
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for reporting it
 ALONG_AXES = (0.0, 0.0, 0.0)
+OF_MODEL = (
+    *('dimension', 'rotation_order', 'translation_order', 'step', 'forward', 'mass'),
+    *('failsafe_fraction', 'failsafe_rate', 'discretisation', 'velocity_source'),
+)
+OF_PLANT = ('speed_lag', 'rate_lag', 'max_rate', 'max_acceleration', 'gain', 'drag')
 # What only a vehicle in continuous time has; of that, what one in an engine has, by its order of
 # translation; and what is unknown of a goal that an engine moves.
 CONTINUOUS = (
@@ -135,38 +140,8 @@ class SimSettings(VehicleParameters):
     given_wait_timeout: float = parameter('wait_timeout', 120.0, 'Lock-step gives up after waiting '
         'so long for planner and readers, while the planner is configured not counted, and for an '
         'answer, for which it waits 20 s at most; 0 for never', 's', 0.0, MAX_DURATION)
-    position_noise: float = parameter('faults.position_noise', 0.0,
-        'Noise of odometry and goal along each axis, deviation', 'm', 0.0, 1e3)
-    attitude_noise: float = parameter('faults.attitude_noise', 0.0,
-        'Noise of odometry about each axis, deviation', 'rad', 0.0, math.pi)
-    dropout: float = parameter('faults.dropout', 0.0,
-        'Share of odometry, goals and commands that is lost', '', 0.0, 1.0)
-    delay: float = parameter('faults.delay', 0.0, 'Age of odometry when it comes', 's', 0.0, 10.0)
-    reorder: float = parameter('faults.reorder', 0.0,
-        'Share of odometry and goals that comes a step late', '', 0.0, 1.0)
-    duplicate: float = parameter('faults.duplicate', 0.0,
-        'Share of odometry and goals that comes twice', '', 0.0, 1.0)
-    nan: float = parameter('faults.nan', 0.0,
-        'Share of odometry and goals whose position is not a number', '', 0.0, 1.0)
-    occlusion_length: float = parameter('faults.occlusion_length', 0.0,
-        'How long the goal is hidden in each period', 's', 0.0, 1e6)
-    occlusion_period: float = parameter('faults.occlusion_period', 10.0,
-        'The goal is hidden once in it, at a random time', 's', TINY, 1e6)
-    clock_jump: float = parameter('faults.clock_jump', 0.0,
-        'What every stamp is off from clock_jump_tick on', 's', -1e6, 1e6)
-    clock_jump_tick: int = parameter('faults.clock_jump_tick', 0,
-        'Steps flown before the clock jumps', '', 0, 1_000_000)
     # fmt: on
-
-    @property
-    def lockstep(self) -> bool:
-        """Return whether to wait for each command instead of running in real time."""
-        return self.clock != 'wall'
-
-    @property
-    def shared_clock(self) -> bool:
-        """Return whether to wait for /clock as well, instead of publishing it."""
-        return self.clock == 'shared'
+    faults: Faults = NO_FAULTS  # what goes wrong between the vehicle and its planner
 
     @property
     def command_timeout(self) -> float:
@@ -189,14 +164,10 @@ class SimSettings(VehicleParameters):
         return wanted_readers(self.given_wait_for)
 
     @cached_property
-    def faults(self) -> Faults:
-        """Return what goes wrong between the vehicle and its planner."""
-        return Faults(**{each.name: getattr(self, each.name) for each in fields(Faults)})
-
     @property
     def begin(self) -> float:
         """Return the time at which a flight begins [s]: no stamp is ever negative."""
-        return max(0.0, self.delay, -self.clock_jump)
+        return max(0.0, self.faults.delay, -self.faults.clock_jump)
 
     @cached_property
     def rope(self) -> Rope:
@@ -214,30 +185,18 @@ class SimSettings(VehicleParameters):
         """Return how the simulated vehicle moves: the discrete model, a plant, or an engine."""
         self._refuse_unused()
         known = self.disturbance.tolist()
-        discrete = Model(
-            self.dimension,
-            self.rotation_order,
-            self.translation_order,
-            self.step,
-            self.forward,
-            self.mass,
-            self.failsafe_fraction,
-            self.failsafe_rate,
-            disturbance=tuple(known) if any(known) else (),
-            discretisation=self.discretisation,
-            velocity_source=self.velocity_source,
-        )
+        common = {name: getattr(self, name) for name in OF_MODEL}
+        common['disturbance'] = tuple(known) if any(known) else ()
         if self.vehicle == 'discrete':
-            return discrete
-        common = vars(discrete) | {'stall_speed': self.stall_speed}
+            return Model(**common)
+        common['stall_speed'] = self.stall_speed
         if self.odom_rate:
             common['step'] = 1.0 / self.odom_rate
         if self.vehicle in ENGINES:
             common |= {'turbulence': self.gust, 'seed': self.seed, 'rope': self.rope}
             return EnginePlant(**common, engine=self.vehicle)
-        own = ('speed_lag', 'rate_lag', 'max_rate', 'max_acceleration', 'gain', 'drag')
-        gusts = Gusts(self.gust, self.gust_time, self.seed)
-        return Plant(**common, **{name: getattr(self, name) for name in own}, gusts=gusts)
+        own = {name: getattr(self, name) for name in OF_PLANT}
+        return Plant(**common, **own, gusts=Gusts(self.gust, self.gust_time, self.seed))
 
     @cached_property
     def start(self) -> Vehicle:
@@ -272,17 +231,18 @@ class SimSettings(VehicleParameters):
 
     def _refuse_unused(self) -> None:
         """Refuse what the vehicle does not have, and what its engine decides itself."""
-        kind, own = self.vehicle, {each.metadata['parameter'].name: each for each in fields(self)}
-        kept: Collection[str] = CONTINUOUS if kind == 'continuous' else ()
+        kind, unused, zero = self.vehicle, {*CONTINUOUS}, tuple[str, ...]()
+        if kind == 'continuous':
+            return
         if kind in ENGINES:
-            kept = OF_ENGINES[ENGINES[kind].translation_order]
-        for name in CONTINUOUS:
-            value, default = getattr(self, own[name].name), own[name].default
-            if name not in kept and value != default:
-                raise BadInput(name, value, f'{default} with vehicle: {kind}')
-        for name in OF_GOAL if kind in ENGINES and ENGINES[kind].moves_goal else ():
-            value = getattr(self, own[name].name)
-            if np.any(value):
+            unused -= {*OF_ENGINES[ENGINES[kind].translation_order]}
+            zero = OF_GOAL if ENGINES[kind].moves_goal else ()
+        for each in fields(self):
+            spec, value = each.metadata.get('parameter'), getattr(self, each.name)
+            name = spec.name if spec else ''
+            if name in unused and value != each.default:
+                raise BadInput(name, value, f'{each.default} with vehicle: {kind}')
+            if name in zero and np.any(value):
                 shown = list(value) if isinstance(value, tuple) else value
                 raise BadInput(name, shown, f'0 with vehicle: {kind}')
 
@@ -306,7 +266,7 @@ class SimSettings(VehicleParameters):
         return replace(known, direction=tuple(own.tolist()))
 
 
-SIM = tuple(replace(spec, live=False) for spec in specs_of(SimSettings))
+SIM = tuple(replace(spec, live=False) for spec in (*specs_of(SimSettings), *specs_of(Faults)))
 
 
 def sim_settings(values: Values) -> SimSettings:
@@ -315,10 +275,33 @@ def sim_settings(values: Values) -> SimSettings:
     Raises:
         BadInput: a value, or a combination, is not allowed.
     """
-    settings = settings_from(SimSettings, values)
-    for made in ('scenario', 'faults', 'wait_for'):
+    faults = settings_from(Faults, values)
+    settings = replace(settings_from(SimSettings, values), faults=faults)
+    for made in ('scenario', 'wait_for'):
         getattr(settings, made)  # raises
     return settings
+
+
+def wanted_readers(text: str) -> dict[str, int]:
+    """Return how many readers each topic of a list such as ``tick, odom 2`` must have.
+
+    Raises:
+        BadInput: not such a list.
+    """
+    wanted: dict[str, int] = {}
+    malformed = BadInput('wait_for', text, 'topics, each with the number of its readers: odom 2')
+    for entry in filter(None, (each.strip() for each in text.split(','))):
+        topic, _, count = entry.partition(' ')
+        try:
+            validate_topic_name(topic)
+        except InvalidTopicNameException:
+            raise malformed from None
+        if '//' in topic or topic in wanted or not (count or '1').strip().isdecimal():
+            raise malformed
+        wanted[topic] = int(count or 1)
+    if not all(0 < count <= 100 for count in wanted.values()):
+        raise malformed
+    return wanted
 
 
 def _orientation(numbers: tuple[float, ...], dimension: int) -> Array:

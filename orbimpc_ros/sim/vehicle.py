@@ -99,13 +99,9 @@ class Model:
 
 @dataclass(frozen=True)
 class Continuous(Model):
-    """A vehicle in continuous time, which follows commands from the moment that they come.
+    """A vehicle in continuous time, which follows commands from the moment that they come."""
 
-    Attributes:
-        stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
-    """
-
-    stall_speed: float = 0.0
+    stall_speed: float = 0.0  # airspeed below which it is counted as stalled [m/s]; it flies on
 
     def released(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle once no command is in force: nothing changes at once."""

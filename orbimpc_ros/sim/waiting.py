@@ -1,17 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The wait before a flight for its planner, and for recorders and viewers."""
+"""The wait for planner and readers before a simulated flight begins."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from rclpy.validate_topic_name import validate_topic_name
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.lifecycle import Managed
+from orbimpc_ros.sim.parameters import SimSettings
 
 SILENT = 2.0  # [s] of waiting are not worth a word
 MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
@@ -19,36 +18,14 @@ TRANSITIONS = 'transition_event'  # a topic of every managed node
 UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of a reader that is known before its node is
 
 
-def wanted_readers(text: str) -> dict[str, int]:
-    """Return how many readers each topic of a list such as ``tick, odom 2`` must have.
-
-    Raises:
-        BadInput: not such a list.
-    """
-    wanted: dict[str, int] = {}
-    malformed = BadInput('wait_for', text, 'topics, each with the number of its readers: odom 2')
-    for entry in filter(None, (each.strip() for each in text.split(','))):
-        topic, _, count = entry.partition(' ')
-        try:
-            validate_topic_name(topic)
-        except InvalidTopicNameException:
-            raise malformed from None
-        if '//' in topic or topic in wanted or not (count or '1').strip().isdecimal():
-            raise malformed
-        wanted[topic] = int(count or 1)
-    if not all(0 < count <= 100 for count in wanted.values()):
-        raise malformed
-    return wanted
-
-
 class Waiting:
     """Waits for a planner and for readers of topics, and logs for whom whenever that changes.
 
     Args:
         node: that waits.
-        odometry: its publisher, with so many ``subscribers`` to wait for, the planner's among them.
-        subscribers: see ``odometry``.
-        readers: how many to wait for by topic, beside those of the planner and of ``node``.
+        settings: how many subscribers of odometry, the planner among them, and how many readers
+            of topics beside planner and ``node``.
+        odometry: its publisher.
         goal: the publisher of goals, which a planner that is ready subscribes to.
         commands: the subscription to what a planner publishes, by which it is known.
     """
@@ -56,20 +33,19 @@ class Waiting:
     def __init__(
         self,
         node: Managed,
+        settings: SimSettings,
         odometry: Publisher,
-        subscribers: int,
-        readers: dict[str, int],
         goal: Publisher,
         commands: Subscription,
     ) -> None:
-        self._node, self._odometry, self._subscribers = node, odometry, subscribers
-        self._readers, self._goal, self._commands = readers, goal, commands
+        self._node, self._settings = node, settings
+        self._odometry, self._goal, self._commands = odometry, goal, commands
         self.restart()
 
     def restart(self) -> None:
         """Wait anew."""
         self._since = self._counted_from = self._node.steady_now()
-        self._announced, self._met_at = '', float('inf')
+        self._announced, self._met_at = '', math.inf
 
     @property
     def lasted(self) -> float:
@@ -103,28 +79,28 @@ class Waiting:
         return awaited
 
     def _readers_lacking(self) -> str:
-        found = self._odometry.get_subscription_count()
-        if found < self._subscribers:
-            return f'subscribers of odom: {self._subscribers} (there are {found})'
-        counts = {topic: self._count(topic) for topic in self._readers}
+        found, wanted = self._odometry.get_subscription_count(), self._settings.wait_subscribers
+        if found < wanted:
+            return f'subscribers of odom: {wanted} (there are {found})'
+        readers = self._settings.wait_for
+        counts = {topic: self._count(topic) for topic in readers}
         missing = [
-            f'{wanted} of {topic} (there are {counts[topic]})'
-            for topic, wanted in self._readers.items()
-            if counts[topic] < wanted
+            f'{count} of {topic} (there are {counts[topic]})'
+            for topic, count in readers.items()
+            if counts[topic] < count
         ]
         if missing:
-            self._met_at = float('inf')
+            self._met_at = math.inf
             return f'readers: {", ".join(missing)}'
         self._met_at = min(self._met_at, self._node.steady_now())
-        waited = not self._readers or self._node.steady_now() - self._met_at >= MEETING
+        waited = not readers or self._node.steady_now() - self._met_at >= MEETING
         return '' if waited else 'the planner to meet its readers'
 
     def _count(self, topic: str) -> int:
         """Return how many read a topic beside planner and this node."""
-        found = self._node.get_subscriptions_info_by_topic(topic)
         vehicle = {self._node.get_fully_qualified_name(), *self._planners()}
-        known = (each for each in found if each.node_name != UNKNOWN)
-        return sum(_name(each) not in vehicle for each in known)
+        found = self._node.get_subscriptions_info_by_topic(topic)
+        return sum(e.node_name != UNKNOWN and _name(e) not in vehicle for e in found)
 
     def _planner_being_configured(self) -> str:
         """Return the name of a planner that does not subscribe to the goal yet; empty for none.

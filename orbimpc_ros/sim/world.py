@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -213,6 +213,36 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
     if time is not None:
         start = replace(start, time=time)
     return Flight(replace(scenario, start=start), start)
+
+
+def touched_in_words(numbers: Collection[int], boxes: int) -> str:
+    """Return the names of touched boxes and balls, counted from 1, of which so many are boxes."""
+    named = {'box': [k + 1 for k in sorted(numbers) if k < boxes]}
+    named['ball'] = [k + 1 - boxes for k in sorted(numbers) if k >= boxes]
+    plural = {'box': 'boxes', 'ball': 'balls'}
+    return ' and '.join(
+        f'{name if len(counted) == 1 else plural[name]} {", ".join(map(str, counted))}'
+        for name, counted in named.items()
+        if counted
+    )
+
+
+def outcome(flight: Flight) -> str:
+    """Return in words how a flight has ended."""
+    done = '' if flight.captured else 'not '
+    if flight.touched:
+        return f'touched {touched_in_words(flight.touched, len(flight.scenario.obstacles))}'
+    if flight.scenario.finish == 'arrival':
+        where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
+        return f'{done}arrived: {where}'
+    if not flight.captured and flight.near:
+        return f'not captured: {flight.miss:.3f} m from the goal, outside the cone of approach'
+    if flight.vehicle.lost:
+        return 'not captured: something else of the vehicle touched the goal first'
+    if not flight.captured:
+        return 'not captured'
+    when = flight.missed_at - flight.scenario.start.time
+    return f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
 
 
 @dataclass(frozen=True)

@@ -40,28 +40,31 @@ LARGEST_CONTENT = 1 << 28  # [bytes] of the messages that are read
 LATEST = 2**63  # [ns]: stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
-SUFFIXES = ('.mcap', '.db3')
+FLOWN = 'odom and goal are needed'
+MCAP, SQLITE = '.mcap', '.db3'
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+QOS = {
+    'history': 'keep_last',
+    'depth': 1,
+    'reliability': 'reliable',
+    'durability': 'volatile',
+    'deadline': FOREVER,
+    'lifespan': FOREVER,
+    'liveliness': 'automatic',
+    'liveliness_lease_duration': FOREVER,
+    'avoid_ros_namespace_conventions': False,
+}  # of the interface; a player publishes with it
 
 
 class Message(NamedTuple):
-    """A message in a bag.
+    """A message in a bag."""
 
-    Attributes:
-        topic: it came on.
-        type: of the message.
-        stamp: under which it was recorded [ns].
-        sent: when it was sent; the stamp if that is not known [ns].
-        data: in CDR.
-        content: decoded; None where only bytes are read.
-    """
-
-    topic: str
-    type: str
-    stamp: int
-    sent: int
-    data: bytes
-    content: Any = None
+    topic: str  # it came on
+    type: str  # of the message
+    stamp: int  # under which it was recorded [ns]
+    sent: int  # when it was sent; the stamp if that is not known [ns]
+    data: bytes  # in CDR
+    content: Any = None  # decoded; None where only bytes are read
 
 
 # --- the content of messages, from bags and from DDS alike
@@ -133,9 +136,11 @@ def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[
     """
     found = list(read(path, names))
     there = {message.topic for message in found}
-    for topic in ('odom', 'goal'):
-        if f'{namespace}/{topic}' not in there:
-            raise topics.absent(path, f'{namespace}/{topic}', there)
+    for topic in (f'{namespace}/odom', f'{namespace}/goal'):
+        if topic not in there:
+            places = {name.rpartition('/')[0] for name in there if name.endswith('/odom')} - {''}
+            others = f'give --namespace {" or ".join(sorted(places))}'
+            raise BadInput.stating(str(path), f'without {topic}', others if places else FLOWN)
     parted = ((*message.topic.rpartition('/'), message.content) for message in found)
     return [(name, content) for before, _, name, content in parted if before == namespace]
 
@@ -151,7 +156,7 @@ def raw(path: Path) -> list[Message]:
     files, closed = _files(path)
     found, size = list[Message](), 0
     with _reading(path):
-        for each in _of_mcap(files, closed) if _is_mcap(files) else _of_rosbags(path):
+        for each in _of_mcap(files, closed) if files[0].suffix == MCAP else _of_rosbags(path):
             size += len(each.data)
             if size > LARGEST_CONTENT:
                 raise BadInput.stating(str(path), f'{size} bytes of messages', ALLOWED)
@@ -169,12 +174,11 @@ def notes(path: Path) -> dict[str, str]:
         BadInput: no bag, or damaged.
     """
     files, closed = _files(path)
-    if not _is_mcap(files):
-        return {}
-    with _reading(path), _mcap(files[0], closed) as reader:
-        found = (each for each in reader.iter_metadata() if each.name == NOTES)
-        return next((each.metadata for each in found), {})
-    return {}  # it ended before its notes
+    if files[0].suffix == MCAP:
+        with _reading(path), _mcap(files[0], closed) as reader:
+            found = (each for each in reader.iter_metadata() if each.name == NOTES)
+            return next((each.metadata for each in found), {})
+    return {}  # or it ended before its notes
 
 
 @contextmanager
@@ -191,10 +195,10 @@ def _reading(path: Path) -> Iterator[None]:
 def _files(path: Path) -> tuple[list[Path], bool]:
     """Return a bag's files, and whether its recorder came to close it."""
     if path.is_dir():
-        files = sorted(path.glob('*.mcap')) or sorted(path.glob('*.db3'))
+        files = sorted(path.glob(f'*{MCAP}')) or sorted(path.glob(f'*{SQLITE}'))
         closed = (path / METADATA).exists()
-    elif path.suffix in SUFFIXES:
-        files, closed = [path], path.suffix == '.db3' or (path.parent / METADATA).exists()
+    elif path.suffix in (MCAP, SQLITE):
+        files, closed = [path], path.suffix == SQLITE or (path.parent / METADATA).exists()
     else:
         raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
     if not files:
@@ -203,10 +207,6 @@ def _files(path: Path) -> tuple[list[Path], bool]:
         with opened(file, LARGEST_FILE):
             pass
     return files, closed
-
-
-def _is_mcap(files: Sequence[Path]) -> bool:
-    return files[0].suffix == '.mcap'
 
 
 def _of_rosbags(path: Path) -> Iterator[Message]:
@@ -277,10 +277,8 @@ class BagWriter:
     def _channel(self, topic: Topic) -> int:
         text, _ = store().generate_msgdef(topic.type, ros_version=2)
         schema = self._writer.register_schema(topic.type, 'ros2msg', text.encode())
-        about = {
-            'offered_qos_profiles': json.dumps([_qos(topic)]),
-            'topic_type_hash': store().hash_rihs01(topic.type),
-        }
+        profiles, types = json.dumps(_offered(topic)), store().hash_rihs01(topic.type)
+        about = {'offered_qos_profiles': profiles, 'topic_type_hash': types}
         return self._writer.register_channel(topic.name, 'cdr', schema, about)
 
     def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
@@ -319,7 +317,16 @@ class BagWriter:
             'storage_identifier': 'mcap',
             **span,
             'topics_with_message_count': [
-                {'topic_metadata': _about(topic), 'message_count': self._counts[topic.name]}
+                {
+                    'topic_metadata': {
+                        'name': topic.name,
+                        'type': topic.type,
+                        'serialization_format': 'cdr',
+                        'offered_qos_profiles': _offered(topic),
+                        'type_description_hash': store().hash_rihs01(topic.type),
+                    },
+                    'message_count': self._counts[topic.name],
+                }
                 for topic in self._topics
             ],
             'compression_format': '',
@@ -336,26 +343,5 @@ class BagWriter:
         self.close()
 
 
-def _about(topic: Topic) -> dict[str, Any]:
-    return {
-        'name': topic.name,
-        'type': topic.type,
-        'serialization_format': 'cdr',
-        'offered_qos_profiles': [_qos(topic)],
-        'type_description_hash': store().hash_rihs01(topic.type),
-    }
-
-
-def _qos(topic: Topic) -> dict[str, Any]:
-    """Return the profile of the interface: reliable, depth 1; a player publishes with it."""
-    return {
-        'history': 'keep_last',
-        'depth': 1,
-        'reliability': 'reliable',
-        'durability': 'transient_local' if topic.latched else 'volatile',
-        'deadline': FOREVER,
-        'lifespan': FOREVER,
-        'liveliness': 'automatic',
-        'liveliness_lease_duration': FOREVER,
-        'avoid_ros_namespace_conventions': False,
-    }
+def _offered(topic: Topic) -> list[dict[str, Any]]:
+    return [QOS | {'durability': 'transient_local'} if topic.latched else QOS]

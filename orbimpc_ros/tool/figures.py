@@ -133,23 +133,14 @@ def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) 
 
 
 class Panel(NamedTuple):
-    """A chart over time.
+    """A chart over time."""
 
-    Attributes:
-        title: in words.
-        unit: of the values; empty for none.
-        lines: by label, those of labels that begin with ``_`` without a legend.
-        limits: values of horizontal lines, by their meaning.
-        steps: whether a value holds until the next.
-        log: whether the axis is logarithmic.
-    """
-
-    title: str
-    unit: str
-    lines: Mapping[str, Line]
-    limits: Mapping[str, float] = {}
-    steps: bool = False
-    log: bool = False
+    title: str  # in words
+    unit: str  # of the values; empty for none
+    lines: Mapping[str, Line]  # by label, those of labels that begin with ``_`` without a legend
+    limits: Mapping[str, float] = {}  # values of horizontal lines, by their meaning
+    steps: bool = False  # whether a value holds until the next
+    log: bool = False  # whether the axis is logarithmic
 
 
 def draw_panel(axes: Axes, panel: Panel) -> None:

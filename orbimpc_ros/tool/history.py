@@ -28,19 +28,12 @@ NEAR = 2.0  # a local minimum of the distance within so many capture radii is a 
 
 
 class Encounter(NamedTuple):
-    """A moment of vehicle and rope.
+    """A moment of vehicle and rope."""
 
-    Attributes:
-        time: when [s].
-        distance: between them [m].
-        vehicle: where the vehicle was, shape (3,) [m].
-        rope: where the rope was, shape (3,) [m].
-    """
-
-    time: float
-    distance: float
-    vehicle: Array
-    rope: Array
+    time: float  # when [s]
+    distance: float  # between them [m]
+    vehicle: Array  # where the vehicle was, shape (3,) [m]
+    rope: Array  # where the rope was, shape (3,) [m]
 
 
 class Planned(NamedTuple):
@@ -52,34 +45,20 @@ class Planned(NamedTuple):
 
 @dataclass(frozen=True)
 class History:
-    """A run.
+    """A run."""
 
-    Attributes:
-        times: of odometry, shape (M,) [s].
-        positions: of the vehicle, shape (M, 3) [m].
-        attitudes: of the body in the world, shape (M, 3, 3).
-        velocities: in the world, shape (M, 3) [m/s].
-        rates: about the body's axes, shape (M, 3) [rad/s].
-        ropes: where the rope was at these times, shape (M, 3) [m].
-        plans: in order of time.
-        forces: times [s] and forces [N] of the topic ``cmd_thrust``.
-        ticks: times [s] and fields of the topic ``tick``, as long as there is odometry.
-        captured: whether the simulator reported the job as done.
-        values: parameters of the run, by name.
-        truth: the last fields of the topic ``truth``, which a vehicle in continuous time has.
-    """
-
-    times: Array
-    positions: Array
-    attitudes: Array
-    velocities: Array
-    rates: Array
-    ropes: Array
-    plans: tuple[Planned, ...]
-    forces: tuple[tuple[float, float], ...]
-    ticks: Ticks
-    captured: bool
-    values: dict[str, Any]
+    times: Array  # of odometry, shape (M,) [s]
+    positions: Array  # of the vehicle, shape (M, 3) [m]
+    attitudes: Array  # of the body in the world, shape (M, 3, 3)
+    velocities: Array  # in the world, shape (M, 3) [m/s]
+    rates: Array  # about the body's axes, shape (M, 3) [rad/s]
+    ropes: Array  # where the rope was at these times, shape (M, 3) [m]
+    plans: tuple[Planned, ...]  # in order of time
+    forces: tuple[tuple[float, float], ...]  # times [s] and forces [N] of the topic ``cmd_thrust``
+    ticks: Ticks  # times [s] and fields of the topic ``tick``, as long as there is odometry
+    captured: bool  # whether the simulator reported the job as done
+    values: dict[str, Any]  # parameters of the run, by name
+    # the last fields of the topic ``truth``, which a vehicle in continuous time has
     truth: Mapping[str, Any] = field(default_factory=dict)
 
     @property

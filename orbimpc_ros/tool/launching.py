@@ -1,12 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Launch descriptions: planner and simulator on one parameter file, or a planner by itself.
+"""What the launch files launch: simulated flights, one or several, and planners of real vehicles.
 
 Needs ROS 2's launch, which PyPI does not have: only launch files import this module.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -19,18 +19,12 @@ from launch.actions import (
     RegisterEventHandler,
     SetEnvironmentVariable,
 )
-from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
-from launch.substitutions import (
-    EnvironmentVariable,
-    EqualsSubstitution,
-    IfElseSubstitution,
-    LaunchConfiguration,
-)
+from launch.substitutions import EnvironmentVariable
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -43,39 +37,21 @@ from orbimpc_ros.sim.fleet import vehicles
 RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # read by a recorder of everything
 AUTO = 'auto'
 SEVERAL = ('crossing', 'fleet')  # files for several vehicles
-AWAITED = 'awaited'  # launch configuration: the readers that the simulator waits for
+Values = Mapping[str, object]
 
 
 def flight(scenario: str = 'retrieval') -> LaunchDescription:
     """Return planner and simulator of a scenario; the launch ends when the flight does."""
-    clock, asked = LaunchConfiguration('clock'), LaunchConfiguration('use_sim_time')
-    in_lockstep = EqualsSubstitution(clock, 'lockstep')
-    simulated = IfElseSubstitution(EqualsSubstitution(asked, AUTO), in_lockstep, asked)
-    planner = _node('planner', {'use_sim_time': ParameterValue(simulated, value_type=bool)})
-    sim = _node(
-        'sim',
-        {
-            'clock': clock,
-            'exit_when_done': _flag('exit_when_done'),
-            'wait_for': ParameterValue(LaunchConfiguration(AWAITED), value_type=str),
-        },
-    )
-    arguments = [
+    timed = 'of the planner; auto: in lock-step alone, where the simulator makes the time'
+    return _described(
+        _flight,
         _argument('scenario', scenario, 'what flies: a file in config/', _scenarios()),
         *_common("the scenario's", 'both nodes'),
         _argument(
             'clock', 'lockstep', 'simulated time as fast as it goes, or real', ('lockstep', 'wall')
         ),
-        _argument(
-            'use_sim_time',
-            AUTO,
-            'of the planner; auto: in lock-step alone, where the simulator makes the time',
-            (AUTO, 'true', 'false', 'True', 'False'),
-        ),
-    ]
-    prepare, recorder = OpaqueFunction(function=_prepare_flight), _recorder()
-    nodes = [recorder, planner, sim, *_ending([sim], [planner, recorder])]
-    return LaunchDescription([*arguments, prepare, _reach(), *nodes])
+        _argument('use_sim_time', AUTO, timed, (AUTO, 'true', 'false', 'True', 'False')),
+    )
 
 
 def fleet() -> LaunchDescription:
@@ -83,117 +59,112 @@ def fleet() -> LaunchDescription:
 
     It flies in real time: simulators cannot share one /clock.
     """
-    arguments = [
+    return _described(
+        _fleet,
         *_common('config/fleet.yaml', 'the whole fleet'),
         _argument('vehicles', '4', 'how many'),
         _argument('seed', '0', 'of the ropes'),
-    ]
-    return LaunchDescription([*arguments, _reach(), OpaqueFunction(function=_members)])
+    )
 
 
 def vehicle() -> LaunchDescription:
     """Return a planner alone, on the topics of a vehicle's autopilot and with parameters for it."""
-    arguments = [
+    return _described(
+        _pilot,
         _argument('autopilot', None, 'what flies or drives', TOPICS),
         _argument('params_file', '', "by default autopilot's"),
         _argument('namespace', '', 'of the planner'),
         _switch('dry_run', 'false', 'plan and report, and command nothing'),
-    ]
-    return LaunchDescription([*arguments, _reach(), OpaqueFunction(function=_pilot)])
+    )
 
 
-def _prepare_flight(context: LaunchContext) -> None:
-    """Check the parameters, and settle for whom the simulator waits."""
+# --- what is launched, now that the arguments are known
+
+
+def _flight(context: LaunchContext) -> list[Action]:
+    """Return the nodes of a flight.
+
+    Raises:
+        BadInput: a planner on a timer in lock-step: that waits for time, which waits for answers.
+    """
     asked = context.launch_configurations
-    _settle_file(asked, asked['scenario'])
-    outer = f'/{asked["namespace"].strip("/")}'.rstrip('/')
-    _check_pace(asked, f'{outer}/planner')
-    asked[AWAITED] = _awaited(asked, f'{outer}/sim')
+    file, where, clock = _settled(asked, asked['scenario']), _outer(asked), asked['clock']
+    trigger = given(file, f'{where}/planner', 'trigger') or 'timer'
+    if clock == 'lockstep' and trigger != 'odom':
+        culprit = f'trigger of {where}/planner in {file}'
+        raise BadInput(culprit, trigger, 'odom, as clock is lockstep (or clock:=wall)')
+    told = asked['use_sim_time'].lower()
+    simulated = clock == 'lockstep' if told == AUTO else told == 'true'
+    return _flown(asked, {where: {'clock': clock}}, simulated)
+
+
+def _fleet(context: LaunchContext) -> list[Action]:
+    asked = context.launch_configurations
+    _settled(asked, 'fleet')
+    drawn = vehicles(int(asked['vehicles']), int(asked['seed']))
+    own = {
+        _outer(asked) + namespace: {
+            'clock': 'wall',
+            **{name: list(v) if isinstance(v, tuple) else v for name, v in each.items()},
+        }
+        for namespace, each in drawn.items()
+    }
+    return _flown(asked, own, simulated=False)
+
+
+def _flown(asked: dict[str, str], own: Mapping[str, Values], simulated: bool) -> list[Action]:
+    """Return planners, simulators with values of their own by namespace, and a recorder."""
+    recorded, planners, sims = asked['record'] == 'true', [], []
+    for where, values in own.items():
+        planners.append(_node(asked, 'planner', where, {'use_sim_time': simulated}))
+        awaited = given(asked['params_file'], f'{where}/sim', 'wait_for')
+        awaited = awaited or (RECORDED if recorded else '')  # who records waits for the flight
+        settings = {
+            'exit_when_done': asked['exit_when_done'] == 'true',
+            'wait_for': ParameterValue(str(awaited), value_type=str),
+        }
+        sims.append(_node(asked, 'sim', where, {**settings, **values}))
+    words = ['ros2', 'bag', 'record', '--storage', 'mcap', '--all']
+    recorders = [ExecuteProcess(cmd=words, output='screen')] if recorded else []
+    return [*recorders, *planners, *sims, *_ending(sims, [*planners, *recorders])]
 
 
 def _pilot(context: LaunchContext) -> list[Action]:
-    """Return the planner, now that the autopilot is known."""
     asked = context.launch_configurations
-    _settle_file(asked, asked['autopilot'])
-    topics = list(TOPICS[asked['autopilot']].items())
-    planner = _node('planner', {'dry_run': _flag('dry_run')}, remappings=topics)
+    _settled(asked, asked['autopilot'])
+    topics, dry_run = TOPICS[asked['autopilot']], asked['dry_run'] == 'true'
+    planner = _node(asked, 'planner', _outer(asked), {'dry_run': dry_run}, [*topics.items()])
     return [planner, *_ending([], [planner])]
 
 
-def _settle_file(asked: dict[str, str], default: str) -> None:
-    """Fill in the parameter file, and refuse one that is not there: launch itself would go on."""
+def _settled(asked: dict[str, str], default: str) -> str:
+    """Return the parameter file, and refuse one that is not there: launch itself would go on."""
     file = asked['params_file'] = asked['params_file'] or str(_configs() / f'{default}.yaml')
     if not Path(file).is_file():
         raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
+    return file
 
 
-def _check_pace(asked: Mapping[str, str], name: str) -> None:
-    """Refuse a planner on a timer in lock-step: that waits for time, which waits for answers."""
-    trigger = given(asked['params_file'], name, 'trigger') or 'timer'
-    if asked['clock'] == 'lockstep' and trigger != 'odom':
-        where = f'trigger of {name} in {asked["params_file"]}'
-        raise BadInput(where, trigger, 'odom, as clock is lockstep (or clock:=wall)')
-
-
-def _awaited(asked: Mapping[str, str], name: str) -> str:
-    """Return the readers that a simulator waits for: those of its file, or the recorder."""
-    recorder = RECORDED if asked['record'] == 'true' else ''
-    return str(given(asked['params_file'], name, 'wait_for') or recorder)
-
-
-def _members(context: LaunchContext) -> list[Action]:
-    """Return the nodes of a fleet, now that the arguments are known."""
-    asked = context.launch_configurations
-    _settle_file(asked, 'fleet')
-    count, seed, outer = int(asked['vehicles']), int(asked['seed']), asked['namespace'].strip('/')
-    outer = f'/{outer}' if outer else ''
-    planners, sims, recorder = [], [], _recorder()
-    for namespace, own in vehicles(count, seed).items():
-        where = outer + namespace
-        planners.append(_node('planner', {'use_sim_time': False}, where))
-        plain = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
-        settings = {
-            'clock': 'wall',
-            'exit_when_done': _flag('exit_when_done'),
-            'wait_for': _awaited(asked, f'{where}/sim'),
-            **plain,
-        }
-        sims.append(_node('sim', settings, where))
-    return [recorder, *planners, *sims, *_ending(sims, [*planners, recorder])]
-
-
-def _flag(name: str) -> ParameterValue:
-    return ParameterValue(LaunchConfiguration(name), value_type=bool)
+def _outer(asked: Mapping[str, str]) -> str:
+    return f'/{asked["namespace"].strip("/")}'.rstrip('/')
 
 
 def _node(
+    asked: Mapping[str, str],
     name: str,
-    parameters: dict[str, object],
-    namespace: str | None = None,
+    namespace: str,
+    parameters: Values,
     remappings: Sequence[tuple[str, str]] = (),
 ) -> Node:
     return Node(
         package='orbimpc_ros',
-        namespace=LaunchConfiguration('namespace') if namespace is None else namespace,
+        namespace=namespace,
         executable=name,
         name=name,
         output='screen',
-        parameters=[LaunchConfiguration('params_file'), parameters],
-        remappings=list(remappings),
+        parameters=[Path(asked['params_file']), parameters],
+        remappings=remappings,
     )
-
-
-def _recorder() -> ExecuteProcess:
-    """Return what records all topics where that is wanted; simulators wait for it."""
-    return ExecuteProcess(
-        cmd=['ros2', 'bag', 'record', '--storage', 'mcap', '--all'],
-        condition=IfCondition(LaunchConfiguration('record')),
-        output='screen',
-    )
-
-
-def _reach() -> Action:
-    return SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST'))
 
 
 def _ending(sims: Sequence[Node], others: Sequence[ExecuteProcess]) -> list[Action]:
@@ -213,6 +184,16 @@ def _ending(sims: Sequence[Node], others: Sequence[ExecuteProcess]) -> list[Acti
         RegisterEventHandler(OnProcessExit(target_action=each, on_exit=ended))
         for each in (*sims, *others)
     ]
+
+
+# --- arguments
+
+
+def _described(
+    launched: Callable[[LaunchContext], list[Action]], *arguments: DeclareLaunchArgument
+) -> LaunchDescription:
+    reach = SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST'))
+    return LaunchDescription([*arguments, reach, OpaqueFunction(function=launched)])
 
 
 def _common(file: str, whose: str) -> list[DeclareLaunchArgument]:

@@ -19,7 +19,7 @@ from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.inputs import PLAN, others
 from orbimpc_ros.ros.planner.outputs import Report, command_messages, prices, report_messages
-from orbimpc_ros.sim.markers import traffic_markers
+from orbimpc_ros.sim.outputs import future, traffic_markers
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import Flight
 
@@ -179,17 +179,12 @@ def tell(planner: OfflinePlanner, flight: Flight, ahead: int, margin: float = 0.
         ahead: steps of the goal's future.
         margin: by which the balls in the traffic are reported larger than they are [m].
     """
-    now, model, rope = flight.vehicle.time, flight.scenario.model, flight.scenario.rope
+    now, model = flight.vehicle.time, flight.scenario.model
     stamp = planner.at(now)
     if flight.scenario.traffic:
         planner.planner.expect_hazards()
-        traffic = traffic_markers(stamp, flight)
-        for marker in traffic.markers:
-            for axis in 'xyz'[: model.dimension]:
-                setattr(marker.scale, axis, getattr(marker.scale, axis) + 2.0 * margin)
-        planner.hear('obstacles', traffic, now)
+        planner.hear('obstacles', traffic_markers(stamp, flight, margin), now)
     if ahead:
-        places = [rope.at(flight.elapsed + k * model.step) for k in range(ahead + 1)]
-        planner.hear('goal_path', messages.goal_path_message(stamp, model.step, places), now)
+        planner.hear('goal_path', future(stamp, flight, ahead), now)
     planner.goal(now, flight.goal)
     planner.odometry(now, measured(flight.vehicle, model.velocity_source))

@@ -10,7 +10,7 @@ import numpy as np
 
 from orbimpc_ros.ros.parameters.spec import settings_from
 from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
-from orbimpc_ros.sim.simulation import touched_in_words
+from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.history import History
 

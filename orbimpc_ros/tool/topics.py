@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple
-
-from orbimpc_ros.mpc.errors import BadInput
 
 
 class Topic(NamedTuple):
@@ -64,7 +61,6 @@ NUMBERS = tuple(
     Topic(f'planner/{name}', 'std_msgs/msg/Float64')
     for name in ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
 )  # for plots by other programs; this tool takes them from tick
-NEEDED = 'odom and goal are needed'
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *EVENTS, *PROOFS)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *NUMBERS)}
 
@@ -79,16 +75,3 @@ def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
 def known(name: str, kind: str) -> bool:
     """Return whether a topic, in whatever namespace, is one of a run's and of the right type."""
     return TYPES.get(name.rpartition('/')[2]) == kind
-
-
-def absent(path: Path, topic: str, there: Iterable[str]) -> BadInput:
-    """Return the complaint that a topic is not in a bag, and which vehicles are.
-
-    Args:
-        path: of the bag.
-        topic: wanted, with its namespace.
-        there: the topics of the bag.
-    """
-    places = {name.rpartition('/')[0] for name in there if name.endswith('/odom')} - {''}
-    hint = f'give --namespace {" or ".join(sorted(places))}' if places else NEEDED
-    return BadInput.stating(str(path), f'without {topic}', hint)

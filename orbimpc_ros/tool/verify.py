@@ -43,30 +43,29 @@ HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no c
 
 
 class TickVerdict(NamedTuple):
-    """What became of a tick's bound.
+    """What became of a tick's bound."""
 
-    Attributes:
-        tick: its number, None of a file.
-        of: what is bounded: a cost, which is infinite where nothing is feasible, or a time [s].
-        claimed: the bound that was published; None if none was.
-        proved: the bound that holds; None without a certificate.
-        leaves: of the certificate.
-        outcome: in a word or two.
-        words: why there is no certificate, or none can be, if that is so.
-    """
-
-    tick: int | None
-    of: str
-    claimed: float | None = None
-    proved: float | None = None
-    leaves: int = 0
-    outcome: str = NOTHING
-    words: str = ''
+    tick: int | None  # its number, None of a file
+    of: str  # what is bounded: a cost, infinite where nothing is feasible, or a time [s]
+    claimed: float | None = None  # the bound that was published; None if none was
+    proved: float | None = None  # the bound that holds; None without a certificate
+    leaves: int = 0  # of the certificate
+    outcome: str = NOTHING  # in a word or two
+    words: str = ''  # the same, and why, if there is more to it
 
     def __str__(self) -> str:
         name = '' if self.tick is None else f'{self.tick:>6}  '
-        claimed, proved = (f'{_shown(each):<24}' for each in (self.claimed, self.proved))
+        shown = ('' if each is None else repr(each) for each in (self.claimed, self.proved))
+        claimed, proved = (f'{each:<24}' for each in shown)
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
+
+    def failed(self, why: str) -> TickVerdict:
+        """Return that the bound does not hold, and why."""
+        return self._replace(outcome=FAILS, words=f'{FAILS}: {why}')
+
+    def unproved(self, why: str) -> TickVerdict:
+        """Return that there is no certificate, and why."""
+        return self._replace(outcome=NONE, words=f'{NONE}: {why}')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -152,7 +151,7 @@ def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
                 if not (isinstance(known, dict) and known.get('format') == document.OLD):
                     yield _verified(None, known)
             except reading.Refused as error:
-                yield TickVerdict(None, COST, outcome=FAILS, words=f'{FAILS}: {error}')
+                yield TickVerdict(None, COST).failed(str(error))
 
 
 def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerdict:
@@ -162,19 +161,17 @@ def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerd
     if then.get('status') == Status.INFEASIBLE:
         row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
         if sought is None:
-            return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
+            return row.failed(f'it is {tick.status} now')
         return _certified(row, args, lambda: refutation_of(sought))
     row = TickVerdict(number, COST, claimed)
     if claimed is None or not claimed > 0.0:
         return row
     if plan is None:
-        return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
+        return row.failed(f'it is {tick.status} now')
     if not _is_about(then.get('earliest_catch'), tick):
-        words = 'no certificate: it was about another catch, or none, when its time was up'
-        return row._replace(outcome=NONE, words=words)
+        return row.unproved('it was about another catch, or none, when its time was up')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
-        words = f'{FAILS}: a trajectory costs {plan.objective!r}'
-        return row._replace(outcome=FAILS, words=words)
+        return row.failed(f'a trajectory costs {plan.objective!r}')
     posed, proof = tick.case, replace(plan.proof, lower_bound=claimed)
     assert posed is not None
     return _certified(row, args, lambda: certificate_of(*posed, proof))
@@ -197,13 +194,12 @@ def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterato
         return
     row = TickVerdict(number, CATCH, claimed)
     if catch is None:
-        yield row._replace(outcome=FAILS, words=f'{FAILS}: no catch is looked for now')
+        yield row.failed('no catch is looked for now')
         return
     sought = catch.sought
     count = steps_before(claimed, sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
-        words = f'{FAILS}: a plan catches it at {catch.time!r}'
-        yield row._replace(outcome=FAILS, words=words)
+        yield row.failed(f'a plan catches it at {catch.time!r}')
     elif count:
         yield _certified(row, args, lambda: catches_refuted(sought, count))
 
@@ -220,19 +216,10 @@ def _certified(
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
     except reading.Refused as error:
-        return row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
-    if found.outcome == FAILS:  # no trajectory is known to cost less
-        words = f'no certificate: another search proves {found.proved!r}'
-        found = found._replace(outcome=NONE, words=words)
+        return row.unproved(f'refused: {error}')
     if args.out:
-        _write(Path(args.out), row, made)
+        name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
+        (folder_at(Path(args.out)) / name).write_text(made.text() + '\n')
+    if found.outcome == FAILS:  # no trajectory is known to cost less
+        return found.unproved(f'another search proves {found.proved!r}')
     return found
-
-
-def _write(folder: Path, row: TickVerdict, made: document.Certificate | Refutation) -> None:
-    name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-    (folder_at(folder) / name).write_text(made.text() + '\n')
-
-
-def _shown(value: float | None) -> str:
-    return '' if value is None else repr(value)

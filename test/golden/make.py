@@ -15,17 +15,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from nav_msgs.msg import Path as GoalPath
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.planner.core import DISABLED
 from orbimpc_ros.sim.faults import View
+from orbimpc_ros.sim.outputs import future, sensed
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.world import Flight, departure
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import BagWriter, serialised
 from orbimpc_ros.tool.offline import OfflinePlanner
@@ -111,7 +110,8 @@ class Loop:
             self._at = self._said = round(flight.vehicle.time * SECOND)
             self._say('clock', Clock(clock=messages.time_message(self._at)))
             if self._sim.goal_path_steps:
-                self._hear('goal_path', self._future(flight))
+                stamp = Stamp(self._at, self._sim.frames)
+                self._hear('goal_path', future(stamp, flight, self._sim.goal_path_steps))
             self._tell(self._view.of(flight))
             self._answer(flight.ticks)
             if flight.over:
@@ -122,20 +122,11 @@ class Loop:
         self._said += LATER
         self._bag.write(f'/{topic}', self._at, serialised(message, TYPES[topic]), self._said)
 
-    def _future(self, flight: Flight) -> GoalPath:
-        step, rope = self._sim.scenario.model.step, self._sim.scenario.rope
-        times = flight.elapsed + step * np.arange(self._sim.goal_path_steps + 1)
-        stamp = Stamp(self._at, self._sim.frames)
-        return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
-
     def _tell(self, arriving: Iterable) -> None:
         """Let the planner know what is seen, each under the stamp of its measurement."""
         for sent in arriving:
             stamp = Stamp(round(sent.content.time * SECOND), self._sim.frames)
-            if isinstance(sent.content, Odometry):
-                topic, message = 'odom', messages.odometry_message(stamp, sent.content)
-            else:
-                topic, message = 'goal', messages.goal_message(stamp, sent.content.position)
+            topic, message = sensed(stamp, sent.content)
             if self._hostile and self._draw.uniform() < 0.1:
                 self._hear(topic, self._malformed(message))
             self._hear(topic, message)

@@ -23,17 +23,11 @@ class Declined(OrbimpcError):
 
 @dataclass(frozen=True)
 class Solution:
-    """The result of one instance.
+    """The result of one instance."""
 
-    Attributes:
-        objective: of its trajectory; NaN if it found none.
-        gap: relative, as it proved it; NaN if it proves nothing.
-        capped: whether it ran into its time limit.
-    """
-
-    objective: float
-    gap: float = math.nan
-    capped: bool = False
+    objective: float  # of its trajectory; NaN if it found none
+    gap: float = math.nan  # relative, as it proved it; NaN if it proves nothing
+    capped: bool = False  # whether it ran into its time limit
 
 
 class Solver(Protocol):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,7 @@ class Motion(NamedTuple):
 
 
 class Engine(Protocol):
-    """A vehicle in an engine."""
+    """A vehicle in an engine; one with guidance of its own may also ``steer_to`` a waypoint."""
 
     name: str  # of the library
     tick: float  # the step of its integration, to which it rounds times [s]
@@ -91,14 +91,6 @@ class Engine(Protocol):
         """
 
 
-@runtime_checkable
-class Guided(Protocol):
-    """An engine whose vehicle has a guidance of its own."""
-
-    def steer_to(self, point: Array) -> None:
-        """Have it fly to a waypoint, shape (n,) [m], from now on."""
-
-
 def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:
     """Return motions that follow on a time ``before`` [s] and last a span [s].
 
@@ -108,14 +100,22 @@ def checked(engine: Engine, before: float, motions: list[Motion], span: float) -
     time = before
     for motion in motions:
         if not motion.finite:
-            raise EngineFailure(
-                f'{engine.name}: numbers that are not finite, after t = {time:.3f} s'
-            )
+            wrong = f'numbers that are not finite, after t = {time:.3f} s'
+            raise EngineFailure(f'{engine.name}: {wrong}')
         if motion.time <= time:
             raise EngineFailure(f'{engine.name}: went from t = {time:.3f} s to {motion.time:.3f} s')
         time = motion.time
     if not math.isclose(time, before + span, abs_tol=engine.tick):
-        raise EngineFailure(
-            f'{engine.name}: its clock is at {time:.3f} s, and not at {before + span:.3f} s'
-        )
+        wrong = f'its clock is at {time:.3f} s, and not at {before + span:.3f} s'
+        raise EngineFailure(f'{engine.name}: {wrong}')
     return motions
+
+
+def about(axis: int, angle: float) -> Array:
+    """Return the rotation about an axis by an angle [rad]."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    rotation = np.eye(3)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotation[first, first] = rotation[second, second] = cos
+    rotation[first, second], rotation[second, first] = -sin, sin
+    return rotation

@@ -17,7 +17,7 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start
+from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start, about
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
@@ -172,14 +172,4 @@ class Cessna:
 def _attitude(roll: float, pitch: float, compass: float) -> Array:
     """Return the attitude, body to world, of Euler's angles in the axes of aircraft [rad]."""
     yaw = 0.5 * math.pi - compass
-    return _about(2, yaw) @ _about(1, -pitch) @ _about(0, roll)
-
-
-def _about(axis: int, angle: float) -> Array:
-    """Return the rotation about an axis by an angle [rad]."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    rotation = np.eye(3)
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    rotation[first, first] = rotation[second, second] = cos
-    rotation[first, second], rotation[second, first] = -sin, sin
-    return rotation
+    return about(2, yaw) @ about(1, -pitch) @ about(0, roll)

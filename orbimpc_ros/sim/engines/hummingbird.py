@@ -25,7 +25,7 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start
+from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start, about
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next
@@ -86,7 +86,9 @@ class Hummingbird:
         mujoco.set_mju_user_warning(lambda _: None)
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
         self._data = mujoco.MjData(self._model)
-        self._parts = _Parts.of(self._model)
+        self._vehicle = self._model.body('vehicle').id
+        hook = (self._model.geom(name).id for name in ('hook boom', 'hook bar'))
+        self._hook = frozenset(hook)
         self._multirotor = Multirotor(quad_params, control_abstraction='cmd_motor_speeds')
         self._controller = SE3Control(quad_params)
         hover = math.sqrt(quad_params['mass'] * 9.81 / (4.0 * quad_params['k_eta']))
@@ -95,7 +97,7 @@ class Hummingbird:
         self._draw = np.random.default_rng(start.seed)
         self._blown = start.gust * self._draw.normal(size=2)
         yaw = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
-        place = np.append(start.position, 0.0) - _turned(yaw) @ NOSE
+        place = np.append(start.position, 0.0) - about(2, yaw) @ NOSE
         self._setpoint = _Setpoint(place, yaw, start.push, 0.0, 0.0)
         self._waypoint: Array | None = None
         self._caught = self._struck = False
@@ -160,10 +162,10 @@ class Hummingbird:
         kept = math.exp(-self.tick / MEMORY)
         fresh = self._gust * math.sqrt(1.0 - kept * kept)
         self._blown = kept * self._blown + fresh * self._draw.normal(size=2)
-        attitude = data.xmat[self._parts.vehicle].reshape(3, 3)
+        attitude = data.xmat[self._vehicle].reshape(3, 3)
         past = attitude.T @ (state['v'] - self._air)
         force, moment = self._multirotor.compute_body_wrench(state['w'], self._rotors, past)
-        data.xfrc_applied[self._parts.vehicle] = *(attitude @ force), *(attitude @ moment)
+        data.xfrc_applied[self._vehicle] = *(attitude @ force), *(attitude @ moment)
         self._model.opt.wind[:] = self._air
 
     @property
@@ -185,7 +187,7 @@ class Hummingbird:
         if self._caught or self._struck or not self._data.ncon:
             return
         for contact in self._data.contact[: self._data.ncon]:
-            if self._parts.hook.isdisjoint(contact.geom.tolist()):
+            if self._hook.isdisjoint(contact.geom.tolist()):
                 self._struck = True
             else:
                 self._caught = True
@@ -193,7 +195,7 @@ class Hummingbird:
     def motion(self) -> Motion:
         """Return how the hook moves now."""
         data, state = self._data, self._state()
-        attitude = data.xmat[self._parts.vehicle].reshape(3, 3).copy()
+        attitude = data.xmat[self._vehicle].reshape(3, 3).copy()
         hook = state['x'] + attitude @ NOSE
         velocity = state['v'] + attitude @ np.cross(state['w'], NOSE)
         setpoint = self._setpoint
@@ -204,7 +206,7 @@ class Hummingbird:
             attitude,
             state['w'],
             self._air,
-            float(velocity @ _turned(setpoint.yaw)[:, 0]),
+            float(velocity @ about(2, setpoint.yaw)[:, 0]),
             {
                 'bank': math.acos(min(max(attitude[2, 2], -1.0), 1.0)),
                 'turn': float((attitude @ state['w'])[2]),
@@ -242,12 +244,12 @@ class _Setpoint(NamedTuple):
         most = SHARPEST * span
         turn = self.turn + min(max(turn - self.turn, -most), most)
         yaw, speed = self.yaw + turn * span, self.speed + gain * span
-        return _Setpoint(self.position + span * speed * _turned(yaw)[:, 0], yaw, speed, gain, turn)
+        return _Setpoint(self.position + span * speed * about(2, yaw)[:, 0], yaw, speed, gain, turn)
 
     @property
     def flat(self) -> dict[str, Any]:
         """Return it in RotorPy's words."""
-        ahead, left, _ = _turned(self.yaw).T
+        ahead, left, _ = about(2, self.yaw).T
         return {
             'x': self.position,
             'x_dot': self.speed * ahead,
@@ -255,21 +257,3 @@ class _Setpoint(NamedTuple):
             'yaw': self.yaw,
             'yaw_dot': self.turn,
         }
-
-
-class _Parts(NamedTuple):
-    """Numbers of MuJoCo: of the vehicle's body, and of what is of its hook."""
-
-    vehicle: int
-    hook: frozenset[int]
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel) -> _Parts:
-        hook = frozenset(model.geom(name).id for name in ('hook boom', 'hook bar'))
-        return cls(model.body('vehicle').id, hook)
-
-
-def _turned(yaw: float) -> Array:
-    """Return the rotation about the vertical [rad]."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

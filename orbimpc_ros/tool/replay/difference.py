@@ -28,25 +28,15 @@ QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
 
 
 class Comparison(NamedTuple):
-    """One quantity of one tick, recorded and replayed.
+    """One quantity of one tick, recorded and replayed."""
 
-    Attributes:
-        tick: its number.
-        time: its stamp [s].
-        quantity: one of :data:`QUANTITIES`.
-        recorded: its value.
-        replayed: its value.
-        apart: how far these are apart; infinite if one is missing or a word differs.
-        allowed: how far they may be.
-    """
-
-    tick: int
-    time: float
-    quantity: str
-    recorded: Any
-    replayed: Any
-    apart: float
-    allowed: float
+    tick: int  # its number
+    time: float  # its stamp [s]
+    quantity: str  # one of :data:`QUANTITIES`
+    recorded: Any  # its value
+    replayed: Any  # its value
+    apart: float  # how far these are apart; infinite if one is missing or a word differs
+    allowed: float  # how far they may be
 
     @property
     def differs(self) -> bool:

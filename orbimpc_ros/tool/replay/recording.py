@@ -29,20 +29,14 @@ Answer = dict[str, Any]  # what the planner published on a tick; what is not kno
 
 @dataclass(frozen=True, eq=False)
 class Input:
-    """A message to the planner, or the time.
+    """A message to the planner, or the time."""
 
-    Attributes:
-        topic: without its namespace, or ``clock``; with it, if it is another vehicle's plan or one
-            of transforms.
-        stamp: that it carries [ns].
-        sent: when, on the recording machine's clock or under which stamp [ns].
-        message: its content.
-    """
-
+    # without its namespace, or ``clock``; with it, if it is another vehicle's plan or one of
+    # transforms
     topic: str
-    stamp: int
-    sent: int
-    message: Any
+    stamp: int  # that it carries [ns]
+    sent: int  # when, on the recording machine's clock or under which stamp [ns]
+    message: Any  # its content
 
 
 NUMBER = (int, float)
@@ -93,34 +87,21 @@ def was_planned(answer: Answer) -> bool:
 
 @dataclass(frozen=True)
 class RecordedTick:
-    """A tick of the planner.
+    """A tick of the planner."""
 
-    Attributes:
-        stamp: of the odometry that it answers [ns].
-        sent: when its first message was sent, by the clock of the inputs [ns].
-        answer: what its messages hold.
-    """
-
-    stamp: int
-    sent: int
-    answer: Answer
+    stamp: int  # of the odometry that it answers [ns]
+    sent: int  # when its first message was sent, by the clock of the inputs [ns]
+    answer: Answer  # what its messages hold
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What a bag holds of one planner.
+    """What a bag holds of one planner."""
 
-    Attributes:
-        path: of the bag.
-        namespace: of the vehicle, such as ``/uav1``.
-        inputs: in the order in which they were sent.
-        answers: in the order in which they were sent.
-    """
-
-    path: Path
-    namespace: str
-    inputs: tuple[Input, ...]
-    answers: tuple[RecordedTick, ...]
+    path: Path  # of the bag
+    namespace: str  # of the vehicle, such as ``/uav1``
+    inputs: tuple[Input, ...]  # in the order in which they were sent
+    answers: tuple[RecordedTick, ...]  # in the order in which they were sent
 
     @property
     def received(self) -> int:

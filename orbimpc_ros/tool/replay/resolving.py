@@ -33,19 +33,12 @@ from orbimpc_ros.tool.replay.recording import (
 
 @dataclass(frozen=True)
 class ReplayedTick:
-    """A tick made anew.
+    """A tick made anew."""
 
-    Attributes:
-        recorded: what was answered then.
-        messages: what is answered now, by topic.
-        refusals: complaints of the validators about the inputs since the tick before.
-        decision: behind the messages.
-    """
-
-    recorded: RecordedTick
-    messages: Messages
-    refusals: tuple[str, ...]
-    decision: Decision
+    recorded: RecordedTick  # what was answered then
+    messages: Messages  # what is answered now, by topic
+    refusals: tuple[str, ...]  # complaints of the validators about the inputs since the tick before
+    decision: Decision  # behind the messages
 
 
 def replayed(

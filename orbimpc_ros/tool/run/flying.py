@@ -18,7 +18,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
 from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Interruptions, Process
+from orbimpc_ros.tool.run.processes import Process, interruptions
 from orbimpc_ros.tool.run.progress import ProgressLine
 from orbimpc_ros.tool.run.recorder import Recorder
 from orbimpc_ros.tool.settings import Values
@@ -42,7 +42,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
         own: of a fleet: values that differ from one namespace, such as ``/uav1``, to another.
 
     Raises:
-        ProcessFailure: a node has failed.
+        OrbimpcError: a node has failed.
         KeyboardInterrupt: somebody asked to stop; the bag is complete up to then.
     """
     parameters, namespaces = folder / 'parameters.yaml', tuple(own) or ('',)
@@ -51,13 +51,13 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {shown(folder)}')
     planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
-    with Interruptions() as interruptions:
+    with interruptions() as received:
         with (
             _processes(namespaces, parameters, folder) as nodes,
             closing(Recorder(folder / 'bag', topics_of(namespaces), notes, planners)) as recorder,
         ):
-            _watch(nodes, recorder, interruptions, values)
-        if interruptions.requested:
+            _watch(nodes, recorder, received, values)
+        if received:
             raise KeyboardInterrupt
 
 
@@ -84,7 +84,7 @@ def _processes(
 def _watch(
     nodes: Mapping[str, Mapping[str, Process]],
     recorder: Recorder,
-    interruptions: Interruptions,
+    received: Sequence[int],
     values: Values,
 ) -> None:
     """Record until the simulators are done or somebody asks to stop."""
@@ -92,7 +92,7 @@ def _watch(
     progress, pacer = ProgressLine(values['max_ticks']), None
     if values['clock'] == 'shared':
         pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
-    while not interruptions.requested:
+    while not received:
         flying = [namespace for namespace, sim in sims.items() if sim.running]
         if not flying:
             break
@@ -108,7 +108,7 @@ def _watch(
     recorder.drain(QUIET, LAST_WORDS)
     for namespace, sim in sims.items():
         # A simulator that has come to its end reports it, whether it caught anything or not.
-        if not interruptions.requested and not recorder.counts[f'{namespace}/captured']:
+        if not received and not recorder.counts[f'{namespace}/captured']:
             sim.require_health()
 
 

@@ -13,13 +13,12 @@ import runpy
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.ros.entry import leave_at_signals
+from orbimpc_ros.ros.entry import SIGNALS, leave_at_signals
 
 PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 PROGRAM = '--program'  # instead of a module: its path and arguments follow
@@ -27,21 +26,20 @@ PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
 
 
-class ProcessFailure(OrbimpcError):
-    """A process of the run ended when it should not have."""
-
-
 class Child:
     """A process of its own, which ends with this one, however that ends.
 
     Args:
+        name: for complaints.
         words: the module to run with its arguments, or :data:`PROGRAM`, a program and its own.
         log: takes what the process prints.
         domain: of ROS; this process's by default.
     """
 
-    def __init__(self, words: Sequence[str], log: Path, domain: int | None = None) -> None:
-        self._log = log
+    def __init__(
+        self, name: str, words: Sequence[str], log: Path, domain: int | None = None
+    ) -> None:
+        self._name, self._log = name, log
         tethered = [sys.executable, '-m', __spec__.name, str(os.getpid())]
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
@@ -67,6 +65,16 @@ class Child:
         """Return whether the process lives."""
         return self._child.poll() is None
 
+    def require_health(self) -> None:
+        """Raise unless the process lives or has ended well.
+
+        Raises:
+            OrbimpcError: with the last lines of its log.
+        """
+        if self._child.poll():
+            print('\n'.join(self.output.splitlines()[-LAST_LINES:]), file=sys.stderr)
+            raise OrbimpcError(f'{self._name} ended with code {self._child.returncode}')
+
     def wait(self, patience: float) -> int | None:
         """Return the exit code; None if the process has not ended after ``patience`` [s]."""
         try:
@@ -76,12 +84,11 @@ class Child:
 
     def stop(self, number: int = signal.SIGINT) -> None:
         """Ask the process to end by a signal; kill it if it does not."""
-        if not self.running:
-            return
-        self.tell(number)
-        if self.wait(PATIENCE) is None:
-            self._child.kill()
-            self._child.wait()
+        if self.running:
+            self.tell(number)
+            if self.wait(PATIENCE) is None:
+                self._child.kill()
+                self._child.wait()
 
 
 class Process(Child):
@@ -103,41 +110,24 @@ class Process(Child):
         domain: int | None = None,
         namespace: str = '',
     ) -> None:
-        self.name = module.rpartition('.')[2]
         remapped = ['-r', f'__ns:={namespace}'] if namespace else []
         words = [module, '--ros-args', '--params-file', str(parameters), *remapped]
-        super().__init__(words, log, domain)
-
-    def require_health(self) -> None:
-        """Raise unless the process lives or has ended well.
-
-        Raises:
-            ProcessFailure: with the last lines of its log.
-        """
-        if self._child.poll():
-            lines = self.output.splitlines()[-LAST_LINES:]
-            print('\n'.join(lines), file=sys.stderr)
-            raise ProcessFailure(f'{self.name} ended with code {self._child.returncode}')
+        super().__init__(module.rpartition('.')[2], words, log, domain)
 
 
-class Interruptions:
-    """While entered, SIGINT and SIGTERM are remembered instead of breaking in anywhere."""
-
-    def __init__(self) -> None:
-        self.requested = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Interruptions:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._remember)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+@contextmanager
+def interruptions() -> Iterator[list[int]]:
+    """Remember SIGINT and SIGTERM instead of having them break in; yield those that have come."""
+    received: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _frame: received.append(number))
+        for number in SIGNALS
+    }
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
             signal.signal(number, handler)
-
-    def _remember(self, number: int, frame: FrameType | None) -> None:
-        self.requested = True
 
 
 def tether(parent: int) -> None:

@@ -117,7 +117,7 @@ def _fly(
     flown: dict[tuple[str, int], Row], jobs: Sequence[Job], file: Path, args: argparse.Namespace
 ) -> None:
     """Fly the flights that are lacking; each is kept as soon as it is over."""
-    from orbimpc_ros.tool.run.processes import Interruptions
+    from orbimpc_ros.tool.run.processes import interruptions
     from orbimpc_ros.tool.run.progress import ProgressLine
     from orbimpc_ros.tool.study.flights import each_flown, key_of, workers
 
@@ -125,12 +125,12 @@ def _fly(
     total = done + len(jobs)
     progress = ProgressLine(total)
     with (
-        Interruptions() as interruptions,
+        interruptions() as received,
         workers(args.cluster, args.workers) as pool,
         file.open('a', buffering=1) as out,
     ):
         progress.show(done, f'{done} of {total} flights')
-        for row in each_flown(pool, jobs, lambda: not interruptions.requested):
+        for row in each_flown(pool, jobs, lambda: not received):
             flown[key_of(row)] = row
             out.write(json.dumps(row) + '\n')
             done += 1

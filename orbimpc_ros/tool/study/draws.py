@@ -47,21 +47,13 @@ LARGEST_SEED = 2**31 - 1
 
 @dataclass(frozen=True)
 class Draws:
-    """What is flown.
+    """What is flown."""
 
-    Attributes:
-        name: of the file.
-        about: the task, in one line.
-        values: the parameters that all flights have in common.
-        rules: how a flight draws a parameter, by its name.
-        margin: by how much larger than they are bodies in the traffic are reported [m].
-    """
-
-    name: str
-    about: str
-    values: Values
-    rules: Mapping[str, Rule]
-    margin: float = 0.0
+    name: str  # of the file
+    about: str  # the task, in one line
+    values: Values  # the parameters that all flights have in common
+    rules: Mapping[str, Rule]  # how a flight draws a parameter, by its name
+    margin: float = 0.0  # by how much larger than they are bodies in the traffic are reported [m]
 
     def of(self, seed: int, index: int) -> Values:
         """Return all parameters of a flight; each drawn one has a random stream of its own."""

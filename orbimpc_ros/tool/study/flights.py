@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import planner_of
-from orbimpc_ros.sim.engines import EngineFailure, Guided
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
@@ -44,27 +44,15 @@ BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not i
 _made: dict[str, Planner] = {}  # the last controller, by its settings: making one takes long
 
 
-class FlightFailure(OrbimpcError):
-    """A flight ended with an error instead of a result."""
-
-
 @dataclass(frozen=True)
 class Job:
-    """A flight to be flown.
+    """A flight to be flown."""
 
-    Attributes:
-        study: its name, by which baselines find what they were tuned to.
-        controller: :data:`OURS`, or the name of a baseline.
-        index: of the flight.
-        values: of all parameters, drawn ones included.
-        margin: by how much larger than they are bodies in the traffic are reported [m].
-    """
-
-    study: str
-    controller: str
-    index: int
-    values: dict[str, Any]
-    margin: float = 0.0
+    study: str  # its name, by which baselines find what they were tuned to
+    controller: str  # :data:`OURS`, or the name of a baseline
+    index: int  # of the flight
+    values: dict[str, Any]  # of all parameters, drawn ones included
+    margin: float = 0.0  # by how much larger than they are bodies in the traffic are reported [m]
 
 
 def flown(job: Job) -> Row:
@@ -132,10 +120,10 @@ def baselines() -> Any:
 
 def _steer(flight: Flight) -> None:
     """Have the engine's own guidance fly to where the goal is now."""
-    vehicle = flight.vehicle
-    if not isinstance(vehicle.engine, Guided):
+    steer_to = getattr(flight.vehicle.engine, 'steer_to', None)
+    if steer_to is None:
         raise BadInput('--controllers', WAYPOINT, 'an engine with a guidance of its own')
-    vehicle.engine.steer_to(flight.goal)
+    steer_to(flight.goal)
 
 
 def _of_way(way: Sequence[Flight]) -> Row:
@@ -230,7 +218,7 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
     """Yield the rows of flights as they come in, as long as ``going()``.
 
     Raises:
-        FlightFailure: a flight ended with an error, or its process did.
+        OrbimpcError: a flight ended with an error, or its process did.
     """
     pending: set[Future[Row]] = {pool.submit(flown, job) for job in jobs}
     try:
@@ -243,7 +231,7 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
                     raise
                 except Exception as error:  # whatever a worker, or the way to it, came to
                     why = f'a flight failed: {type(error).__name__}: {error}'
-                    raise FlightFailure(why) from error
+                    raise OrbimpcError(why) from error
                 yield row
     finally:
         for future in pending:

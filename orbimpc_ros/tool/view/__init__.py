@@ -44,22 +44,22 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
     import rerun as rr
 
-    from orbimpc_ros.tool.run.processes import Interruptions
+    from orbimpc_ros.tool.run.processes import interruptions
     from orbimpc_ros.tool.view.server import served
 
     draw, recording = _drawing(args), rr.RecordingStream('orbimpc')
     recording.set_log_tick_enabled(False)  # nothing but the stamps of messages is time
     recording.set_log_time_enabled(False)
-    with Interruptions() as interruptions, served(args.port) as server:
-        print(f'page          {server.page} (Ctrl-C ends it)', flush=True)
+    with interruptions() as received, served(args.port) as (page, data, server):
+        print(f'page          {page} (Ctrl-C ends it)', flush=True)
         if not args.no_browser and _has_screen():
-            webbrowser.open(server.page)
+            webbrowser.open(page)
 
         def going() -> bool:
             server.require_health()
-            return not interruptions.requested
+            return not received
 
-        recording.connect_grpc(server.data)
+        recording.connect_grpc(data)
         try:
             draw(recording, going)
             while going():

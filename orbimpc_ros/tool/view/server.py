@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 from urllib.parse import quote
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
@@ -22,31 +21,11 @@ PATIENCE = 30.0  # [s] until the page is there
 LOOK = 0.05  # [s]
 
 
-class ServerFailure(OrbimpcError):
-    """The server has ended when it should not have."""
-
-
-class Server(NamedTuple):
-    """A page and its data, by their addresses, in a process that ends with this one."""
-
-    page: str
-    data: str
-    child: Child
-
-    def require_health(self) -> None:
-        """Raise if the server has ended.
-
-        Raises:
-            ServerFailure: with the last line that it printed.
-        """
-        if not self.child.running:
-            last = (self.child.output.splitlines() or ['nothing'])[-1]
-            raise ServerFailure(f"rerun's server has ended, its last words: {last}")
-
-
 @contextmanager
-def served(wanted: int | None) -> Iterator[Server]:
-    """Serve a page at a port, by default the usual one or any, and its data at any.
+def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
+    """Yield the address of a page, that of its data, and their server, which ends with this one.
+
+    The page is at the port that is wanted, by default the usual one or any; its data at any.
 
     Raises:
         BadInput: the port that is wanted is taken or none.
@@ -60,18 +39,19 @@ def served(wanted: int | None) -> Iterator[Server]:
     page = f'http://{HOST}:{port}/?url={quote(source, safe="")}'
     # The program itself, not the wheel's script: that would leave it behind when stopped.
     program = str(Path(rerun_cli.__file__).parent / 'rerun')
-    words = ('--serve-web', '--bind', HOST, '--hide-welcome-screen')
-    numbers = ('--port', str(data), '--web-viewer-port', str(port))
+    words = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
+    numbers = ['--port', str(data), '--web-viewer-port', str(port)]
     with TemporaryDirectory() as place:
-        child = Child([PROGRAM, program, *words, *numbers], Path(place) / 'log')
+        words = [PROGRAM, program, *words, *numbers]
+        child = Child("rerun's server", words, Path(place) / 'log')
         try:
-            server, end = Server(page, source, child), time.monotonic() + PATIENCE
+            end = time.monotonic() + PATIENCE
             while _free(port) or _free(data):
-                server.require_health()
+                child.require_health()
                 if time.monotonic() > end:
-                    raise ServerFailure(f"no answer of rerun's server at {page}")
+                    raise OrbimpcError(f"no answer of rerun's server at {page}")
                 time.sleep(LOOK)
-            yield server
+            yield page, source, child
         finally:
             child.stop(signal.SIGTERM)
 

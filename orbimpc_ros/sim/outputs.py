@@ -1,0 +1,94 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A flight as messages: what is sensed of it, the future of its goal, markers of its world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped, Vector3
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from visualization_msgs.msg import Marker, MarkerArray
+
+from orbimpc_ros.loop.goal.motion import GoalObservation
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.traffic import centre, placed
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker, shown
+from orbimpc_ros.ros.messages import OK, WARN, Stamp, diagnostics, point, pose
+from orbimpc_ros.sim.world import Airspeeds, Flight
+
+
+def sensed(stamp: Stamp, content: Odometry | GoalObservation) -> tuple[str, Any]:
+    """Return the topic and the message of what a sensor has measured."""
+    if isinstance(content, Odometry):
+        return 'odom', messages.odometry_message(stamp, content)
+    return 'goal', messages.goal_message(stamp, content.position)
+
+
+def future(stamp: Stamp, flight: Flight, steps: int) -> Path:
+    """Return where the goal will be in so many steps from now."""
+    step, rope = flight.scenario.model.step, flight.scenario.rope
+    times = flight.elapsed + step * np.arange(steps + 1)
+    return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
+
+
+def transform(odometry: OdometryMessage) -> TransformStamped:
+    """Return odometry as a transform."""
+    message = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
+    place = odometry.pose.pose.position
+    message.transform.translation = Vector3(x=place.x, y=place.y, z=place.z)
+    message.transform.rotation = odometry.pose.pose.orientation
+    return message
+
+
+def truth(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> DiagnosticArray:
+    """Return the true state of a simulated vehicle at a time [ns], as a status of a name."""
+    vehicle, now = flight.vehicle, flight.vehicle.airspeed
+    values = {
+        'airspeed': now,
+        'least_airspeed': airspeeds.least,
+        'stalls': airspeeds.stalls,
+        'wind': vehicle.wind.tolist(),
+        'position': vehicle.position.tolist(),
+        'velocity': vehicle.velocity.tolist(),
+        'body_rate': vehicle.body_rate.tolist(),
+        'speed_fraction': vehicle.fraction,
+        'touched': sorted(flight.touched),
+        **vehicle.facts,
+    }
+    if airspeeds.stalled:
+        slow = f'stalled: {now:.3g} m/s, below {airspeeds.stall_speed:g} m/s'
+        return diagnostics(at, name, WARN, slow, values)
+    return diagnostics(at, name, OK, 'flies', values)
+
+
+def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
+    """Return the rope, as far as it catches, its swing, and the vehicle."""
+    model, radius = flight.scenario.model, flight.scenario.capture_radius
+    unit, side = model.forward * model.step, 2.0 * radius
+    rope = marker(stamp, 'rope', 0, Marker.SPHERE, ORANGE, model.step)
+    rope.scale = Vector3(x=side, y=side, z=side)
+    rope.pose.position = point(flight.goal)
+    swing = marker(stamp, 'rope', 1, Marker.LINE_STRIP, GREY, model.step)
+    swing.scale.x = LINE * unit
+    swing.points = [point(flight.scenario.rope.center), point(flight.goal)]
+    vehicle = marker(stamp, 'vehicle', 0, Marker.ARROW, BLUE, model.step)
+    vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
+    vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)
+    return MarkerArray(markers=[rope, swing, vehicle])
+
+
+def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> MarkerArray:
+    """Return the balls in the traffic where they are now, larger by a margin [m]."""
+    model, markers = flight.scenario.model, []
+    for k, each in enumerate(flight.scenario.traffic):
+        moved = each.moved(np.array([flight.elapsed]))[0]
+        ball = marker(stamp, 'traffic', k, Marker.SPHERE, RED, model.step)
+        shown(ball, placed(each.body, centre(each.body) + moved))
+        for axis in 'xyz'[: model.dimension]:
+            setattr(ball.scale, axis, getattr(ball.scale, axis) + 2.0 * margin)
+        markers.append(ball)
+    return MarkerArray(markers=markers)
