@@ -163,7 +163,6 @@ class SimSettings(VehicleParameters):
         """Return how many readers to wait for, by topic, beside planner and simulator."""
         return wanted_readers(self.given_wait_for)
 
-    @cached_property
     @property
     def begin(self) -> float:
         """Return the time at which a flight begins [s]: no stamp is ever negative."""
