@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -263,13 +264,9 @@ def main() -> int:
         'airframe path wind follower | met of, touched met [s] | mean p95 [m] | stalls | away [m]'
     )
     with ProcessPoolExecutor(max_workers=1) as pool:
-        for airframe in given.airframes:
-            for shape in given.shapes:
-                for wind in given.winds:
-                    for name in given.names:
-                        fly = partial(flight, airframe, shape, wind, name)
-                        rows = list(pool.map(fly, seeds))
-                        _show(f'{airframe} {shape} {wind:g} {name}', rows)
+        for row in product(given.airframes, given.shapes, given.winds, given.names):
+            airframe, shape, wind, name = row
+            _show(f'{airframe} {shape} {wind:g} {name}', [*pool.map(partial(flight, *row), seeds)])
     return 0
 
 

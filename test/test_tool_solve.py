@@ -123,6 +123,7 @@ def test_yaml_reads_like_json(solve):
 
 
 NAN = float('nan')
+# What files may have beside values that are out of range: those are refused like anybody's.
 BAD = {
     'missing horizon': ({'horizon': ...}, 'horizon'),
     'missing weights': ({'weights': ...}, 'weights'),
@@ -139,27 +140,13 @@ BAD = {
     'floor is a list': ({'floor.shape': ['none']}, 'floor.shape'),
     'unknown terminal': ({'terminal': 'soft'}, 'penalty | constraint'),
     'terminal is a list': ({'terminal': []}, 'penalty | constraint'),
-    'dimension 4': ({'dimension': 4}, '[2, 3]'),
-    'rotation order 3': ({'rotation_order': 3}, '[1, 2]'),
-    'translation order 0': ({'translation_order': 0}, '[1, 2]'),
-    'horizon 0': ({'horizon': 0}, 'horizon'),
-    'horizon 2.5': ({'horizon': 2.5}, 'horizon'),
     'horizon is a word': ({'horizon': 'five'}, 'horizon'),
-    'horizon is true': ({'horizon': True}, 'horizon'),
-    'step 0': ({'step': 0.0}, 'step'),
-    'step 1e-300': ({'step': 1e-300}, 'step'),
-    'forward 1e-300': ({'forward': 1e-300}, 'forward'),
-    'no rotation': ({'state': {'position': [0, 0], 'rotation': [[1, 0], [0, -1]]}}, 'rotation'),
-    'forward negative': ({'forward': -1.0}, 'forward'),
     'NaN weight': ({'weights.input': NAN}, 'weights.input'),
-    'negative weight': ({'weights.input': -1.0}, 'weights.input'),
     'weight is null': ({'weights.input': None}, 'weights.input'),
-    'NaN position': ({'state.position': [NAN, 0.0]}, 'state.position'),
     'infinite position': ({'state.position': [float('inf'), 0.0]}, 'state.position'),
     'absurd position': ({'state.position': [1e300, 0.0]}, 'state.position'),
     'absurd whole number': ({'state.position': [10**400, 0]}, 'state.position'),
     'position in words': ({'state.position': ['0', '0']}, 'state.position'),
-    'position too long': ({'state.position': [0.0, 0.0, 0.0]}, 'state.position'),
     'position ragged': ({'state.position': [0.0, [0.0]]}, 'state.position'),
     'position a mapping': ({'state.position': {'x': 0}}, 'state.position'),
     'NaN goal': ({'goal': [NAN, 0.0]}, 'goal'),
@@ -167,22 +154,14 @@ BAD = {
     'goals too few': ({'goal': [[0.0, 0.0]] * 4}, 'goal'),
     'goals ragged': ({'goal': [[0.0, 0.0]] * 4 + [[0.0]]}, 'goal'),
     'NaN rotation': ({'state.rotation': [[NAN, 0.0], [0.0, 1.0]]}, 'state.rotation'),
-    'rotation outside': ({'state.rotation': [[1.1, 0.0], [0.0, 1.1]]}, 'conv SO(2)'),
-    'rotation reflected': ({'state.rotation': [[1.0, 0.0], [0.0, -1.0]]}, 'state.rotation'),
     'rotation a number': ({'state.rotation': 1.0}, 'state.rotation'),
     'velocity at order 1': ({'state.velocity': [0.0, 0.0]}, 'velocity'),
-    'floor above the square': ({'floor.fraction': 0.71}, 'floor.fraction'),
     'floor above the triangle': (
         {'floor': {'shape': 'polygon', 'faces': 3, 'fraction': 0.51}},
         '0.5',
     ),
-    'floor of two faces': ({'floor.faces': 2}, 'floor.faces'),
-    'floor fraction 0': ({'floor.fraction': 0.0}, 'floor.fraction'),
-    'max_rate beyond half a turn': ({'max_rate': 4.0}, 'max_rate'),
     'obstacles not a list': ({'obstacles': {'min': [0, 0], 'max': [1, 1]}}, 'obstacles'),
     'obstacle without max': ({'obstacles': [{'min': [0.0, 0.0]}]}, 'max'),
-    'obstacle inside out': ({'obstacles': [{'min': [1.0, 0.0], 'max': [0.0, 1.0]}]}, 'obstacles'),
-    'obstacle in 3-D': ({'obstacles': [{'min': [0, 0, 0], 'max': [1, 1, 1]}]}, 'obstacles'),
     'corner cutting a word': ({'no_corner_cutting': 'yes'}, 'no_corner_cutting'),
 }
 
