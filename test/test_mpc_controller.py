@@ -10,11 +10,10 @@ from stepping import Stepped
 
 from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
-from orbimpc_ros.loop.planner import FALLBACK_TICKS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, command_of
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Problem, State
@@ -117,33 +116,6 @@ def flown(controller, count):
         attitude = attitude @ exp(tick.command.body_rate)
         speed = tick.command.speed_fraction
     return odometry(tuple(position), attitude.copy(), speed, time=float(count))
-
-
-@pytest.mark.parametrize(
-    ('error', 'status'), [(Infeasible('walled in'), 'infeasible'), (SolverFailure('no'), 'failed')]
-)
-def test_without_a_plan_the_shifted_one_serves_twice_then_the_vehicle_stops(
-    monkeypatch, error, status
-):
-    controller = Stepped(Problem())
-    measured = flown(controller, 3)
-
-    def fail(*_args, **_kwargs):
-        raise error
-
-    monkeypatch.setattr(Solver, 'solve', fail)
-    ticks = []
-    for _ in range(FALLBACK_TICKS + 2):
-        tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
-        ticks.append(tick)
-        turned = measured.attitude @ exp(tick.command.body_rate)
-        position = measured.position + measured.body_velocity[0] * measured.attitude[:, 0]
-        measured = odometry(tuple(position), turned, tick.command.speed_fraction)
-    assert all(t.status == status and t.reason == str(error) for t in ticks)
-    expected = ['shifted plan'] * FALLBACK_TICKS + ['safe command'] * 2
-    assert [t.fallback for t in ticks] == expected
-    assert ticks[-1].command.speed_fraction == 0.0
-    assert ticks[-1].plan is None
 
 
 def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):

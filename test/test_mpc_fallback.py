@@ -10,28 +10,36 @@ from test_mpc_controller import flown, odometry
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal, reach
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
-def failing(monkeypatch):
+def failing(monkeypatch, error):
     def fail(*_args, **_kwargs):
-        raise SolverFailure('no')
+        raise error
 
     monkeypatch.setattr(Solver, 'solve', fail)
 
 
+@pytest.mark.parametrize(
+    ('error', 'status'), [(Infeasible('walled in'), 'infeasible'), (SolverFailure('no'), 'failed')]
+)
 @pytest.mark.parametrize(('horizon', 'stand_ins'), [(1, 0), (2, 1), (3, 2), (5, 2)])
-def test_a_plan_is_never_followed_past_its_horizon(monkeypatch, horizon, stand_ins):
+def test_without_a_plan_the_one_before_serves_twice_and_never_past_its_horizon(
+    monkeypatch, horizon, stand_ins, error, status
+):
     controller = Stepped(Problem(horizon=horizon))
     goals = np.tile([9.0, 3.0], (horizon, 1))
     controller.tick(odometry(), goals)
-    failing(monkeypatch)
-    fallbacks = [controller.tick(odometry(), goals).fallback for _ in range(4)]
-    assert fallbacks == ['shifted plan'] * stand_ins + ['safe command'] * (4 - stand_ins)
+    failing(monkeypatch, error)
+    ticks = [controller.tick(odometry(), goals) for _ in range(4)]
+    assert {(tick.status, tick.reason) for tick in ticks} == {(status, str(error))}
+    fallbacks = ['shifted plan'] * stand_ins + ['safe command'] * (4 - stand_ins)
+    assert [tick.fallback for tick in ticks] == fallbacks
+    assert (ticks[-1].plan, ticks[-1].command.speed_fraction) == (None, 0.0)
 
 
 def test_without_a_goal_the_last_plan_is_held_and_then_the_vehicle_stops():

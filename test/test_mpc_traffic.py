@@ -9,7 +9,6 @@ import pytest
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.traffic import (
     FORGOTTEN,
-    MOST,
     AgentTrajectory,
     Bodies,
     Distance,
@@ -106,19 +105,6 @@ def test_what_comes_again_changes_nothing_and_what_contradicts_is_refused():
     with pytest.raises(BadInput, match='reordered stamp'):
         bodies.see(seen(0.5, disc(1.0, 0.0)), FASTEST)
     np.testing.assert_allclose(at(moved(bodies, 1.0)[0], 1.0), [0.0, 0.0])
-
-
-def test_there_may_be_so_many_bodies_and_no_more():
-    bodies = Bodies()
-    for number in range(MOST):
-        bodies.see(seen(1.0, disc(float(number), 0.0), f'a/{number}'), FASTEST)
-    with pytest.raises(BadInput, match='count'):
-        bodies.see(seen(1.0, disc(0.0, 0.0), 'a/more'), FASTEST)
-    bodies.remove('a/3')
-    bodies.remove('a/3')
-    bodies.see(seen(1.0, disc(0.0, 0.0), 'a/more'), FASTEST)
-    bodies.clear()
-    assert not moved(bodies, 1.0)
 
 
 # --- tracks

@@ -11,7 +11,7 @@ from scenarios import model_of
 from stepping import Stepped
 
 from orbimpc_ros.loop.compensation import Compensator, Interval, advanced
-from orbimpc_ros.loop.fallback import decided, safe_command
+from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
@@ -129,14 +129,6 @@ def test_what_tilts_too_far_to_be_carried_is_thrust_least_astray():
         ]
         assert left[0] <= min(left) + 1e-9
     assert safe_command('hover', problem, UP, 0.0).speed_fraction == 0.0  # nothing to carry
-
-
-def test_automatic_is_to_hover_only_where_there_is_weight_and_thrust():
-    craft = Problem(3, 1, 2, forward=20.0)
-    assert decided('auto', craft, 9.81) == 'hover'
-    assert decided('auto', craft) == 'stop'
-    assert decided('stop', craft, 9.81) == 'stop'
-    assert decided('auto', Problem(floor=Floor('circle')), 9.81) == 'loiter'
 
 
 def test_a_vehicle_without_plans_hovers_above_its_least_thrust():

@@ -210,7 +210,11 @@ def test_no_safe_command_goes_below_the_floor_or_beyond_a_limit(n, shape, kind):
             assert beyond.max() >= problem.floor.fraction - 1e-9
 
 
-def test_with_a_floor_the_safe_command_circles_unless_a_stop_is_asked_for():
+def test_the_safe_command_circles_with_a_floor_and_hovers_under_gravity_unless_it_is_given():
+    craft = {'dimension': 3, 'translation_order': 2, 'forward': 20.0}
+    assert settings(**craft).safe_command == 'stop'
+    assert settings(**craft, gravity=9.81).safe_command == 'hover'
+    assert settings(**craft, gravity=9.81, safe_command='stop').safe_command == 'stop'
     for shape, order, given, wanted in (
         ('none', 1, 'auto', 'stop'),
         ('circle', 1, 'auto', 'loiter'),

@@ -237,8 +237,8 @@ class Interception:
         Without a catch, None and None. Where the catch that was flown towards has just been lost by
         little, it is the task of the nearest miss, without a time.
         """
-        rest = self._flown_on(query)  # takes no search, whatever time is left
-        kept = rest if rest.miss <= self._radius else self._kept(query, rest)
+        # Past the horizon that takes a search, which comes first; elsewhere it may not be needed.
+        held = self._held(query) if query.expected > self._horizon else None
         best, bound, counted = self._in_view(query)
         near = self._radius < best.miss <= GRAZE * self._radius
         goals = self._goals(query, self._horizon)
@@ -247,10 +247,11 @@ class Interception:
         if near and 0 < query.expected <= self._horizon:
             return best.task, best.answer, never
         if best.miss > self._radius:  # not even nearly
+            rest, kept = held or self._held(query)
             best = self._sooner(query, kept) if kept.plan else self._beyond(query)
-        if best.plan is None:
-            lost = rest if rest.miss <= GRAZE * self._radius else MISSED
-            return lost.task, lost.answer, never
+            if best.plan is None:
+                lost = rest if rest.miss <= GRAZE * self._radius else MISSED
+                return lost.task, lost.answer, never
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(query, best)
         if self._centred and self._is_well(best):
@@ -316,11 +317,17 @@ class Interception:
         miss = float(np.linalg.norm(self._off(query, Target(end), plan, goals)))
         return _Attempt(task, answer, end, miss)
 
-    def _kept(self, query: InterceptQuery, rest: _Attempt) -> _Attempt:
-        """Try to catch the goal past the horizon when it was to be caught so far, or nearly so."""
+    def _held(self, query: InterceptQuery) -> tuple[_Attempt, _Attempt]:
+        """Return what becomes of the goal when the plan before is flown on, and the catch to keep.
+
+        That is the same or, where it misses past the horizon, a new plan for about the same time.
+        """
+        rest = self._flown_on(query)
+        if rest.miss <= self._radius:
+            return rest, rest
         end = COARSEST * math.ceil(query.expected / COARSEST)
         anew = self._surely(query, end) if end <= self._last(query) else MISSED
-        return anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
+        return rest, anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
 
     def _beyond(self, query: InterceptQuery) -> _Attempt:
         """Try to catch the goal past the horizon.

@@ -21,7 +21,7 @@ class GoalObservation:
     attitude: Array | None = None  # shape (n, n); None where it has none in the plane
 
     def __post_init__(self) -> None:
-        sealed(self.position)
+        self.position.setflags(write=False)
 
 
 class GoalMotion(Protocol):
