@@ -26,9 +26,9 @@ from orbimpc_ros.ros.process import initialised
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
-FILES = 13  # from odometry to a command; the mathematics is one of them
-MATHEMATICS = 24  # files of formulas, solvers and checks that a tick of the retrieval calls
-HOPS = 50  # from file to file, the mathematics counting as one
+FILES = 12  # from odometry to a command; the mathematics is one of them
+MATHEMATICS = 21  # files of formulas, solvers and checks that a tick of the retrieval calls
+HOPS = 29  # from file to file, the mathematics counting as one
 FRAMES = Frames('odom', 'base_link')
 
 
@@ -74,10 +74,11 @@ def planner(unconfigured):
     executor.shutdown()
 
 
-def calls_on_the_way(node, executor):
-    """Return the file of each call from odometry to the command that answers it, in order."""
-    goal = node.create_publisher(PoseStamped, 'goal', 1)
-    odometry = node.create_publisher(Odometry, 'odom', 1)
+def calls_on_the_way(executor, goal, odometry):
+    """Return the file of each call from odometry to the command that answers it, in order.
+
+    ``goal`` and ``odometry`` are publishers: of several on a topic only one could be right.
+    """
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
     trace, sent, end = Trace(), 0.0, time.monotonic() + PATIENCE
     sys.setprofile(trace)
@@ -96,8 +97,11 @@ def calls_on_the_way(node, executor):
 
 
 def test_a_command_passes_few_files(planner):
-    calls_on_the_way(*planner)  # the first settles what is worked out once
-    calls = calls_on_the_way(*planner)
+    node, executor = planner
+    goal = node.create_publisher(PoseStamped, 'goal', 1)
+    odometry = node.create_publisher(Odometry, 'odom', 1)
+    calls_on_the_way(executor, goal, odometry)  # the first settles what is worked out once
+    calls = calls_on_the_way(executor, goal, odometry)
     files = list(dict.fromkeys(calls))
     assert files[0] == 'ros/lifecycle.py'  # the guard of every callback
     mathematics = [f for f in files if f.startswith('mpc/')]

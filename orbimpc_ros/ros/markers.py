@@ -22,7 +22,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from orbimpc_ros.loop.traffic import ObservedBody, centre
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.ros.messages import (
@@ -82,13 +81,11 @@ def read_obstacle(
     if marker.type not in KINDS:
         allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
         raise BadInput('type', marker.type, allowed)
-    there = placed(marker)
-    stamp, place = read_sighting(there, 3, frames)  # has the header and the pose of one
-    q = there.pose.orientation
-    unit = np.array([q.w, q.x, q.y, q.z])
-    turned = from_quaternion(unit / math.sqrt(unit @ unit), 3)
-    body = _body(marker.type, place.position, turned, _scale(marker.scale), dimension)
-    return stamp, ObservedBody(name, place.time, body, _lifetime(marker))
+    # It has the header and the pose of a sighting; no axis of it pushes.
+    stamp, seen = read_sighting(placed(marker), 3, Frames(frames.world))
+    assert seen.attitude is not None
+    body = _body(marker.type, seen.position, seen.attitude, _scale(marker.scale), dimension)
+    return stamp, ObservedBody(name, seen.time, body, _lifetime(marker))
 
 
 def stamp_of(message: MarkerArray) -> int:
