@@ -297,6 +297,7 @@ class Estimator:
         problem: gives the orders and the full speed or thrust.
         lag: of speed or thrust [s].
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        given: the disturbance that is known, shape (n,); None for none.
         measured: whether the measured speed is believed, through the air, not the commanded one.
 
     Attributes:
@@ -310,6 +311,7 @@ class Estimator:
         problem: Problem,
         lag: float = 0.0,
         velocity_source: str = 'ground',
+        given: Array | None = None,
         *,
         measured: bool = False,
     ) -> None:
@@ -317,6 +319,7 @@ class Estimator:
         self._noise = MEASURED if measured else usual
         self._problem, self._lag, self._as_measured = problem, lag, measured
         self._velocity_source = velocity_source
+        self._given = np.zeros(problem.dimension) if given is None else given
         self.reset()
 
     def reset(self) -> None:
@@ -342,8 +345,8 @@ class Estimator:
 
     @property
     def disturbance(self) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2] beyond the given one, shape (n,)."""
-        return np.array(self._estimate[-1])
+        """Return the wind [m/s] or acceleration [m/s^2], the given one included, shape (n,)."""
+        return np.asarray(self._given + self._estimate[-1])
 
     @property
     def _measured(self) -> tuple[float, ...]:
@@ -351,18 +354,15 @@ class Estimator:
         noise = self._noise
         return (noise.position**2, noise.velocity**2)[: 1 + self._problem.inertial]
 
-    def observe(self, odometry: Odometry, history: CommandHistory, given: Array) -> None:
-        """Take in a measurement; stamps that do not increase are passed over.
-
-        ``given`` is the disturbance that is known, shape (n,), here and below.
-        """
+    def observe(self, odometry: Odometry, history: CommandHistory) -> None:
+        """Take in a measurement; stamps that do not increase are passed over."""
         last = self._last
         if last is not None and odometry.time <= last.time:
             return
         self._last = odometry
         if history.is_empty and not self._problem.inertial:
-            self._begin(odometry, given)
-        moved = None if last is None else self._moved(last, odometry, history, given)
+            self._begin(odometry)
+        moved = None if last is None else self._moved(last, odometry, history)
         if moved is None:
             self._believe(odometry)
         else:
@@ -370,7 +370,7 @@ class Estimator:
             self._predict(moved, time)
             self._correct(odometry, time)
 
-    def hear(self, wind: WindReport, given: Array) -> None:
+    def hear(self, wind: WindReport) -> None:
         """Take in a reported wind, once; reports that follow soon add as little as they are new."""
         since = wind.time - self._reported
         if since <= 0.0:
@@ -378,7 +378,7 @@ class Estimator:
         self._reported = wind.time
         variance = wind.variance if wind.variance > 0.0 else UNSTATED
         variance *= max(1.0, ALIKE / since) / self._problem.forward**2
-        missed = wind.velocity - given - self._estimate[2]
+        missed = wind.velocity - self._given - self._estimate[2]
         self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
 
     def _learn(self, rows: Array, missed: Array, variances: Array) -> None:
@@ -393,9 +393,9 @@ class Estimator:
         # Joseph's form: symmetric and positive whatever is rounded.
         self._covariance = left @ self._covariance @ left.T + gain * variances @ gain.T
 
-    def limit(self, given: Array) -> str:
+    def limit(self) -> str:
         """Keep the whole disturbance within what the vehicle can work against; return if it is."""
-        problem, whole = self._problem, given + self._estimate[-1]
+        problem, given, whole = self._problem, self._given, self.disturbance
         known = REPORTED if self._reported > -math.inf else LARGEST
         size, most = float(np.linalg.norm(whole)), known * problem.forward
         most = max(most, float(np.linalg.norm(given)))
@@ -405,14 +405,14 @@ class Estimator:
         unit = 'm/s^2' if problem.inertial else 'm/s'
         return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
 
-    def _begin(self, odometry: Odometry, given: Array) -> None:
+    def _begin(self, odometry: Odometry) -> None:
         """Take the measured airspeed for that with which the first command finds the vehicle.
 
         Over ground it is known as well as the wind is, or as what the vehicle can fly.
         """
         least = self._problem.least_speed
         source, noise = self._velocity_source, self._noise.velocity
-        speed = airspeed(odometry, given + self._estimate[-1], source)
+        speed = airspeed(odometry, self.disturbance, source)
         self._begun = min(1.0, max(least, speed / self._problem.forward))
         if source == 'ground':
             noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
@@ -443,15 +443,13 @@ class Estimator:
             self._forget(row, variance)
         self.innovation, self.refused = 0.0, 0
 
-    def _moved(
-        self, last: Odometry, now: Odometry, history: CommandHistory, given: Array
-    ) -> Array | None:
+    def _moved(self, last: Odometry, now: Odometry, history: CommandHistory) -> Array | None:
         """Return what commands and the given disturbance did since, shape (1 or 2, n); or None."""
         time = now.time - last.time
         share = self._mean_share(last, now, history)
         if time > GAP or share is None:
             return None
-        ahead = _forward(self._problem, share)
+        given, ahead = self._given, _forward(self._problem, share)
         once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
         if not self._problem.inertial:
             return np.array([time * (last.attitude @ once + given)])
@@ -536,13 +534,13 @@ class Compensator:
         sideslip: bool = False,
     ) -> None:
         self._problem, self.response = problem, response or Response()
-        self._given = self.disturbance = given
+        self.disturbance = given
         self._velocity_source, self._sideslip = velocity_source, sideslip
         self.history = CommandHistory()
         self.due: Command | None = None
         self._estimator: Estimator | None = None
         if estimated:
-            known = problem, self.response.speed, velocity_source
+            known = problem, self.response.speed, velocity_source, given
             self._estimator = Estimator(*known, measured=sideslip)
 
     def start_afresh(self, *, wind: bool = False, commands: bool = False) -> None:
@@ -603,12 +601,11 @@ class Compensator:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""
         if self._estimator is None:
             return ''
-        given = np.zeros(self._problem.dimension) if self._given is None else self._given
-        self._estimator.observe(odometry, self.history, given)
+        self._estimator.observe(odometry, self.history)
         if wind is not None:
-            self._estimator.hear(wind, given)
-        limited = self._estimator.limit(given)
-        self.disturbance = given + self._estimator.disturbance
+            self._estimator.hear(wind)
+        limited = self._estimator.limit()
+        self.disturbance = self._estimator.disturbance
         return limited
 
     def _settled(self, measured: Odometry) -> Odometry:

@@ -327,13 +327,6 @@ class Planner:
         age, timeout = snapshot.odometry_age, self._timeouts[0]
         return Reason(Cause.ODOMETRY, f'odometry is {age:.2f} s old') if age > timeout else None
 
-    def _lost_goal(self, snapshot: Snapshot) -> str:
-        """Return why no goal can be planned for; empty if one can."""
-        if snapshot.goal is None:
-            return 'there is no goal'
-        age, timeout = snapshot.goal_age, self._timeouts[1]
-        return f'the goal is {age:.2f} s old' if age > timeout else ''
-
     def step(
         self, snapshot: Snapshot, now: float | None = None, late: Late | None = None
     ) -> Decision:
@@ -352,7 +345,11 @@ class Planner:
         start = self._compensator.start(snapshot.odometry, snapshot.latency, now, snapshot.wind)
         memory, time = self._memory, start.odometry.time
         hazards, left_out = self._hazards(snapshot, start.odometry)
-        passed, lost = self._passed(time), self._lost_goal(snapshot)
+        passed, lost = self._passed(time), ''
+        if snapshot.goal is None:
+            lost = 'there is no goal'
+        elif snapshot.goal_age > self._timeouts[1]:
+            lost = f'the goal is {snapshot.goal_age:.2f} s old'
         self._change_speed(passed)
         knots = self._begin(time, passed)
         if not lost:
