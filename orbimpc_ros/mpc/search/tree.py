@@ -55,7 +55,7 @@ VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
 MARGIN = 0.15  # of a sector: no part is narrower
-NODE = 300.0  # multiplications that a node costs besides those of its relaxation
+NODE, STEP = 1500.0, 350.0  # what a node costs beside its relaxation, and each step of it
 NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
 UNSETTLED = 1e-3  # [rad], the widest sector that arithmetic could not settle and is not cut either
@@ -570,7 +570,8 @@ def search(quad, ring, tolerance, tree, most, room, work):
             node = tree.heap[0]
             pop(tree.keys, tree.heap, counts[OPEN])
             counts[OPEN] -= 1
-            work = _solve_node(quad, ring, flat, tree, node, tolerance, room, work) - NODE
+            work = _solve_node(quad, ring, flat, tree, node, tolerance, room, work)
+            work -= NODE + STEP * len(flat)
             if counts[PROMISES] > 0:
                 status = PROMISING
     numbers[LEAST] = min(numbers[CLOSED], numbers[VALUE])
