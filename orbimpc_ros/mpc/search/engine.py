@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.best_first import PAUSED
@@ -28,12 +29,9 @@ from orbimpc_ros.mpc.search.tree import (
     MADE,
     MOST_ARCS,
     NODES,
-    PROMISING,
     VALUE,
     Tree,
     begin,
-    improve,
-    is_promising,
     number_leaves,
     search,
     tree_for,
@@ -45,6 +43,7 @@ ROOM = 600_000  # nodes times steps that there is memory for
 MOST = 20_000  # nodes of a search
 SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
 RANK = 1e-9  # share of the greatest weight from which on others count
+NONE: Array = np.zeros((0, 2))  # of guesses
 SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
 
 
@@ -137,28 +136,15 @@ class Engine:
         """
         quad, ring = self._posed.quadratic(request), self._posed.ring(request.state)
         tree, room = self._tree, self._room
-        if not begin(quad, ring, tree):
+        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+        guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
+        if not begin(quad, ring, tree, guess, room):
             raise Infeasible('no turn meets the cone of approach')
-        self._start(quad, ring, request)
         asked = quad, ring, self._tolerance, tree, self._most, room, SLICE
-        while (status := search(*asked)) in (PROMISING, PAUSED):
-            if status == PROMISING:
-                improve(quad, ring, tree, room)
+        while search(*asked) == PAUSED:
             if request.late or request.enough.met(self._found(quad)):
                 break
         return replace(self._found(quad), proof=proof_of(tree))
-
-    def _start(self, quad: Quadratic, ring: Ring, request: Request) -> None:
-        """Improve the guess, or the unconstrained optimum; else to go straight on."""
-        tree, guess = self._tree, request.guess
-        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
-        start = tree.start[0].copy() if guess is None else np.array(guess.x, order='C')
-        ahead = ring.entry * request.state.attitude[:, 0] * np.ones((len(start), 1))
-        for x in (start, ahead):
-            if tree.numbers[VALUE] < np.inf:
-                return
-            if is_promising(quad, ring, tree, x, tree.sectors[0], np.inf, self._room):
-                improve(quad, ring, tree, self._room)
 
     def _found(self, quad: Quadratic) -> Found:
         """Return the best of a search so far, with the bound that it has proved."""
