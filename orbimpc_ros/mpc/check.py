@@ -469,9 +469,9 @@ def _rotation_violations(
         return
     if np.abs(plan.projected[0] - state.attitude).max() > ORTHOGONAL:
         yield 'the first rotation is not the measured attitude'
-    if problem.rotation_order == 2 and state.coasted is not None:
-        if np.abs(plan.projected[1] - state.coasted).max() > ORTHOGONAL:
-            yield 'the second rotation is not where the body rate carries the first'
+    coasted = state.coasted if problem.rotation_order == 2 else None
+    if coasted is not None and np.abs(plan.projected[1] - coasted).max() > ORTHOGONAL:
+        yield 'the second rotation is not where the body rate carries the first'
     if strays.projected > TOLERANCE:
         yield f'a projected rotation strays {strays.projected:.2g} from its projection'
 
