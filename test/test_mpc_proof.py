@@ -322,6 +322,23 @@ def test_the_least_beyond_a_face_and_within_a_cone(seed):
     assert held_against(least, within, g, 0.0, 0.0) < 0.2
 
 
+@pytest.mark.parametrize('seed', range(25))
+def test_the_least_over_a_patch_within_a_cone(seed):
+    """Neither alone says as much."""
+    rng = np.random.default_rng([12, seed])
+    corners, angle = icosahedron()[rng.integers(20)], rng.uniform(0.3, 1.2)
+    units = rng.dirichlet(np.ones(3), size=40000) @ corners
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    axis = rng.dirichlet(np.ones(3)) @ corners  # of a cone that holds a part of the patch
+    axis /= np.linalg.norm(axis)
+    cone = np.array([*axis, math.cos(angle), math.sin(angle)])
+    within = units[units @ axis >= math.cos(angle)]
+    g = rng.normal(size=3)
+    alone = max(sets.in_patch(g, corners), sets.in_cone(g, cone, 3))
+    least = max(alone, sets.in_both(g, cone, corners))
+    assert held_against(least, within, g, 0.0, 0.0) < 0.05
+
+
 @pytest.mark.parametrize('seed', range(15))
 def test_the_least_over_the_orbitope(seed):
     rng = np.random.default_rng([11, seed])

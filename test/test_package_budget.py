@@ -7,16 +7,16 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    'orbimpc_ros': 37_210,
-    'orbimpc_ros/mpc': 19_422,
+    'orbimpc_ros': 37_346,
+    'orbimpc_ros/mpc': 19_561,
     'orbimpc_ros/loop': 4_062,
     'orbimpc_ros/ros': 5_018,
     'orbimpc_ros/sim': 3_146,
     'orbimpc_ros/tool': 5_388,
     'benchmarks': 4_130,
-    'test': 22_947,
+    'test': 22_964,
 }
-WORDS = {'docs': 23_388, 'README.md': 900}
+WORDS = {'docs': 23_450, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)

@@ -18,6 +18,7 @@ from orbimpc_ros.mpc.proof.arithmetic import (
     slack,
 )
 
+HALVINGS = 6  # of steps to what bounds directions in a patch and a cone the best
 TOLERANCE = 16  # times the slack of a slope, by which a direction may be outside
 
 
@@ -244,6 +245,42 @@ def steepest(sets, known, corners, k, g, n):
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             best = max(best, in_cone(g, sets.cones[q], n))
+            if part >= 0 and n == 3 and len(sets.faces) == 0:
+                best = max(best, in_both(g, sets.cones[q], corners))
+    return best
+
+
+@generic
+def in_patch_beyond(g, corners, axis, cosine, t):
+    """Return a lower bound of g . u over unit vectors u in a patch with a . u >= cos d.
+
+    For any t >= 0 it is t cos d more than the least of (g - t a) . u over the patch.
+    """
+    rest = g[0] - t * axis[0], g[1] - t * axis[1], g[2] - t * axis[2]
+    return in_patch(rest, corners) + t * cosine - slack(size_of(g, 3) + t)
+
+
+@generic
+def in_both(g, cone, corners):
+    """Return a lower bound of g . u over unit vectors u in a patch and in a cone.
+
+    That of any t is one, and they are concave in t: about the t at which the least over all
+    directions is on the rim of the cone, those of ever shorter steps are tried.
+    """
+    size, along = size_of(g, 3), g[0] * cone[0] + g[1] * cone[1] + g[2] * cone[2]
+    square = 0 * size
+    for c in range(3):
+        square = square + (g[c] - along * cone[c]) ** 2
+    t = along + root(square) * cone[3] / cone[4] if cone[4] > 0 else along
+    if not t > 0:
+        return -size
+    best, step = in_patch_beyond(g, corners, cone, cone[3], t), t / 2
+    for _ in range(HALVINGS):
+        for to in (t - step, t + step):
+            value = in_patch_beyond(g, corners, cone, cone[3], to)
+            if value > best:
+                best, t = value, to
+        step = step / 2
     return best
 
 

@@ -37,7 +37,7 @@ from orbimpc_ros.mpc.proof.flight import (
     controls_of,
     flown_by,
 )
-from orbimpc_ros.mpc.proof.limits import STEP, Body, Cone, Limits
+from orbimpc_ros.mpc.proof.limits import NO_LIMITS, STEP, Body, Cone, Limits
 from orbimpc_ros.mpc.proof.tree import POINTS
 
 NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
@@ -197,6 +197,7 @@ class Statement:
         self.width = width_of(problem)
         self._motion, self._blow = self._moved()
         self._costs = self._weighed()
+        self._root: Root | None = None
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
@@ -262,32 +263,32 @@ class Statement:
     def _begun(self, state: State) -> tuple[int, Rows]:
         """Return what R_1 may be, and what is known of a start."""
         problem, (blow, gust), n = self.problem, self._blow, self.problem.dimension
-        start = self._rows(np.zeros((8, self.width)))
-        disturbance, kind = self._rows(state.disturbance), FREE
-        start[VELOCITY, :n], start[WIND, :n] = self._rows(state.velocity), disturbance
-        start[BLOWN, :n], start[HASTENED, :n] = blow * disturbance, gust * disturbance
-        start[FIRST] = self._seen(state.rotation)
-        start[TIED] = start[FIRST]
+        known, kind = np.zeros((8, self.width)), FREE
+        known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
+        known[FIRST] = known[TIED] = self._seen(state.rotation)
         if state.wanted is not None:
-            start[WANTED] = self._seen(state.wanted)
+            known[WANTED] = self._seen(state.wanted)
         if problem.rotation_order == 2:
             kind = POINT if state.coasted is None else SEGMENT
-            turned = self._number(problem.step) * self._seen(state.rotation_rate)
-            start[DECIDED] = start[FIRST] + turned
-            if state.coasted is not None:
-                start[DECIDED] = self._seen(state.coasted)
+            known[DECIDED] = self._seen(state.rotation_rate if kind == POINT else state.coasted)
         elif problem.turns_are_angles:
-            start[TIED, :n] = self._rows(state.attitude[:, 0])
+            known[TIED, :n] = state.attitude[:, 0]
+        start = self._rows(known)
+        start[BLOWN, :n], start[HASTENED, :n] = blow * start[WIND, :n], gust * start[WIND, :n]
+        if kind == POINT:
+            start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         return kind, start
 
-    def _seen(self, rotation: Array) -> Rows:
+    def _seen(self, rotation: Any) -> Array:
         """Return the coordinates of a rotation, column by column, as far as the cost sees them."""
-        return self._rows(rotation.T.ravel()[: self.width])
+        return np.asarray(rotation.T.ravel()[: self.width])
 
     # --- what single steps are subject to
 
     def _rooted(self, state: State, limits: Limits, cones: Sequence[Cone]) -> Root:
         problem, number, count = self.problem, self._number, self.problem.horizon
+        if limits is NO_LIMITS and self._root is not None:
+            return self._root
         steps, change = np.arange(1, count + 1), number(2)
         turn, low, high = self._turned(state)
         span = self._rows(np.zeros((4, count)))
@@ -304,7 +305,10 @@ class Statement:
         aim, aside = number(0), number(-1)
         for each in cones if problem.dimension == 2 else ():  # of the approach, the only one
             aim, aside = number(math.atan2(each.axis[1], each.axis[0])), number(each.angle)
-        return Root(span, turn, change, aim, aside, self._patches, self._exchanged(limits))
+        root = Root(span, turn, change, aim, aside, self._patches, self._exchanged(limits))
+        if limits is NO_LIMITS and not (problem.max_rate or state.coasted is not None):
+            self._root = root  # which no state changes
+        return root
 
     @cached_property
     def _least(self) -> float:

@@ -71,6 +71,7 @@ class ProofTree(NamedTuple):
 
 INTEGERS = 'nodes', 'press_end', 'press_row'
 MULTIPLIERS = ('pull', 'slide', 'tether', 'share')
+INTEGER, FLOAT = np.dtype(np.int64), np.dtype(np.float64)
 NOTHING = np.zeros((0, 0, 0))  # of multipliers that are not used
 
 
@@ -100,16 +101,11 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
 def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
     """Return the tree of a problem as it was posed, from that of the same in natural units."""
     cost, force = units.cost, units.cost / units.length
-    timed = np.array([1.0, units.time])[: tree.pull.shape[1]]
-    return tree._replace(
-        shor=cost * tree.shor,
-        press=force * tree.press,
-        pull=force * tree.pull * timed[:, None],
-        slide=force * tree.slide,
-        tether=cost * tree.tether,
-        share=cost * tree.share,
-        meet=force * tree.meet,
-    )
+    timed = np.array([1.0, units.time])[: tree.pull.shape[1], None]
+    scales = {'shor': cost, 'press': force, 'pull': force * timed, 'slide': force}
+    scales |= {'tether': cost, 'share': cost, 'meet': force}
+    every = ((name, getattr(tree, name), scale) for name, scale in scales.items())
+    return tree._replace(**{name: scale * value for name, value, scale in every if value.size})
 
 
 def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
@@ -122,21 +118,29 @@ def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> boo
         width: d, how many coordinates of a rotation the cost sees.
         arrives: m, how many vectors an arrival is about.
     """
-    nodes, leaves = len(tree.nodes), len(tree.point)
-    shapes = {'nodes': (nodes, 5), 'at': (nodes,)}
-    shapes |= {'press_end': (leaves,), 'press_row': np.shape(tree.press)[:1]}
-    shapes |= {'press': np.shape(tree.press)[:1], 'shor': (leaves, horizon)}
-    shapes |= {'point': (leaves, horizon, width), 'meet': (leaves, n)}
-    shapes |= {'origins': (len(tree.origins),)}
-    if len(tree.origins) not in (0, horizon):
+    nodes, leaves, presses = len(tree.nodes), len(tree.point), np.shape(tree.press)[:1]
+    vectors = leaves, horizon, n
+    return (
+        nodes > 0
+        and len(tree.origins) in (0, horizon)
+        and _is(tree.nodes, INTEGER, (nodes, 5))
+        and _is(tree.press_end, INTEGER, (leaves,))
+        and _is(tree.press_row, INTEGER, presses)
+        and _is(tree.at, FLOAT, (nodes,))
+        and _is(tree.point, FLOAT, (leaves, horizon, width))
+        and _is(tree.shor, FLOAT, (leaves, horizon))
+        and _is(tree.press, FLOAT, presses)
+        and _is(tree.origins, FLOAT, (len(tree.origins),))
+        and _is(tree.pull, FLOAT, (leaves, arrives, n), optional=True)
+        and _is(tree.slide, FLOAT, (leaves, horizon, 3), optional=True)
+        and _is(tree.tether, FLOAT, vectors, optional=True)
+        and _is(tree.share, FLOAT, vectors, optional=True)
+        and _is(tree.meet, FLOAT, (leaves, n), optional=True)
+    )
+
+
+def _is(value: Any, kind: np.dtype, shape: tuple[int, ...], *, optional: bool = False) -> bool:
+    """Return whether something is an array of a kind and a shape, or none where it is optional."""
+    if not (isinstance(value, np.ndarray) and value.dtype == kind and value.flags.c_contiguous):
         return False
-    rows = {'pull': (arrives, n), 'slide': (horizon, 3), 'tether': (horizon, n)}
-    shapes |= {name: (leaves, *rows.get(name, (horizon, n))) for name in MULTIPLIERS}
-    for name, shape in shapes.items():
-        value, kind = getattr(tree, name), np.int64 if name in INTEGERS else np.float64
-        if not (isinstance(value, np.ndarray) and value.dtype == kind):
-            return False
-        optional = name in (*MULTIPLIERS, 'meet') and value.size == 0
-        if not (optional or value.shape == shape) or not value.flags.c_contiguous:
-            return False
-    return nodes > 0
+    return value.shape == shape or (optional and value.size == 0)

@@ -36,7 +36,7 @@ from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
-SLICE = 4000  # points of steps between two looks at the time: that takes 2 to 5 ms
+SLICE = 2000  # points of steps between two looks at the time: that takes 1 to 3 ms
 HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
 _depths, _bound = compiled(depths_of), compiled(tree_bound)
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
+from threading import get_ident
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.best_first import PAUSED
@@ -21,19 +24,16 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, ProofTree
-from orbimpc_ros.mpc.search.relax import Quadratic, room_for
+from orbimpc_ros.mpc.search.relax import Quadratic, Room, room_for
 from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import (
     LEAST,
     MADE,
     MOST_ARCS,
     NODES,
-    PROMISING,
     VALUE,
     Tree,
     begin,
-    improve,
-    is_promising,
     number_leaves,
     search,
     tree_for,
@@ -44,7 +44,9 @@ LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves 
 ROOM = 600_000  # nodes times steps that there is memory for
 MOST = 20_000  # nodes of a search
 SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
+SPACES = 4  # of so much memory that are kept: with threads, and with floors of many faces
 RANK = 1e-9  # share of the greatest weight from which on others count
+NONE: Array = np.zeros((0, 2))  # of guesses
 SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
 
 
@@ -102,13 +104,13 @@ class Engine:
     takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        steps = problem.horizon
+        steps = self._steps = problem.horizon
         self._posed, self._tolerance = Posed(problem), tolerance
         if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
             self._tolerance *= SETTLED
         self._most = min(MOST, ROOM // steps)
         parts = max(MOST_ARCS, problem.floor.faces)
-        self._tree, self._room = tree_for(steps, parts * self._most + 2), room_for(steps)
+        self._size = parts * ROOM + 2 * LONGEST
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
         with suppress(Infeasible):
@@ -136,37 +138,46 @@ class Engine:
             Infeasible: no turn leads to a last heading that is allowed.
         """
         quad, ring = self._posed.quadratic(request), self._posed.ring(request.state)
-        tree, room = self._tree, self._room
-        if not begin(quad, ring, tree):
-            raise Infeasible('no turn meets the cone of approach')
-        self._start(quad, ring, request)
-        asked = quad, ring, self._tolerance, tree, self._most, room, SLICE
-        while (status := search(*asked)) in (PROMISING, PAUSED):
-            if status == PROMISING:
-                improve(quad, ring, tree, room)
-            if request.late or request.enough.met(self._found(quad)):
-                break
-        return replace(self._found(quad), proof=proof_of(tree))
-
-    def _start(self, quad: Quadratic, ring: Ring, request: Request) -> None:
-        """Improve the guess, or the unconstrained optimum; else to go straight on."""
-        tree, guess = self._tree, request.guess
+        tree, room = _working_space(get_ident(), self._size, self._steps)
         # A copy: code for arrays that are read-only or strided would be compiled in a tick.
-        start = tree.start[0].copy() if guess is None else np.array(guess.x, order='C')
-        ahead = ring.entry * request.state.attitude[:, 0] * np.ones((len(start), 1))
-        for x in (start, ahead):
-            if tree.numbers[VALUE] < np.inf:
-                return
-            if is_promising(quad, ring, tree, x, tree.sectors[0], np.inf, self._room):
-                improve(quad, ring, tree, self._room)
+        guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
+        if not begin(quad, ring, tree, guess, room):
+            raise Infeasible('no turn meets the cone of approach')
+        asked = quad, ring, self._tolerance, tree, self._most, room, SLICE
+        while search(*asked) == PAUSED:
+            if request.late or request.enough.met(self._found(quad, tree)):
+                break
+        return replace(self._found(quad, tree), proof=proof_of(tree))
 
-    def _found(self, quad: Quadratic) -> Found:
+    def _found(self, quad: Quadratic, tree: Tree) -> Found:
         """Return the best of a search so far, with the bound that it has proved."""
-        numbers = self._tree.numbers
-        best = self._tree.best.copy() if numbers[VALUE] < np.inf else None
+        numbers = tree.numbers
+        best = tree.best.copy() if numbers[VALUE] < np.inf else None
         cost = float(numbers[VALUE]) + quad.constant
         bound = float(numbers[LEAST]) - self._posed.excess + quad.constant
-        return Found(best, cost, bound, int(self._tree.counts[NODES]))
+        return Found(best, cost, bound, int(tree.counts[NODES]))
+
+
+@lru_cache(maxsize=2 * LONGEST)
+def _working_space(thread: int, size: int, steps: int) -> tuple[Tree, Room]:
+    """Return what a search over N = ``steps`` steps works in.
+
+    Its nodes take the place of those of the search before it in this thread, which is over.
+    """
+    nodes, memory = size // steps, _memory(thread, size)
+    sectors, start, point = (
+        each[: nodes * steps].reshape(nodes, steps, -1)
+        for each in (memory.sectors, memory.start, memory.point)
+    )
+    own = tree_for(steps, 1)
+    made = memory._replace(best=own.best, speeds=own.speeds, turns=own.turns)
+    return made._replace(sectors=sectors, start=start, point=point), room_for(steps)
+
+
+@lru_cache(maxsize=SPACES)
+def _memory(thread: int, size: int) -> Tree:
+    """Return memory for nodes of so many steps in all."""
+    return tree_for(1, size)
 
 
 def proof_of(tree: Tree) -> ProofTree:

@@ -38,6 +38,7 @@ SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
 ROUNDS = 60
 PATIENCE = 6  # rounds between two looks at whether the bound still rises
 KEY, TAKEN, BEFORE = range(3)  # of a node: its bound; rounds; its bound at the last look
+MIXING = 5e3  # multiplications that it takes to mix points, and to share out what they weigh
 FEW = 2  # rank of a Hessian up to which points are mixed
 MIXED = 2 * FEW + 1  # points
 PASSES, STILL = 50, 1e-9  # over their shares; and by how much less than this they do not move
@@ -434,7 +435,7 @@ def relax(quad, curvatures, node, limits, room, work):
                 _mix(quad, z, taken, room)
             elif turn == 0:
                 _newton(quad, z, cost, room)
-        work -= 10.0 * count * count + (0.0 if mixes else count**3)
+        work -= 10.0 * count * count + (MIXING if mixes else count**3)
         known[TAKEN] += 1.0
         if known[TAKEN] % PATIENCE == 0.0:  # as high as rounding lets it be, or nearly
             if known[TAKEN] >= ROUNDS or known[KEY] - known[BEFORE] < 0.1 * (cost - known[KEY]):

@@ -49,13 +49,12 @@ from orbimpc_ros.mpc.search.ring import (
     prox,
 )
 
-PROMISING = 3  # a search ends with that, too: see :func:`search`
 MADE, OPEN, NODES, STALLS, STARTS, PROMISES = range(6)  # in Tree.counts
 VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
 MARGIN = 0.15  # of a sector: no part is narrower
-NODE = 300.0  # multiplications that a node costs besides those of its relaxation
+NODE, STEP = 1500.0, 350.0  # what a node costs beside its relaxation, and each step of it
 NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
 UNSETTLED = 1e-3  # [rad], the widest sector that arithmetic could not settle and is not cut either
@@ -189,28 +188,6 @@ def _set_leaf(tree, node, key):
     for i in range(5):
         tree.nodes[node, i] = 0
     tree.known[node, KEY], tree.known[node, TAKEN], tree.known[node, BEFORE] = key, 0.0, -np.inf
-
-
-@compiled
-def begin(quad, ring, tree):
-    """Begin a search with its root; return whether there is anything in it."""
-    counts, numbers, start = tree.counts, tree.numbers, tree.start[0]
-    for i in range(len(counts)):
-        counts[i] = 0
-    counts[MADE] = 1
-    numbers[VALUE], numbers[CLOSED], numbers[LEAST] = np.inf, np.inf, -np.inf
-    for k in range(len(start)):
-        start[k, 0] = start[k, 1] = 0.0
-        for j in range(len(start)):
-            start[k, 0] -= quad.inverse[k, j] * quad.q[j, 0]
-            start[k, 1] -= quad.inverse[k, j] * quad.q[j, 1]
-    copy_to(tree.point[0], start)
-    _set_leaf(tree, 0, -np.inf)
-    if not set_reachable(ring, tree.sectors[0]):
-        return False
-    push(tree.keys, tree.heap, 0, -np.inf, 0)
-    counts[OPEN] = 1
-    return True
 
 
 @compiled
@@ -497,6 +474,44 @@ def improve(quad, ring, tree, room):
         _take(quad, tree, z)
 
 
+@compiled
+def begin(quad, ring, tree, guess, room):
+    """Begin a search with its root, and with what is near the best known.
+
+    That is the guess, shape (N, 2), or the unconstrained optimum where there is none, shape (0, 2);
+    else to go straight on.
+
+    Returns:
+        Whether there is anything in the root.
+    """
+    counts, numbers, start, ahead = tree.counts, tree.numbers, tree.start[0], room.other
+    for i in range(len(counts)):
+        counts[i] = 0
+    counts[MADE] = 1
+    numbers[VALUE], numbers[CLOSED], numbers[LEAST] = np.inf, np.inf, -np.inf
+    for k in range(len(start)):
+        start[k, 0] = start[k, 1] = 0.0
+        for j in range(len(start)):
+            start[k, 0] -= quad.inverse[k, j] * quad.q[j, 0]
+            start[k, 1] -= quad.inverse[k, j] * quad.q[j, 1]
+    copy_to(tree.point[0], start)
+    _set_leaf(tree, 0, -np.inf)
+    if not set_reachable(ring, tree.sectors[0]):
+        return False
+    push(tree.keys, tree.heap, 0, -np.inf, 0)
+    counts[OPEN] = 1
+    near = guess if len(guess) > 0 else start
+    if is_promising(quad, ring, tree, near, tree.sectors[0], np.inf, room):
+        improve(quad, ring, tree, room)
+    if numbers[VALUE] == np.inf:
+        for k in range(len(ahead)):
+            ahead[k, 0] = ring.entry * np.cos(ring.first)
+            ahead[k, 1] = ring.entry * np.sin(ring.first)
+        if is_promising(quad, ring, tree, ahead, tree.sectors[0], np.inf, room):
+            improve(quad, ring, tree, room)
+    return True
+
+
 @inlined
 def _choose(quad, ring, tree, node, status, room):
     """Use what a relaxation found; return what to split the node by, -1 for nothing more."""
@@ -555,12 +570,14 @@ def search(quad, ring, tolerance, tree, most, room, work):
         work: multiplications to do.
 
     Returns:
-        ``DONE``; ``FULL``, where as many nodes are solved as may be; ``PROMISING``, where
-        :func:`improve` may find a better trajectory; ``PAUSED``, where the work has run out.
+        ``DONE``; ``FULL``, where as many nodes are solved as may be; ``PAUSED``, where the work has
+        run out, or where the next call begins with a descent.
     """
     counts, numbers, flat, status = tree.counts, tree.numbers, np.zeros(len(quad.q)), PAUSED
+    if counts[PROMISES] > 0:
+        improve(quad, ring, tree, room)
     counts[PROMISES] = 0
-    while work > 0.0 and status == PAUSED:
+    while work > 0.0 and status == PAUSED and counts[PROMISES] == 0:
         cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
         if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
             status = DONE
@@ -570,9 +587,8 @@ def search(quad, ring, tolerance, tree, most, room, work):
             node = tree.heap[0]
             pop(tree.keys, tree.heap, counts[OPEN])
             counts[OPEN] -= 1
-            work = _solve_node(quad, ring, flat, tree, node, tolerance, room, work) - NODE
-            if counts[PROMISES] > 0:
-                status = PROMISING
+            work = _solve_node(quad, ring, flat, tree, node, tolerance, room, work)
+            work -= NODE + STEP * len(flat)
     numbers[LEAST] = min(numbers[CLOSED], numbers[VALUE])
     if counts[OPEN] > 0:
         numbers[LEAST] = min(numbers[LEAST], tree.keys[0])

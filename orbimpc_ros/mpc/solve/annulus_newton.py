@@ -46,8 +46,8 @@ from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.arc_search import ArcSearch
 from orbimpc_ros.mpc.solve.convexity import tangent
-from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
+from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 FURTHER_STARTS = 30

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.model.dynamics import (
 )
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.tree import one
-from orbimpc_ros.mpc.solve.general import General
+from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 STIFFNESS = 100.0  # first parameter of the penalties, in proportion to the trace of the Hessian

@@ -97,14 +97,15 @@ class PacedSpeeds:
         """Return the best rotations along the directions of others, if there are any.
 
         Once as they are, and once with those kept that the vehicle was headed in before it got as
-        slow as it can within a step: where it is to stand still, directions are arbitrary.
+        slow as it can within a step: where it is to stand still, directions are arbitrary. There
+        is time for the first only where time is up.
         """
         state, n = request.state, self._problem.dimension
         if first_change_is_decided(self._problem, state):
             return []
         slow = HEADING_UNDEFINED, self._problem.speed_change
         beside, aims = list(self._beside(request, x[:, :n])), self._problem.approach
-        ways = [_directions(state, x[:, :n], each) for each in slow]
+        ways = [_directions(state, x[:, :n], each) for each in slow[: 1 if request.late else 2]]
         if aims.exists:
             least = math.cos(aims.cone + LEEWAY)
             ways = [each for each in ways if each[-1, :n] @ aims.axis(state) >= least]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.request import Method
+from orbimpc_ros.mpc.solve.request import Found, Method, Request
 
 # (module, class). The first whose ``solves`` holds is chosen; modules are imported in turn, since
 # the later ones take longer to import.
@@ -17,7 +17,7 @@ METHODS = [
     ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
     ('solve.annulus_newton', 'AnnulusNewton'),
-    ('solve.planar_catch', 'PlanarCatch'),
+    ('solve.planar_way', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
@@ -55,3 +55,24 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
     from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # may take Clarabel
 
     return BranchAndBound(problem, tolerance, coasting=coasting, among=True)
+
+
+class General:
+    """A search that costs nothing until it is needed.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+    """
+
+    def __init__(self, problem: Problem, tolerance: float) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self._search: Method | None = None
+
+    def solve(self, request: Request) -> Found:
+        """Solve as :class:`orbimpc_ros.mpc.solve.branch_and_bound.BranchAndBound` does."""
+        if self._search is None:
+            from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # takes Clarabel
+
+            self._search = BranchAndBound(self._problem, self._tolerance)
+        return self._search.solve(request)
