@@ -50,7 +50,7 @@ NONE: Array = np.zeros((0, 2))  # of guesses
 SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
 
 
-class Posed:
+class PlanarCost:
     """A problem as the search takes it: a quadratic of R_1 e1..R_N e1, and the limits of each step.
 
     Args:
@@ -105,7 +105,7 @@ class Engine:
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         steps = self._steps = problem.horizon
-        self._posed, self._tolerance = Posed(problem), tolerance
+        self._cost, self._tolerance = PlanarCost(problem), tolerance
         if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
             self._tolerance *= SETTLED
         self._most = min(MOST, ROOM // steps)
@@ -137,7 +137,7 @@ class Engine:
         Raises:
             Infeasible: no turn leads to a last heading that is allowed.
         """
-        quad, ring = self._posed.quadratic(request), self._posed.ring(request.state)
+        quad, ring = self._cost.quadratic(request), self._cost.ring(request.state)
         tree, room = _working_space(get_ident(), self._size, self._steps)
         # A copy: code for arrays that are read-only or strided would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
@@ -154,7 +154,7 @@ class Engine:
         numbers = tree.numbers
         best = tree.best.copy() if numbers[VALUE] < np.inf else None
         cost = float(numbers[VALUE]) + quad.constant
-        bound = float(numbers[LEAST]) - self._posed.excess + quad.constant
+        bound = float(numbers[LEAST]) - self._cost.excess + quad.constant
         return Found(best, cost, bound, int(tree.counts[NODES]))
 
 

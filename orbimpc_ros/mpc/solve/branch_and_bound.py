@@ -28,10 +28,10 @@ from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
-from orbimpc_ros.mpc.solve.dives import Dives, Incumbent, Posed, arrives, is_accurate
+from orbimpc_ros.mpc.solve.dives import Dives, Incumbent, NodeProgram, arrives, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
-from orbimpc_ros.mpc.solve.proof_tree import Leaves, Node
+from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
 from orbimpc_ros.mpc.solve.regions import Held, Known, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
@@ -95,8 +95,8 @@ class BranchAndBound:
         ordered = _steps_are_exchangeable(self.problem)
         known = self.problem, self._statement, request, self._inverse, self.turns
         regions = Regions(*known, ordered=ordered)
-        posed = Posed(self.problem, self.program, self.turns, request, regions)
-        leaves = Leaves(
+        posed = NodeProgram(self.problem, self.program, self.turns, request, regions)
+        leaves = ProofWriter(
             self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins
         )
         run = _Run(posed, leaves, self.tolerance, guided=traffic is not None)
@@ -123,7 +123,7 @@ class BranchAndBound:
 
     def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
-        leaves = Leaves(self.problem, self._condensed, self._inverse, request)
+        leaves = ProofWriter(self.problem, self._condensed, self._inverse, request)
         root, found = Node(0, -np.inf, None, None), self.program.multipliers
         if found is not None:
             root.leaf = leaves.solved(found, (), 0, empty=empty)
@@ -185,7 +185,9 @@ class _Run:
         guided: whether trajectories come from ways, and not from dives before these.
     """
 
-    def __init__(self, posed: Posed, leaves: Leaves, tolerance: float, *, guided: bool) -> None:
+    def __init__(
+        self, posed: NodeProgram, leaves: ProofWriter, tolerance: float, *, guided: bool
+    ) -> None:
         self._posed, self._regions, self._leaves = posed, posed.regions, leaves
         self._tolerance, self._guided = tolerance, guided
         self._best = Incumbent(posed, tolerance)

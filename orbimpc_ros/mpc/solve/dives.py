@@ -37,7 +37,7 @@ LEAST = 1e-9  # cost that a gap is measured against
 Rows = dict[int, Held]  # half-spaces by choice
 
 
-class Posed:
+class NodeProgram:
     """One request, its regions, and the convex program of the problem.
 
     Args:
@@ -100,7 +100,7 @@ class Incumbent:
         cost: of it, infinite as long as there is none.
     """
 
-    def __init__(self, posed: Posed, tolerance: float) -> None:
+    def __init__(self, posed: NodeProgram, tolerance: float) -> None:
         self._posed, self._tolerance, guess = posed, tolerance, posed.request.guess
         self.x = None if guess is None else guess.x
         self.cost = np.inf if guess is None else guess.cost
@@ -152,7 +152,7 @@ class Dives:
         passing: whether anything is round or moves.
     """
 
-    def __init__(self, posed: Posed, best: Incumbent, *, passing: bool) -> None:
+    def __init__(self, posed: NodeProgram, best: Incumbent, *, passing: bool) -> None:
         self._posed, self._best = posed, best
         self._steps = PASSING_STEPS if passing else DIVE_STEPS
 

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
-from orbimpc_ros.mpc.solve.statement import Statement
+from orbimpc_ros.mpc.solve.statement import ConicStatement
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
 TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
@@ -56,7 +56,7 @@ class Program:
         self, problem: Problem, *, coasting: bool = False, tolerance: float = 1e-9
     ) -> None:
         self.problem, self._tolerance = problem, tolerance
-        statement = self._statement = Statement(problem, coasting=coasting)
+        statement = self._statement = ConicStatement(problem, coasting=coasting)
         self._data = statement.data
         self._heaviest = float(position_weights(problem).max())
         self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)

@@ -123,7 +123,7 @@ class Node:
         return (self.bound, -self.number) < (other.bound, -other.number)
 
 
-class Leaves:
+class ProofWriter:
     """What nodes of one request prove.
 
     Args:

@@ -75,7 +75,7 @@ class _Rows:
         return sparse.csc_matrix((values, (rows, places)), shape=shape), np.concatenate(self._b)
 
 
-class Statement:
+class ConicStatement:
     """The cone program of a problem, parametrised by state and goals.
 
     Args:
