@@ -87,12 +87,17 @@ def test_every_plan_is_what_is_flown(flown):
     check_rollout(folder)
 
 
-def test_what_is_not_caught_is_a_failure_with_a_bag(tmp_path):
+def test_what_is_not_caught_is_a_failure_with_a_bag(tmp_path, monkeypatch):
+    """No home folder is needed."""
+    monkeypatch.setenv('HOME', '/proc/nobody')
+    for name in ('ROS_LOG_DIR', 'ROS_HOME'):
+        monkeypatch.delenv(name, raising=False)
     done = orbimpc('demo', '--out', tmp_path, '--set', 'max_ticks=2')
     assert done.returncode == 1
     assert 'captured      no' in done.stdout
     assert 'Traceback' not in done.stderr
     assert len([m for m in bags.read(tmp_path / 'retrieval' / 'bag') if m.topic == '/tick']) == 3
+    assert list((tmp_path / 'retrieval' / 'log').iterdir())
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -137,16 +142,6 @@ def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: file too large'
     assert 'Traceback' not in done.stderr
-
-
-def test_no_home_folder_is_needed(tmp_path, monkeypatch):
-    monkeypatch.setenv('HOME', '/proc/nobody')
-    for name in ('ROS_LOG_DIR', 'ROS_HOME'):
-        monkeypatch.delenv(name, raising=False)
-    done = orbimpc('demo', 'retrieval', '--set', 'max_ticks=2', '--out', tmp_path)
-    assert 'Traceback' not in done.stderr
-    assert 'captured      no' in done.stdout
-    assert list((tmp_path / 'retrieval' / 'log').iterdir())
 
 
 def test_results_are_never_overwritten(tmp_path):
