@@ -12,8 +12,7 @@ the clock runs, and the previous solution moved one step on is its start.
 from __future__ import annotations
 
 import itertools
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,10 @@ from orbimpc_ros.mpc.problem import Problem, State
 SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 
 
-class MixedInteger(ABC):
+class MixedInteger:
     """The program of a planar problem with a floor, a turn rate, boxes or an arrival.
+
+    A subclass states it in a solver's Python interface.
 
     Args:
         problem: to solve.
@@ -41,6 +42,13 @@ class MixedInteger(ABC):
     """
 
     model: Any  # of the solver's Python interface
+    open: Callable[[], None]  # begins a model with the solver's options
+    require: Callable[[Any], None]  # adds a constraint
+    minimise: Callable[[Sequence[Any], Any], None]  # of a sum of squares and a linear part
+    start: Callable[[Any], None]  # offers pairs of variable and value
+    solve: Callable[[], None]
+    found: Callable[[], Solution]  # objective and gap; NaN without a solution
+    value: Callable[[Any], float]  # of a variable in the best solution
 
     def __init__(self, problem: Problem, gap: float, cap: float, *, closed_loop: bool) -> None:
         if problem.turns_are_angles and problem.widest_turn >= 0.5 * np.pi:
@@ -126,34 +134,6 @@ class MixedInteger(ABC):
                 [[self.value(each) for each in row] for row in rows] for rows in self._groups
             ]
         return found
-
-    @abstractmethod
-    def open(self) -> None:
-        """Begin a model with the solver's options."""
-
-    @abstractmethod
-    def require(self, constraint: Any) -> None:
-        """Add a constraint."""
-
-    @abstractmethod
-    def minimise(self, squared: Sequence[Any], linear: Any) -> None:
-        """Set the objective: a sum of squares and a linear part."""
-
-    @abstractmethod
-    def start(self, values: Any) -> None:
-        """Offer pairs of variable and value as a start."""
-
-    @abstractmethod
-    def solve(self) -> None:
-        """Optimise."""
-
-    @abstractmethod
-    def found(self) -> Solution:
-        """Return objective and gap; NaN without a solution."""
-
-    @abstractmethod
-    def value(self, variable: Any) -> float:
-        """Return a variable's value in the best solution."""
 
 
 def gurobi() -> type[MixedInteger]:
