@@ -48,7 +48,7 @@ def values_of(folder):
     return settings.read(bags.notes(folder / 'bag')['parameters'])
 
 
-def check_rollout(folder, tolerance=1e-6):
+def check_rollout(folder):
     """What was commanded, flown by the vehicle's model, is the plan's and odometry's next pose.
 
     Flown in space; in the plane z stays zero and turning is about z.
@@ -61,12 +61,12 @@ def check_rollout(folder, tolerance=1e-6):
         fraction, rate = command_of(found, now, model)
         flown = advance(model, vehicle, fraction, rate)
         for pose in (found['plan'][now].poses[1].pose, found['odom'][then].pose.pose):
-            assert np.allclose(vector(pose.position), flown.position, atol=tolerance)
-            assert np.allclose(attitude(pose.orientation), flown.attitude, atol=tolerance)
+            assert np.allclose(vector(pose.position), flown.position, atol=1e-6)
+            assert np.allclose(attitude(pose.orientation), flown.attitude, atol=1e-6)
         # At rotation order 2 a rate is taken over at the end of the step and turns in the next.
         turned = flown.attitude if model.rotation_order == 1 else flown.attitude @ exp(rate)
         commanded = attitude(found['rotation'][now].quaternion)
-        assert np.allclose(commanded, turned, atol=tolerance)
+        assert np.allclose(commanded, turned, atol=1e-6)
 
 
 def vehicle_of(odometry, model, fraction):
@@ -113,10 +113,10 @@ def made_up(positions, values, **others):
 GOLDEN = Path(__file__).parent / 'golden'
 
 
-def rewritten(source, target, change=lambda each: each, notes=None):
+def rewritten(source, target, change=lambda each: each):
     """Copy a bag of ours, each message as ``change`` returns it, or left out for None."""
     kept = [new for new in map(change, bags.raw(source)) if new is not None]
-    return write(target, kept, bags.notes(source) if notes is None else notes)
+    return write(target, kept, bags.notes(source))
 
 
 def write(target, messages, notes):

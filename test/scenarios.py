@@ -38,7 +38,7 @@ retrieval_problem, dubins_problem, spacecraft_problem = (
 )
 
 
-def model_of(problem: Problem, mass: float = 1.0) -> Model:
+def model_of(problem: Problem) -> Model:
     """Return the vehicle that a planning problem believes in."""
     return Model(
         problem.dimension,
@@ -46,6 +46,5 @@ def model_of(problem: Problem, mass: float = 1.0) -> Model:
         problem.translation_order,
         problem.step,
         problem.forward,
-        mass,
         discretisation=problem.discretisation,
     )

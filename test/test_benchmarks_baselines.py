@@ -14,7 +14,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros
 from benchmarks.baselines import BASELINES, baseline_named, tuned_of
 from benchmarks.baselines.baseline import Baseline, Sight, depths
 from benchmarks.baselines.guidance import crabbed, sidestepped
-from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import planner_settings
@@ -38,14 +37,14 @@ def made(name, study='fixed_wing', **tuned):
     return baseline_named(name, SETTINGS[study], '', tuned)
 
 
-def seeing(*hazards, goal=(25.0, 0.0), heading=0.0, velocity=(0.0, 0.0), wind=(0.0, 0.0), steps=12):
-    """The sight of a vehicle at the origin; the goal moves straight on."""
-    state = replace(State.at(np.zeros(2), exp(np.array([heading]))), hazards=hazards)
+def seeing(*hazards, goal=(25.0, 0.0), velocity=(0.0, 0.0), wind=(0.0, 0.0)):
+    """The sight of a vehicle at the origin that is headed along x; the goal moves straight on."""
+    state = replace(State.at(np.zeros(2), np.eye(2)), hazards=hazards)
 
     def ahead(times):
         return np.array(goal) + np.multiply.outer(np.asarray(times), np.array(velocity))
 
-    return Sight(0.0, state, ahead(0.5 * np.arange(1, steps + 1)), ahead, np.array(wind))
+    return Sight(0.0, state, ahead(0.5 * np.arange(1, 13)), ahead, np.array(wind))
 
 
 # --- laws

@@ -22,6 +22,7 @@ from benchmarks.baselines.baseline import wrapped
 from orbimpc_ros.mpc.arrays import Array
 
 GRAVITY = 9.80665  # [m/s^2]
+FARTHEST = 1.05  # [rad] course of a vector field off a line, far from it
 
 
 class Track(NamedTuple):
@@ -128,7 +129,7 @@ def l1(track: Track, wing: Flying, period: float, damping: float = 0.75) -> floa
     return acceleration / float(np.linalg.norm(wing.through_air))
 
 
-def field(track: Track, wing: Flying, gain: float, farthest: float = 1.05) -> float:
+def field(track: Track, wing: Flying, gain: float) -> float:
     """Return the rate of turn along a vector field, by a course loop with feed-forward [rad/s]."""
     tangent = math.atan2(track.tangent[1], track.tangent[0])
     airspeed = float(np.linalg.norm(wing.through_air))
@@ -139,7 +140,7 @@ def field(track: Track, wing: Flying, gain: float, farthest: float = 1.05) -> fl
         ground = float(wing.over_ground @ wing.over_ground)
         ahead = ground / (radius * airspeed * max(crab, 0.3))
     else:
-        wanted = tangent - farthest * 2.0 / math.pi * math.atan(gain * track.error)
+        wanted = tangent - FARTHEST * 2.0 / math.pi * math.atan(gain * track.error)
         ahead = 0.0
     bank = 0.73 * wrapped(wanted - angle_of(wing.over_ground))
     return ahead + GRAVITY / airspeed * math.tan(max(-1.2, min(1.2, bank)))

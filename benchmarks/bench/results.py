@@ -58,11 +58,6 @@ class BenchRow:
         return {**bare, 'required': dict(self.required) if self.required else None}
 
     @property
-    def rival(self) -> bool:
-        """Return whether this is another solver, timed on the same problem as ours."""
-        return self.contender != OURS and not math.isnan(self.ratio_p50)
-
-    @property
     def missed(self) -> list[str]:
         """Return the measured fields that miss their limits; a NaN misses every limit."""
         limits = (self.required or {}).items() if self.n else ()

@@ -158,9 +158,8 @@ def launched(
     fraction: float = 1.0,
     velocity: Array | None = None,
     body_rate: Array | None = None,
-    time: float = 0.0,
 ) -> Vehicle:
-    """Return a vehicle at its start; velocity (order 2 only) and body rate are zero by default.
+    """Return a vehicle at time 0; velocity (order 2 only) and body rate are zero by default.
 
     Args:
         model: how it moves.
@@ -169,14 +168,13 @@ def launched(
         fraction: share of full speed or thrust, in [0, 1].
         velocity: in the world, shape (n,) [m/s]; at translation order 1 it follows from the rest.
         body_rate: shape (1,) or (3,) [rad/s].
-        time: at the start [s].
     """
     if model.translation_order == 1:
         velocity = model.forward * fraction * attitude[:, 0] + model.wind
     elif velocity is None:
         velocity = np.zeros(model.dimension)
     rate = np.zeros(model.rates) if body_rate is None else body_rate
-    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction, model.wind)
+    return Vehicle(0.0, position, velocity, nearest(attitude), rate, fraction, model.wind)
 
 
 def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import shutil
 import sys
-from typing import TextIO
 
 WIDTH = 20
 LINES = 5  # where there is no terminal
@@ -16,12 +15,11 @@ class ProgressLine:
 
     Args:
         total: what there is to do.
-        stream: where to draw.
     """
 
-    def __init__(self, total: int, stream: TextIO | None = None) -> None:
+    def __init__(self, total: int) -> None:
         self._total = max(1, total)
-        self._stream = stream or sys.stderr
+        self._stream = sys.stderr
         self._live = self._stream.isatty()
         self._shown: tuple[int, str] | None = None
 
