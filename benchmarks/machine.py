@@ -11,6 +11,9 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.files import WRITABLE, why
+
 PACKAGES = (
     *('orbimpc_ros', 'numpy', 'scipy', 'cvxpy', 'clarabel', 'numba', 'rclpy'),
     *('gurobipy', 'pyscipopt', 'casadi'),
@@ -40,6 +43,18 @@ def _version(name: str) -> str | None:
         return version(name)
     except PackageNotFoundError:
         return None
+
+
+def require_writable(file: Path) -> None:
+    """Create the file for a result before the work, so that it will not be in vain.
+
+    Raises:
+        BadInput: it cannot be written; what is in it stays until the result comes.
+    """
+    try:
+        file.open('a').close()
+    except OSError as error:
+        raise BadInput.stating(f'--json {file}', why(error), WRITABLE) from None
 
 
 def resident(pid: int) -> int:

@@ -175,6 +175,7 @@ class Cessna:
         return float(self._engine.motion().facts['turn'])
 
 
+LAWS: dict[str, Callable[..., float]] = {'npfg': npfg, 'l1': l1, 'field': field}
 FLOWN: dict[str, type[Cessna | Unmanned]] = {'c172x': Cessna, 'unmanned': Unmanned}
 
 
@@ -201,10 +202,9 @@ def ours(frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, flo
 
 def rival(name: str, frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, float]]:
     """Return a follower of :mod:`benchmarks.baselines.followers`."""
-    law = {'npfg': npfg, 'l1': l1, 'field': field}[name]
 
     def follow(_time: float, wing: Flying, _turning: float) -> tuple[float, float]:
-        turn = law(path.seen(wing.position), wing, frame.tuned[name])
+        turn = LAWS[name](path.seen(wing.position), wing, frame.tuned[name])
         return 1.0, max(-frame.max_rate, min(frame.max_rate, turn))
 
     return follow

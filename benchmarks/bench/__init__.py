@@ -13,9 +13,9 @@ from benchmarks.bench.interleaved import OURS, interleaved_run
 from benchmarks.bench.problems import CAP, COMPARISONS, PACKAGES, QUICK_CAP, Comparison
 from benchmarks.bench.results import HULLS, BenchRow, Result, growth, rows_of, table
 from benchmarks.bench.solvers import Solver
+from benchmarks.machine import require_writable
 from orbimpc_ros.install import command
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.files import require_writable
 from orbimpc_ros.tool.run.progress import ProgressLine
 
 WARM_UP = 3  # instances solved before the clock counts
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             raise BadInput('--only', name, ' | '.join(names()))
     file = Path(args.json).resolve() if args.json else None
     if file is not None:
-        require_writable('--json', file)
+        require_writable(file)
     result = Result(file)
     try:
         for title, measure in _measurements(args.only or names(), args.quick, result.rows):

@@ -14,10 +14,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, require_writable
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.files import require_writable
 
 if TYPE_CHECKING:
     from benchmarks.faults.harness import Fixtures
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
     if args.json:
-        require_writable('--json', Path(args.json).resolve())
+        require_writable(Path(args.json).resolve())
     if find_spec('rclpy') is None:
         hint = f'install ROS 2, or {command_for_extra("ros")}'
         raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)

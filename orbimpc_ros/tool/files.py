@@ -165,22 +165,6 @@ def _require_plain(value: Any, path: str = '') -> None:
 # --- results
 
 
-def require_writable(culprit: str, file: Path) -> None:
-    """Create the file for a result before the work, so that it will not be in vain.
-
-    Args:
-        culprit: what names the file, such as an option.
-        file: what is in it stays until the result comes.
-
-    Raises:
-        BadInput: it cannot be written.
-    """
-    try:
-        file.open('a').close()
-    except OSError as error:
-        raise BadInput.stating(f'{culprit} {file}', why(error), WRITABLE) from None
-
-
 def folder_at(path: Path) -> Path:
     """Return a folder for results; created if it is not there.
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from orbimpc_ros.tool.replay.difference import Comparison
     from orbimpc_ros.tool.replay.recording import Recording
     from orbimpc_ros.tool.replay.resolving import ReplayedTick
-    from orbimpc_ros.tool.settings import Values
 
 LINES = 20  # differences printed one by one
 SAME, DIFFERENT = 0, 1
@@ -46,23 +45,23 @@ def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[Replaye
         params: a file of parameters, for a bag without notes of them.
         namespace: of the vehicle.
     """
-    values = _values(path, namespace, params, [])
-    planner, recording = _opened(path, namespace, values)
-    yield from _replayed(planner, recording, values)
+    from orbimpc_ros.tool.replay.resolving import replayed
+
+    yield from replayed(*_opened(path, namespace, params))
 
 
 def run(args: argparse.Namespace) -> int:
     """Solve a bag's inputs again, compare, report; 0 if nothing differs beyond the tolerances."""
     from orbimpc_ros.tool.replay.difference import compared
+    from orbimpc_ros.tool.replay.resolving import replayed
 
     begun, path = time.perf_counter(), Path(args.bag)
-    values = _values(path, args.namespace, args.params, args.set)
-    planner, recording = _opened(path, args.namespace, values)
+    recording, planner, simulated = _opened(path, args.namespace, args.params, args.set)
     if args.tick is not None:
         if not 0 <= args.tick < len(recording.answers):
             raise BadInput('--tick', args.tick, f'0 to {len(recording.answers) - 1}')
         recording = replace(recording, answers=recording.answers[: args.tick + 1])
-    answers = list(_replayed(planner, recording, values))
+    answers = list(replayed(recording, planner, simulated))
     found = list(compared(answers, planner))
     if args.tick is not None:
         found = [each for each in found if each.tick == args.tick]
@@ -74,34 +73,29 @@ def run(args: argparse.Namespace) -> int:
     return DIFFERENT if any(each.differs for each in found) else SAME
 
 
-def _opened(path: Path, namespace: str, values: Values) -> tuple[PlannerSettings, Recording]:
+def _opened(
+    path: Path, namespace: str, params: str | None, changes: Sequence[str] = ()
+) -> tuple[Recording, PlannerSettings, bool]:
+    """Return what a bag holds, the planner's settings, and whether its time was simulated.
+
+    The settings are those that are given, or noted in the bag by its recorder.
+    """
     from orbimpc_ros.ros.parameters import planner_settings  # with ROS, which --help is without
+    from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.offline import resolved
     from orbimpc_ros.tool.replay.recording import recording_of
 
-    planner = planner_settings(values)
-    return planner, recording_of(path, namespace, resolved(planner, namespace))
-
-
-def _replayed(
-    planner: PlannerSettings, recording: Recording, values: Values
-) -> Iterator[ReplayedTick]:
-    from orbimpc_ros.tool.replay.resolving import replayed
-
-    return replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
-
-
-def _values(path: Path, namespace: str, params: str | None, changes: Sequence[str]) -> Values:
-    """Return every parameter's value: as given, or as noted in the bag by its recorder."""
-    from orbimpc_ros.tool import settings
-
     if params is not None:
-        return settings.resolve(Path(params), changes)
-    noted = settings.of_bag(path, namespace)
-    if noted is None and not changes:
-        missing = 'no notes of its parameters'
-        raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
-    return settings.changed(settings.read('{}') if noted is None else noted, changes)
+        values = settings.resolve(Path(params), changes)
+    else:
+        noted = settings.of_bag(path, namespace)
+        if noted is None and not changes:
+            missing = 'no notes of its parameters'
+            raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
+        values = settings.changed(settings.read('{}') if noted is None else noted, changes)
+    planner = planner_settings(values)
+    recording = recording_of(path, namespace, resolved(planner, namespace))
+    return recording, planner, bool(values.get('use_sim_time', recording.simulated))
 
 
 def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:
