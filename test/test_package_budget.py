@@ -7,8 +7,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    'orbimpc_ros': 37_325,
-    'orbimpc_ros/mpc': 19_561,
+    'orbimpc_ros': 37_339,
+    'orbimpc_ros/mpc': 19_577,
     'orbimpc_ros/loop': 4_062,
     'orbimpc_ros/ros': 5_015,
     'orbimpc_ros/sim': 3_146,
