@@ -16,14 +16,16 @@ from plans import (
     solved,
     straight,
 )
-from problems import ORDERS, floor, rotation, state
+from problems import ORDERS, case, floor, needs_machine_code, rotation, state
 from problems import goals as goals_of
 
+from orbimpc_ros.mpc import check
 from orbimpc_ros.mpc.check import TOLERANCE, margins, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import UNPROVED, shifted
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.solve.solver import Solver
 
 # --- a rollout from the measured state
 
@@ -334,3 +336,13 @@ def test_an_overflow_excuses_nothing():
         plan, proof=replace(plan.proof, lower_bound=2.0 * plan.objective, cost_unit=np.inf)
     )
     assert only_complaint(Problem(), unit).startswith('the lower bound exceeds the cost')
+
+
+@needs_machine_code
+@pytest.mark.parametrize('family', ['hull', 'hull, inertia', 'space, attitude', 'space, coasting'])
+def test_a_check_in_a_tick_takes_no_other_machine_code_than_was_loaded_before(family):
+    problem, state, goals = case(family)
+    solver = Solver(problem)
+    loaded = list(check._strayed.signatures)
+    solver.solve(state, goals)
+    assert check._strayed.signatures == loaded != []

@@ -54,6 +54,11 @@ def holds(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
     return next(_flaws(problem, state, goals, plan), None) is None
 
 
+def prepare() -> None:
+    """Compile, or load, what a check takes: at start-up, not in a tick."""
+    _strayed(np.zeros(64), np.zeros(12), False, True, 2, 1, 1, 1)
+
+
 def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
     """Yield why a plan must not be published, what takes long to find out last."""
     strays = _strays(problem, state, plan)

@@ -105,7 +105,8 @@ class Managed(LifecycleNodeMixin, Node):
             known: its first arguments, such as the topic.
             at_work: whether it is to do nothing while the node is not active.
         """
-        name, called = ' '.join((callback.__name__, *known)), functools.partial(callback, *known)
+        name = ' '.join((callback.__name__.lstrip('_'), *known))
+        called = functools.partial(callback, *known)
 
         @functools.wraps(called)  # rclpy looks at how many arguments there may be
         def guarded(*arguments: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import holds, violations
+from orbimpc_ros.mpc.check import holds, prepare, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
@@ -88,6 +88,7 @@ class Solver:
         self._method = method_for(self._units.problem, tolerance, coasting=coasting)
         self._among: Method | None = None  # which solves among hazards, made when it is needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
+        prepare()
 
     def solve(
         self,
