@@ -244,7 +244,7 @@ def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
     thrust = {'dimension': 3, 'translation_order': 2}
     timed = {**thrust, 'weights.scaling': 'time'}
     for stated, wanted in (
-        ({}, 0.05), (thrust, 0.05), ({'weights.scaling': 'time'}, 0.05), (timed, 100.0),
+        ({}, 0.05), (thrust, 0.05), ({'weights.scaling': 'time'}, 0.05), (timed, 150.0),
         ({**timed, 'weights.input': 0.05}, 0.05),
     ):  # fmt: skip
         assert completed(PLANNER, stated)['weights.input'] == wanted

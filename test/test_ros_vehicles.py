@@ -127,6 +127,18 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
         assert not any(np.all((m.position > low) & (m.position < high)) for _, m, *_ in log)
 
 
+@needs_machine_code
+@pytest.mark.parametrize('place', [(-0.4, 2.5, 8.0), (1.2, -0.2, -6.4)])
+def test_a_multirotor_stops_above_and_below_at_twice_its_lags(place):
+    """To brake there is to turn over, which takes longer than plans know."""
+    craft = Craft(19.6, True, 0.1, 0.1, 1.0, np.array([0.0, 0.0, -9.81]), turns=3.84)
+    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))
+    start = replace(at_rest(3, fraction=0.5), attitude=upright)
+    log = flight(recipe('multirotor'), craft, start, lambda now: place, 20.0)
+    late = [motion.position for now, motion, *_ in log if now > 12.0]
+    assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.05
+
+
 def gusts(rng, mean, deviation, memory, period):
     """A first-order Gauss-Markov process about a mean [m/s], tick by tick."""
     gust, kept = deviation * rng.normal(size=len(mean)), np.exp(-period / memory)
