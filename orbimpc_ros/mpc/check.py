@@ -102,11 +102,10 @@ def _strays(problem: Problem, state: State, plan: Plan) -> _Strays:
     planned = plan.rotations, plan.projected, plan.inputs, plan.positions, plan.velocities
     start = state.rotation, first_rate, state.position, state.velocity, state.disturbance
     numbers = np.concatenate([each.ravel() for each in planned + start])
-    once, aligned = step_of(problem.translation, problem.step, problem.forward), True
+    once = step_of(problem.translation, problem.step, problem.forward)
     moved = *once.transition[0], *once.transition[-1], *once.push, *once.follow, *once.blow
     moves = np.array([problem.step, problem.forward, *moved])
-    if problem.dimension == 3 and plan.projection == 'nearest':
-        aligned = False
+    aligned = problem.dimension == 2 or plan.projection == 'thrust_aligned'
     sizes = problem.dimension, len(plan.inputs), problem.rotation_order, known
     found = _Strays(*_strayed(numbers, moves, problem.inertial, aligned, *sizes))
     if aligned or not found.finite:

@@ -287,7 +287,8 @@ class Statement:
 
     def _rooted(self, state: State, limits: Limits, cones: Sequence[Cone]) -> Root:
         problem, number, count = self.problem, self._number, self.problem.horizon
-        if limits is NO_LIMITS and self._root is not None:
+        plain = limits is NO_LIMITS and not problem.max_rate and state.coasted is None
+        if plain and self._root is not None:
             return self._root
         steps, change = np.arange(1, count + 1), number(2)
         turn, low, high = self._turned(state)
@@ -306,7 +307,7 @@ class Statement:
         for each in cones if problem.dimension == 2 else ():  # of the approach, the only one
             aim, aside = number(math.atan2(each.axis[1], each.axis[0])), number(each.angle)
         root = Root(span, turn, change, aim, aside, self._patches, self._exchanged(limits))
-        if limits is NO_LIMITS and not (problem.max_rate or state.coasted is not None):
+        if plain:
             self._root = root  # which no state changes
         return root
 
