@@ -7,27 +7,27 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
+from orbimpc_ros.mpc.search.round_floor import RoundFloor
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 
-def round_floors() -> None:
-    """Compile what searches round floors: half of all machine code."""
-    AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
+def the_search() -> None:
+    """Compile what searches the plane: half of all machine code."""
     Engine(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
 
 
 def the_rest() -> None:
     """Compile all else."""
+    RoundFloor(Problem(floor=Floor('circle')), 1e-6)
     Verifier(Problem())
     HullRiccati(Problem(), 1e-6)
     SO3Multipliers(Problem(dimension=3), beside=True)
     PlaceProgram(Problem())
 
 
-PARTS = (round_floors, the_rest) if COMPILED else ()
+PARTS = (the_search, the_rest) if COMPILED else ()
 
 if __name__ == '__main__':
     with ProcessPoolExecutor(2) as pool:

@@ -10,7 +10,6 @@ from orbimpc_ros.mpc.kernels import compiled, vectorised
 SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry is taken for zero
 DIAGONAL = 1e-32  # squared share of what is off the diagonal
 SWEEPS = 12
-CLOSE = 1.001  # to the least shift
 
 
 @compiled
@@ -196,50 +195,6 @@ def invert_spd(matrix, inverse):
         for j in range(i):
             inverse[j, i] = inverse[i, j]
     return size
-
-
-@vectorised
-def is_semidefinite(matrix, shift, trial):
-    """Return whether a symmetric matrix plus a multiple of the identity has a Cholesky factor.
-
-    Args:
-        matrix: its lower triangle given, shape (n, n).
-        shift: the multiple.
-        trial: room to work in, shape (n, n).
-    """
-    for i in range(len(matrix)):
-        for j in range(i + 1):
-            trial[i, j] = matrix[i, j]
-        trial[i, i] += shift
-    return _factorise(trial, len(matrix), 0.0)
-
-
-@compiled
-def shift_to_semidefinite(matrix, low, high):
-    """Return nearly the least multiple of the identity that makes a matrix semidefinite.
-
-    By bisection, with Cholesky's factorisation to judge.
-
-    Args:
-        matrix: symmetric, its lower triangle given, shape (n, n).
-        low: the least multiple of interest, positive.
-        high: the largest multiple of interest.
-
-    Returns:
-        A multiple from ``low`` on, at most a thousandth beyond the least; inf beyond ``high``.
-    """
-    trial = np.empty_like(matrix)
-    if is_semidefinite(matrix, low, trial):
-        return low
-    if not (high > low and is_semidefinite(matrix, high, trial)):
-        return np.inf
-    while high > CLOSE * low:
-        between = np.sqrt(low * high)
-        if is_semidefinite(matrix, between, trial):
-            high = between
-        else:
-            low = between
-    return high
 
 
 @compiled

@@ -220,7 +220,7 @@ def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
 
 
 @inlined
-def _set_step(curved, gradient, y, bounds, damping, room, step):
+def set_step(curved, gradient, y, bounds, damping, room, step):
     """Set Newton's step of the variables that are free; return whether there is one."""
     free, matrix, right = room
     count = 0
@@ -265,7 +265,7 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
         for i in range(size):
             scale = max(scale, abs(curved[i, i]))
         while damping <= STIFFEST:
-            if _set_step(curved, gradient, y, bounds, damping * scale, room, step):
+            if set_step(curved, gradient, y, bounds, damping * scale, room, step):
                 for i in range(size):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)

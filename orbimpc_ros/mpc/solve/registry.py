@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.solve.request import Found, Method, Request
 METHODS = [
     ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
-    ('solve.annulus_newton', 'AnnulusNewton'),
+    ('search.round_floor', 'RoundFloor'),
     ('solve.planar_catch', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]

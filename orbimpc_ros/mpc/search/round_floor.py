@@ -1,0 +1,463 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Round floors where nothing ties headings to each other, but perhaps an arrival.
+
+The cost has to see R e1 alone. That is all of R in the plane; in space the other columns are then
+free, and are carried along by the shortest turns from one thrust axis to the next.
+
+Stationary points prove themselves by their own multipliers, most often; else the best Shor
+multipliers do, or they bound, in the plane, the parts of a best-first search over sectors of
+headings. What is left open in space, the general search settles.
+
+Mathematics: docs/mathematics.md, 4.4 to 4.6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from threading import get_ident
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import carried
+from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, PAUSED, cutoff_of, pop, push
+from orbimpc_ros.mpc.model.condensed import Condensed, regular
+from orbimpc_ros.mpc.model.dynamics import adrift, length_weights
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, NOTHING, ProofTree
+from orbimpc_ros.mpc.search.shells import cost_of, descend
+from orbimpc_ros.mpc.search.shor import (
+    GOING,
+    HIGH,
+    KEY,
+    KINDS,
+    LOW,
+    MU,
+    PRUNED,
+    TAKEN,
+    Node,
+    Posed,
+    certify,
+    climb,
+    priced_branching,
+    set_spread,
+)
+from orbimpc_ros.mpc.solve.registry import General
+from orbimpc_ros.mpc.solve.request import Found, Guess, Request
+
+MADE, OPEN, NODES, STARTS = range(4)  # in Tree.counts
+VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
+TURN = 2.0 * np.pi
+PARTS = 5  # sectors that all directions of a step are cut into
+MARGIN = 0.15  # of a sector: no part is narrower
+NARROWEST = 1e-6  # [rad], a sector that is not cut
+NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough; but
+# at the root, whose point is where to look for the best trajectory
+YOUNG, EVERY = 4, 4  # a descent starts from each of the first nodes; then from some
+MOST, ROOM = 6400, 400_000  # nodes of a search, and times steps
+FRUITLESS = 200  # after which a search ends that has found no trajectory
+SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
+SPACES = 4  # of so much memory that are kept
+SETTLED = 90.0  # tolerances at which a search may stop
+BRANCHES = 8000  # polls of the general search, where nobody waits for it
+STIFF = 1e4  # of an arrival, in curvatures of the cost
+OUT_OF_REACH = 1e-9  # share of the way to an arrival
+
+
+class Tree(NamedTuple):
+    """A search: its M nodes, and the best trajectory.
+
+    Attributes:
+        sector: of nodes, as :class:`orbimpc_ros.mpc.search.shor.Node` has them, shape (M, N, 2).
+        z: shape (M, N, n).
+        held: shape (M, 4, N).
+        point: shape (M, N, n).
+        kept: shape (M, N).
+        pull: shape (M, n).
+        known: shape (M, 3).
+        nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
+            are not numbered, shape (M, 5).
+        at: the first angle between a node's parts [rad], shape (M,).
+        keys: bounds of the open nodes, a heap, shape (M,).
+        heap: their numbers, shape (M,).
+        best: the best trajectory, shape (N, n).
+        counts: see the names of its entries, shape (4,).
+        numbers: shape (3,).
+    """
+
+    sector: Array
+    z: Array
+    held: Array
+    point: Array
+    kept: Array
+    pull: Array
+    known: Array
+    nodes: np.ndarray
+    at: Array
+    keys: Array
+    heap: np.ndarray
+    best: Array
+    counts: np.ndarray
+    numbers: Array
+
+
+@lru_cache(maxsize=SPACES)
+def _working_space(thread: int, nodes: int, steps: int, n: int) -> Tree:
+    """Return room for a search, which takes the place of the one before it in this thread."""
+    return Tree(
+        np.empty((nodes, steps, 2)),
+        np.empty((nodes, steps, n)),
+        np.empty((nodes, KINDS, steps)),
+        np.empty((nodes, steps, n)),
+        np.empty((nodes, steps)),
+        np.empty((nodes, n)),
+        np.empty((nodes, 3)),
+        np.zeros((nodes, 5), np.int64),
+        np.zeros(nodes),
+        np.empty(nodes),
+        np.empty(nodes, np.int64),
+        np.zeros((steps, n)),
+        np.zeros(4, np.int64),
+        np.zeros(3),
+    )
+
+
+@inlined
+def _node(tree, i):
+    """Return a node."""
+    return Node(
+        tree.sector[i],
+        tree.z[i],
+        tree.held[i],
+        tree.point[i],
+        tree.kept[i],
+        tree.pull[i],
+        tree.known[i],
+    )
+
+
+@compiled
+def _open(tree, node, cutoff):
+    """Leave a node open, unless it is of no use."""
+    key = tree.known[node, KEY]
+    if key >= cutoff:
+        tree.numbers[CLOSED] = min(tree.numbers[CLOSED], key)
+    else:
+        push(tree.keys, tree.heap, tree.counts[OPEN], key, node)
+        tree.counts[OPEN] += 1
+
+
+@compiled
+def _begin(tree):
+    """Begin a search with its root."""
+    tree.counts[:], tree.nodes[0] = 0, 0
+    tree.counts[MADE], tree.numbers[:] = 1, np.inf
+    tree.sector[0, :, LOW], tree.sector[0, :, HIGH] = -np.pi, np.pi
+    tree.z[0], tree.held[0], tree.point[0], tree.kept[0], tree.pull[0] = 0.0, 0.0, 0.0, 0.0, 0.0
+    tree.known[0, KEY], tree.known[0, TAKEN], tree.known[0, MU] = -np.inf, 0.0, 0.0
+    tree.numbers[LEAST] = -np.inf
+    _open(tree, 0, np.inf)
+
+
+@compiled
+def _improve(posed, tolerance, tree, start, pull):
+    """Descend; where that leads to the best so far, its own multipliers may prove that it is.
+
+    Args:
+        posed: the problem.
+        tolerance: relative gap at which the search ends.
+        tree: updated.
+        start: headings of any length, shape (N, n).
+        pull: multipliers of the arrival to begin with, shape (n,).
+
+    Returns:
+        Whether the search is over, and the multiplications that it took.
+    """
+    counts, numbers, z, pull = tree.counts, tree.numbers, start.copy(), pull.copy()
+    counts[STARTS] += 1
+    arrives, taken = descend(posed, z, pull)
+    size = float(z.size)
+    work = taken * (size**3 / 6.0 + 6.0 * size * size + 500.0)
+    cost = cost_of(posed, z)
+    if not arrives or cost >= numbers[VALUE]:
+        return False, work
+    numbers[VALUE], tree.best[:] = cost, z
+    root, before = _node(tree, 0), tree.known[0, KEY]
+    cutoff = cutoff_of(cost, posed.constant, tolerance)
+    certify(posed, z, pull, root, cutoff)
+    key, proved = root.known[KEY], root.known[KEY] >= cutoff
+    if proved:
+        counts[MADE], counts[OPEN], numbers[CLOSED], tree.nodes[0] = 1, 0, key, 0
+        numbers[LEAST] = min(key, cost)
+    elif counts[MADE] > 1:
+        root.known[KEY] = before
+    else:
+        numbers[LEAST] = key
+        if counts[OPEN] > 0:
+            tree.keys[0] = key
+        else:
+            numbers[CLOSED] = key
+    return proved, work + len(z) ** 3
+
+
+@inlined
+def _cut_at(angle, low, high):
+    """Return where to cut a sector: near an angle."""
+    middle, width = 0.5 * (low + high), high - low
+    angle += TURN * np.round((middle - angle) / TURN)
+    return min(high - MARGIN * width, max(low + MARGIN * width, angle))
+
+
+@inlined
+def _split(tree, node, k, cutoff):
+    """Make the parts of a node, which begin where it has ended, by the directions of a step."""
+    counts, low, high = tree.counts, tree.sector[node, k, LOW], tree.sector[node, k, HIGH]
+    angle = np.arctan2(tree.z[node, k, 1], tree.z[node, k, 0])
+    whole = high - low >= TURN
+    parts = PARTS if whole else 2
+    cut = angle if whole else _cut_at(angle, low, high)
+    first = counts[MADE]
+    tree.nodes[node, 0], tree.nodes[node, 1] = ARCS if whole else CUT, k
+    tree.nodes[node, 2], tree.nodes[node, 3], tree.nodes[node, 4] = first, parts, -1
+    tree.at[node] = cut
+    for i in range(parts):
+        made = first + i
+        tree.sector[made], tree.z[made], tree.held[made] = (
+            tree.sector[node],
+            tree.z[node],
+            tree.held[node],
+        )
+        tree.point[made], tree.kept[made] = tree.point[node], tree.kept[node]
+        tree.pull[made], tree.known[made], tree.nodes[made] = tree.pull[node], tree.known[node], 0
+        tree.known[made, TAKEN] = 0.0
+        if whole:
+            tree.sector[made, k, LOW] = cut + i * TURN / parts
+            tree.sector[made, k, HIGH] = cut + (i + 1) * TURN / parts
+        else:
+            tree.sector[made, k, HIGH if i == 0 else LOW] = cut
+        _open(tree, made, cutoff)
+    counts[MADE] += parts
+
+
+@inlined
+def _start_from(posed, tolerance, tree, node):
+    """Descend from beside where a node's climb has ended; return what :func:`_improve` does.
+
+    To all sides of the root, then to one after the other.
+    """
+    sides, proved, work = 2 * (len(posed.left) - 1), False, 0.0
+    start, first = np.empty_like(tree.best), tree.counts[STARTS] if node > 0 else 0
+    for side in range(first, first + (1 if node > 0 else sides)):
+        if not proved:
+            set_spread(posed, _node(tree, node), side % sides, start)
+            proved, more = _improve(posed, tolerance, tree, start, tree.pull[node])
+            work += more
+    return proved, work
+
+
+@inlined
+def _solve_node(posed, tolerance, tree, node, work):
+    """Climb a node, descend from it, and split it; return the multiplications left."""
+    counts, numbers = tree.counts, tree.numbers
+    cutoff, before = cutoff_of(numbers[VALUE], posed.constant, tolerance), NEAR if node > 0 else 0.0
+    status, work = climb(posed, _node(tree, node), before, cutoff, work)
+    if status == GOING:
+        _open(tree, node, np.inf)
+        return work
+    counts[NODES] += 1
+    if status != PRUNED and (counts[NODES] <= YOUNG or counts[NODES] % EVERY == 0):
+        proved, more = _start_from(posed, tolerance, tree, node)
+        work -= more
+        if proved:
+            return work
+        cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
+    k = -1
+    if len(posed.left) == 2 and not tree.known[node, KEY] >= cutoff:  # which may be no number
+        k = priced_branching(posed, _node(tree, node), NARROWEST)
+    if k < 0:
+        numbers[CLOSED] = min(numbers[CLOSED], tree.known[node, KEY])
+    else:
+        _split(tree, node, k, cutoff)
+    return work
+
+
+@compiled
+def _search(posed, tolerance, tree, most, work):
+    """Search best first, on from where the tree is.
+
+    Args:
+        posed: the problem.
+        tolerance: relative gap at which to stop.
+        tree: begun by :func:`_begin`; updated in place.
+        most: nodes to solve in all.
+        work: multiplications to do.
+
+    Returns:
+        ``DONE``; ``FULL``, where as many nodes are solved as may be; ``PAUSED``, where the work has
+        run out.
+    """
+    counts, numbers, status = tree.counts, tree.numbers, PAUSED
+    while work > 0.0 and status == PAUSED:
+        cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
+        if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
+            status = DONE
+        elif counts[NODES] >= (most if numbers[VALUE] < np.inf else min(most, FRUITLESS)):
+            status = FULL
+        else:
+            node = tree.heap[0]
+            pop(tree.keys, tree.heap, counts[OPEN])
+            counts[OPEN] -= 1
+            work = _solve_node(posed, tolerance, tree, node, work)
+    numbers[LEAST] = min(numbers[CLOSED], numbers[VALUE])
+    if counts[OPEN] > 0:
+        numbers[LEAST] = min(numbers[LEAST], tree.keys[0])
+    return status
+
+
+@compiled
+def _number_leaves(tree):
+    """Number the leaves, gather their tangents at the front; return how many there are."""
+    count = 0
+    for node in range(tree.counts[MADE]):
+        if tree.nodes[node, 0] == LEAF:
+            tree.nodes[node, 4] = count
+            tree.point[count], tree.kept[count] = tree.point[node], tree.kept[node]
+            tree.pull[count] = tree.pull[node]
+            count += 1
+    return count
+
+
+class RoundFloor:
+    """Solves problems of rotation order 1 with a round floor and no limits but a terminal one.
+
+    Args:
+        problem: what to solve, in natural units.
+        tolerance: relative gap at which a plan is good enough to stop.
+    """
+
+    takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        self._problem, self._tolerance = problem, SETTLED * tolerance
+        self._condensed, steps, n = Condensed(problem), problem.horizon, problem.dimension
+        self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
+        self._lengths, arrival = length_weights(problem)[1:].astype(float), np.zeros(steps)
+        self._stiff = 0.0
+        if problem.terminal == 'constraint':
+            arrival = problem.maps.reach[-1, 1:].copy()
+            self._stiff = STIFF * float(np.diag(self._hessian).max() / np.square(arrival).max())
+        self._arrival = arrival
+        self._most = min(MOST, ROOM // steps) if n == 2 else 1
+        self._general = General(problem, self._tolerance)
+        # The first calls compile, or load what was compiled before: at start-up, not in a tick.
+        known, tree = (self._arrival, np.zeros(n), self._stiff, 0.5, 0.0), self._tree()
+        posed = Posed(self._hessian, np.ones((steps, n)), self._lengths, *known)
+        _begin(tree)
+        _improve(posed, 1.0, tree, posed.q, posed.left)
+        _search(posed, 1.0, tree, 1, 0.0)
+        _number_leaves(tree)
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies to a problem."""
+        constrained = problem.terminal == 'constraint'
+        arrives = constrained or problem.arrival_weight > 0.0
+        decided = constrained and not problem.maps.reach[-1, 1:].any()  # the state arrives, or not
+        return (
+            (problem.floor.shape, problem.rotation_order) == ('circle', 1)
+            and not (problem.inertial and arrives)
+            and not decided
+            and (problem.dimension == 2 or problem.weights.input == problem.weights.attitude == 0.0)
+            and not (problem.max_rate or problem.obstacles or problem.has_cones)
+            and not problem.approach.exists
+        )
+
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory found, with the tree that proves a bound.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints.
+        """
+        posed, tolerance, tree = self._posed(request), self._tolerance, self._tree()
+        free, n = -(self._inverse @ posed.q), len(posed.left)  # headings of any length
+        starts = [] if self._stiff else [free]
+        if request.guess is not None:
+            # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+            starts.insert(0, np.array(request.guess.x[:, :n], order='C'))
+        _begin(tree)
+        for start in starts:
+            if _improve(posed, tolerance, tree, start, np.zeros(n))[0] or request.late:
+                break
+        while _search(posed, tolerance, tree, self._most, SLICE) == PAUSED:
+            if request.late or request.enough.met(self._found(posed, tree)):
+                break
+        if self._stiff and not request.late and self._found(posed, tree).gap > tolerance:
+            _improve(posed, tolerance, tree, free, tree.pull[0])
+        found = replace(self._found(posed, tree), proof=self._proof(tree))
+        if found.x is not None and n == 3:
+            found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
+        # To set the general search up takes longer than those with a deadline can wait.
+        if found.gap <= tolerance or n == 2 or request.hurried:
+            return found
+        return self._by_branches(request, found)
+
+    def _tree(self) -> Tree:
+        nodes = PARTS * self._most + 2
+        return _working_space(get_ident(), nodes, self._problem.horizon, self._problem.dimension)
+
+    def _posed(self, request: Request) -> Posed:
+        state, goals, problem = request.state, request.goals, self._problem
+        q, constant = self._condensed.affine(state, goals)
+        left = np.zeros(goals.shape[1])
+        if self._stiff:
+            reached = adrift(problem, state)[-1] + problem.maps.reach[-1, 0] * state.rotation[:, 0]
+            left = np.asarray(goals[-1] - reached)
+            reach = float(self._arrival.sum())
+            if np.linalg.norm(left) > reach + OUT_OF_REACH * (reach or 1.0):
+                raise Infeasible('the goal is out of reach')
+        floor = float(problem.floor.fraction)
+        known = self._lengths, self._arrival, left, self._stiff, floor, constant
+        return Posed(self._hessian, q, *known)
+
+    def _found(self, posed: Posed, tree: Tree) -> Found:
+        """Return the best of a search so far, with the bound that it has proved."""
+        value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
+        best = tree.best.copy() if value < np.inf else None
+        nodes, constant = int(tree.counts[NODES]), posed.constant
+        return Found(best, value + constant, bound - self._excess + constant, nodes)
+
+    def _proof(self, tree: Tree) -> ProofTree:
+        """Return the tree of a search as the proof of its bound; the search is over then."""
+        made, leaves, none = int(tree.counts[MADE]), _number_leaves(tree), np.zeros(0, np.int64)
+        spare = 2.0 * self._excess / tree.kept.shape[1]
+        return ProofTree(
+            tree.nodes[:made].copy(),
+            tree.at[:made].copy(),
+            tree.point[:leaves].copy(),
+            tree.kept[:leaves] - spare,
+            np.zeros(leaves, np.int64),
+            none,
+            np.zeros(0),
+            tree.pull[:leaves, None].copy() if self._stiff else NOTHING,
+            NOTHING,
+            NOTHING,
+            NOTHING,
+            np.zeros((0, 0)),
+        )
+
+    def _by_branches(self, request: Request, found: Found) -> Found:
+        """Return the better of what was found and where the general search leads."""
+        guess = None if found.x is None else Guess(found.x, found.cost)
+        asked = iter(range(BRANCHES))
+        other = self._general.solve(
+            request._replace(guess=guess, out_of_time=lambda: next(asked, None) is None)
+        )
+        best = other if other.cost < found.cost else found
+        bound = other if other.lower_bound > found.lower_bound else found
+        known = replace(best, lower_bound=bound.lower_bound, proof=bound.proof)
+        return replace(known, nodes=found.nodes + other.nodes)

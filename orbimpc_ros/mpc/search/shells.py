@@ -1,0 +1,265 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The incumbent heuristic of round floors: descent over shells, floor <= |z_k| <= 1.
+
+Of each heading its modulus changes, between its bounds, and its direction, along the tangent plane
+of the sphere. Newton's method with damping descends in these; a modulus on a bound that the
+gradient pushes against is held. An arrival a z = b joins the cost with multipliers and a penalty
+that becomes stiffer (an augmented Lagrangian).
+
+Mathematics: docs/mathematics.md, 4.4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
+from orbimpc_ros.mpc.kernels.linear import quadratic
+from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
+
+SWEEPS, STILL = 50, 1e-4  # of headings in turn; until none moves by more
+STEPS = 40  # of Newton's method
+LOST = 1e-4  # of a fall that settles: one expected to be no more is lost in rounding
+CALMEST = 1e-14  # damping
+LONGEST = 0.5  # step of a heading, on average
+ROUNDS = 20  # of multipliers of an arrival
+SOFT, STIFFER = 1e-3, 10.0  # of the arrival's weight: to begin with; and where misses are slow
+SLOW = 0.1  # share of a miss that is left
+ARRIVED = 1e-9  # an arrival missed by no more, in steps, is met
+TINY = 1e-12  # a heading shorter than this has no direction
+
+
+@compiled
+def cost_of(posed, z):
+    """Return the cost of headings, without the constant."""
+    value = quadratic(posed.hessian, posed.q, z)
+    for k in range(len(z)):
+        if posed.lengths[k] > 0.0:
+            value += posed.lengths[k] * _size(z, k)
+    return value
+
+
+@compiled
+def missed_by(posed, z, c):
+    """Return by how much headings miss the arrival along an axis."""
+    missed = -posed.left[c]
+    for k in range(len(z)):
+        missed += posed.arrival[k] * z[k, c]
+    return missed
+
+
+@compiled
+def _size(z, k):
+    square = 0.0
+    for c in range(z.shape[1]):
+        square += z[k, c] * z[k, c]
+    return np.sqrt(square)
+
+
+@inlined
+def _put(posed, z):
+    """Take headings to the shells."""
+    for k in range(len(z)):
+        size = _size(z, k)
+        if size < TINY:
+            z[k, :] = 0.0
+            z[k, 0] = size = 1.0
+        onto = min(1.0, max(posed.floor, size)) / size
+        for c in range(z.shape[1]):
+            z[k, c] *= onto
+
+
+@inlined
+def _sweep(posed, stiff, pull, z):
+    """Take headings in turn to where the cost is least on the shell."""
+    (count, n), slope = z.shape, np.empty(z.shape[1])
+    for _ in range(SWEEPS):
+        moved = 0.0
+        for k in range(count):
+            a, square = posed.arrival[k], 0.0
+            h = posed.hessian[k, k] + stiff * a * a
+            for c in range(n):
+                slope[c] = posed.q[k, c] - h * z[k, c]
+                for j in range(count):
+                    slope[c] += posed.hessian[k, j] * z[j, c]
+                if stiff > 0.0:
+                    slope[c] += a * (pull[c] + stiff * missed_by(posed, z, c))
+                square += slope[c] * slope[c]
+            size = np.sqrt(square)
+            if size == 0.0:
+                continue
+            onto = min(1.0, max(posed.floor, (size - posed.lengths[k]) / h))
+            for c in range(n):
+                there = -onto * slope[c] / size
+                moved = max(moved, abs(there - z[k, c]))
+                z[k, c] = there
+        if moved <= STILL:
+            break
+
+
+@inlined
+def _rise(posed, stiff, pull, z, there):
+    """Return by how much headings cost more than z, with what an arrival comes to.
+
+    The difference of both costs would be lost in their rounding where they differ little.
+    """
+    rise, hessian = 0.0, posed.hessian
+    for j in range(len(z)):
+        for c in range(z.shape[1]):
+            slope = posed.q[j, c]
+            for k in range(len(z)):
+                slope += 0.5 * hessian[j, k] * (z[k, c] + there[k, c])
+            rise += (there[j, c] - z[j, c]) * slope
+        if posed.lengths[j] > 0.0:
+            rise += posed.lengths[j] * (_size(there, j) - _size(z, j))
+    for c in range(z.shape[1] if stiff > 0.0 else 0):
+        before, after = missed_by(posed, z, c), missed_by(posed, there, c)
+        rise += (after - before) * (pull[c] + 0.5 * stiff * (after + before))
+    return rise
+
+
+@compiled
+def set_tangents(by):
+    """Set unit vectors across the first of n, which is one, shape (n, n)."""
+    if len(by) == 2:
+        by[1, 0], by[1, 1] = -by[0, 1], by[0, 0]
+        return
+    i = 0
+    for c in range(1, 3):
+        if abs(by[0, c]) < abs(by[0, i]):
+            i = c
+    j, k = (i + 1) % 3, (i + 2) % 3
+    size = np.sqrt(by[0, j] ** 2 + by[0, k] ** 2)
+    by[1, i], by[1, j], by[1, k] = 0.0, -by[0, k] / size, by[0, j] / size
+    for c in range(3):
+        d, e = (c + 1) % 3, (c + 2) % 3
+        by[2, c] = by[0, d] * by[1, e] - by[0, e] * by[1, d]
+
+
+@inlined
+def _set_model(posed, stiff, pull, z, by, gradient, curved):
+    """Set gradient and Hessian, its lower triangle, in moduli and ways along the tangents.
+
+    Args:
+        posed: the problem.
+        stiff: weight of the arrival.
+        pull: its multipliers, shape (n,).
+        z: headings on the shells, shape (N, n).
+        by: their directions, and tangents as long as they are, shape (N, n, n), set.
+        gradient: shape (n N,), set.
+        curved: shape (n N, n N), set.
+    """
+    (count, n), slope = z.shape, np.empty(z.shape[1])
+    for k in range(count):
+        size, a = _size(z, k), posed.arrival[k]
+        for c in range(n):
+            by[k, 0, c] = z[k, c] / size
+            slope[c] = posed.q[k, c]
+            for j in range(count):
+                slope[c] += posed.hessian[k, j] * z[j, c]
+            if stiff > 0.0:
+                slope[c] += a * (pull[c] + stiff * missed_by(posed, z, c))
+        set_tangents(by[k])
+        for e in range(n):
+            gradient[n * k + e] = posed.lengths[k] if e == 0 else 0.0
+            for c in range(n):
+                by[k, e, c] *= size if e > 0 else 1.0
+                gradient[n * k + e] += slope[c] * by[k, e, c]
+        for j in range(k + 1):
+            h = posed.hessian[k, j] + stiff * a * posed.arrival[j]
+            for e in range(n):
+                for f in range(n):
+                    inner = 0.0
+                    for c in range(n):
+                        inner += by[k, e, c] * by[j, f, c]
+                    curved[n * k + e, n * j + f] = h * inner
+        ahead = gradient[n * k] - posed.lengths[k]
+        for e in range(1, n):
+            curved[n * k + e, n * k + e] -= size * ahead
+            curved[n * k + e, n * k] += gradient[n * k + e] / size
+
+
+@inlined
+def _move(posed, z, by, step, there):
+    """Set headings moved by a step, the moduli kept within their bounds."""
+    for k in range(len(z)):
+        n, size, square = z.shape[1], _size(z, k), 0.0
+        for e in range(1, n):
+            square += step[n * k + e] ** 2
+        angle = np.sqrt(square)
+        onto = min(1.0, max(posed.floor, size + step[n * k]))
+        aside = np.sin(angle) / angle if angle > 0.0 else 1.0
+        for c in range(n):
+            there[k, c] = onto * np.cos(angle) * by[k, 0, c]
+            for e in range(1, n):
+                there[k, c] += onto * aside * step[n * k + e] * by[k, e, c] / size
+
+
+@inlined
+def _newton(posed, stiff, pull, z, room):
+    """Descend at given multipliers of the arrival; return the Newton steps taken."""
+    by, gradient, curved, step, y, bounds, free, there = room
+    (count, n), damping, taken = z.shape, DAMPED, 0
+    for _ in range(STEPS):
+        taken += 1
+        _set_model(posed, stiff, pull, z, by, gradient, curved)
+        settled = SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE)
+        scale, fall = 1e-300, 0.0
+        for k in range(count):
+            y[n * k] = _size(z, k)
+            scale = max(scale, posed.hessian[k, k])
+        while damping <= STIFFEST:
+            expected, square = 0.0, np.inf
+            if set_step(curved, gradient, y, bounds, damping * scale, free, step):
+                square = 0.0
+                for i in range(len(step)):
+                    square += step[i] * step[i]
+                    expected -= 0.5 * step[i] * gradient[i]
+            if square <= count * LONGEST * LONGEST:
+                _move(posed, z, by, step, there)
+                fall = -_rise(posed, stiff, pull, z, there)
+                if fall > 0.0 or expected <= LOST * settled:
+                    z[:] = there
+                    damping = max(CALMEST, CALMED * damping)
+                    break
+            damping *= STIFFENED
+        if fall <= settled:
+            break
+    return taken
+
+
+@compiled
+def descend(posed, z, pull):
+    """Descend to a stationary point.
+
+    Args:
+        posed: the problem.
+        z: headings, of any length, shape (N, n), updated.
+        pull: multipliers of the arrival to begin with, shape (n,), updated.
+
+    Returns:
+        Whether headings arrive, and how many Newton steps were taken.
+    """
+    (count, n), taken, missed = z.shape, 0, np.inf
+    size, stiff = n * count, SOFT * posed.stiff
+    y, bounds = np.zeros(size), np.empty((size, 2))
+    bounds[:, 0], bounds[:, 1] = -np.inf, np.inf
+    bounds[::n, 0], bounds[::n, 1] = posed.floor, 1.0
+    free = np.empty(size, np.int64), np.empty((size, size)), np.empty(size)
+    by, gradient, curved = np.empty((count, n, n)), np.empty(size), np.empty((size, size))
+    room = by, gradient, curved, np.empty(size), y, bounds, free, np.empty((count, n))
+    _put(posed, z)
+    for _ in range(ROUNDS):
+        _sweep(posed, stiff, pull, z)
+        taken += _newton(posed, stiff, pull, z, room)
+        before, missed = missed, 0.0
+        for c in range(n if stiff > 0.0 else 0):
+            miss = missed_by(posed, z, c)
+            pull[c] += stiff * miss
+            missed = max(missed, abs(miss))
+        if missed <= ARRIVED:
+            break
+        if missed > SLOW * before:
+            stiff = min(posed.stiff, STIFFER * stiff)
+    return missed <= ARRIVED, taken

@@ -1,0 +1,550 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Shor multipliers of round floors: the curvature of the cost that steps keep for themselves.
+
+With theta_k on |z_k|^2 / 2, and w >= 0 on what else holds in narrow sectors (:class:`Rows`),
+the dual function is
+
+    D(theta, w) = min_z (1/2 z.(H + diag(b))z + (q - sum w n).z) - w.o + sum_k h_k(theta_k),
+    h_k(theta) = min (l_k t - theta t^2 / 2)  over t = floor and t = 1,
+
+b_k being theta_k and the w of k's rows that curve, and z, where plans have to arrive, subject to
+that. It is concave, and defined where the matrix is positive definite on such z: without rows its
+maximum is the value of the semidefinite relaxation that lifts z_k to second moments (Shor). It is
+climbed by Newton's method with barriers mu log det and mu log w, and h smoothed by the same mu:
+h is -1/2 lambda + 1/2 floor^2 (lambda - theta), up to a shift, for the best lambda >=
+max(0, theta). With z the minimiser and P the inverse, the gradient is |z_k|^2/2 + mu P_kk + h', and
+the negative Hessian (z_j . z_k) P_jk + mu P_jk^2 - h''.
+
+Whatever multipliers that leads to, a tangent at z proves what it does; so do the multipliers of a
+stationary point, which are most often enough.
+
+Mathematics: docs/mathematics.md, 4.4 and 4.5.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels.linear import (
+    SINGULAR,
+    add_product,
+    extend_factor,
+    invert_spd,
+    solve_factored,
+    solve_spd,
+)
+from orbimpc_ros.mpc.search.shells import set_tangents
+
+GOING, CLIMBED, PRUNED = range(3)  # what becomes of a node
+KEY, TAKEN, MU = range(3)  # of a node: its bound; Newton steps; how smooth its dual function is
+LOW, HIGH = range(2)  # of sectors
+MODULUS, ARC, FIRST_EDGE, LAST_EDGE = range(4)  # what multipliers of a step are of
+KINDS = 4
+CLIMBS = 60  # Newton steps
+SMALLEST = 1e-8  # mu, of the forces at work
+SHRINK = 0.2  # of mu, from step to step
+HALVINGS = 30
+INSIDE = 0.9  # of the way to where a multiplier would vanish
+SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
+AWAY, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
+ON_BOUND = 1e-6  # a heading this close to the rim or the floor sits on it
+SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # of the largest curvature
+MARGIN = 1e-13  # of the largest curvature, for each step, that convexity is verified with
+ROUNDING = 4e-16  # of the terms of a bound, for each step
+
+
+class Posed(NamedTuple):
+    """1/2 <z, H z> + q . z + sum_k l_k |z_k| over floor <= |z_k| <= 1, where sum_k a_k z_k = b.
+
+    Attributes:
+        hessian: H, positive definite, shape (N, N).
+        q: shape (N, n).
+        lengths: l >= 0, shape (N,).
+        arrival: a, shape (N,); zeros where plans need not arrive.
+        left: b, shape (n,).
+        stiff: weight on |a z - b|^2 / 2 that numbers are worked out with; 0 without an arrival.
+        floor: the least modulus.
+        constant: what the cost lacks; it only scales tolerances.
+    """
+
+    hessian: Array
+    q: Array
+    lengths: Array
+    arrival: Array
+    left: Array
+    stiff: float
+    floor: float
+    constant: float
+
+
+class Rows(NamedTuple):
+    """What holds of headings: 1/2 c |z_k|^2 <= n . z_k + o; first the moduli, which h knows.
+
+    Attributes:
+        steps: which headings, shape (M,).
+        kinds: of their multipliers, shape (M,).
+        curved: c, 0 or 1, shape (M,).
+        normals: n, shape (M, n).
+        offsets: o, shape (M,).
+    """
+
+    steps: np.ndarray
+    kinds: np.ndarray
+    curved: Array
+    normals: Array
+    offsets: Array
+
+
+class Node(NamedTuple):
+    """A node of the search.
+
+    Attributes:
+        sector: first and last direction of each heading [rad], a turn apart where nothing is known
+            of it, shape (N, 2).
+        z: where its climb is, shape (N, n).
+        held: multipliers by their kinds, shape (4, N).
+        point: where the tangent that proves its bound touches, shape (N, n).
+        kept: curvatures that steps keep there, shape (N,).
+        pull: multipliers of the arrival there, shape (n,).
+        known: see the names of its entries, shape (3,).
+    """
+
+    sector: Array
+    z: Array
+    held: Array
+    point: Array
+    kept: Array
+    pull: Array
+    known: Array
+
+
+@compiled
+def rows_of(floor, sector, dimension):
+    """Return the moduli, and what holds of headings in sectors narrower than half a turn.
+
+    For one of half-width d about the unit vector m, |z|^2 <= (1 + f) m.z / cos d - f, which with
+    both edges describes the convex hull of all (z, |z|^2).
+
+    Args:
+        floor: f, the least modulus.
+        sector: shape (N, 2); whole turns but in the plane.
+        dimension: n.
+    """
+    steps, most = len(sector), KINDS * len(sector)
+    rows = Rows(
+        np.zeros(most, np.int64),
+        np.zeros(most, np.int64),
+        np.zeros(most),
+        np.zeros((most, dimension)),
+        np.zeros(most),
+    )
+    count = steps
+    for k in range(steps):
+        rows.steps[k], rows.curved[k] = k, 1.0
+        low, high = sector[k, LOW], sector[k, HIGH]
+        if high - low >= np.pi:
+            continue
+        for kind in range(ARC, KINDS):
+            rows.steps[count], rows.kinds[count] = k, kind
+            if kind == ARC:
+                middle, cosine = 0.5 * (low + high), np.cos(0.5 * (high - low))
+                share = 0.5 * (1.0 + floor) / cosine
+                rows.curved[count], rows.offsets[count] = 1.0, -0.5 * floor
+                rows.normals[count, 0] = share * np.cos(middle)
+                rows.normals[count, 1] = share * np.sin(middle)
+            else:
+                edge, sign = (low, 1.0) if kind == FIRST_EDGE else (high, -1.0)
+                rows.normals[count, 0] = -sign * np.sin(edge)
+                rows.normals[count, 1] = sign * np.cos(edge)
+            count += 1
+    return Rows(
+        rows.steps[:count],
+        rows.kinds[:count],
+        rows.curved[:count],
+        rows.normals[:count],
+        rows.offsets[:count],
+    )
+
+
+@compiled
+def stiffen(posed, matrix, linear):
+    """Add the arrival's weight to a matrix and to linear terms; return what that adds besides."""
+    constant, a = 0.0, posed.arrival
+    if posed.stiff > 0.0:
+        for i in range(len(a)):
+            for j in range(i + 1):
+                matrix[i, j] += posed.stiff * a[i] * a[j]
+            for c in range(len(posed.left)):
+                linear[i, c] -= posed.stiff * a[i] * posed.left[c]
+        for c in range(len(posed.left)):
+            constant += 0.5 * posed.stiff * posed.left[c] ** 2
+    return constant
+
+
+@compiled
+def _set_minimiser(posed, rows, weights, inverse, z, pull):
+    """Set P, shape (N, N), the Lagrangian's minimiser z, shape (N, n), and the arrival's pull.
+
+    Returns:
+        The Lagrangian there without moduli, and log det of the matrix that P inverts, of which
+        either is about z that arrive: -inf, and nothing is set, where it is not positive definite.
+    """
+    matrix, linear = posed.hessian.copy(), posed.q.copy()
+    constant = stiffen(posed, matrix, linear)
+    for i in range(len(weights)):
+        k = rows.steps[i]
+        matrix[k, k] += weights[i] * rows.curved[i]
+        constant -= weights[i] * rows.offsets[i]
+        for c in range(z.shape[1]):
+            linear[k, c] -= weights[i] * rows.normals[i, c]
+    size = invert_spd(matrix, inverse)
+    if size == -np.inf:
+        return -np.inf, size
+    z[:] = 0.0
+    add_product(inverse, linear, -1.0, z)
+    for k in range(len(z)):
+        for c in range(z.shape[1]):
+            constant += 0.5 * linear[k, c] * z[k, c]
+    if posed.stiff == 0.0:
+        return constant, size
+    along, bent = np.zeros(len(z)), 0.0
+    for j in range(len(z)):
+        for k in range(len(z)):
+            along[j] += inverse[j, k] * posed.arrival[k]
+        bent += along[j] * posed.arrival[j]
+    for c in range(z.shape[1]):
+        missed = -posed.left[c]
+        for k in range(len(z)):
+            missed += posed.arrival[k] * z[k, c]
+        pull[c] = missed / bent
+        constant += 0.5 * missed * pull[c]
+        for k in range(len(z)):
+            z[k, c] -= along[k] * pull[c]
+    for j in range(len(z)):
+        for k in range(len(z)):
+            inverse[j, k] -= along[j] * along[k] / bent
+    return constant, size + np.log(bent)
+
+
+@compiled
+def _end(floor, length, theta, mu):
+    """Return h smoothed by mu, its derivative and its second one."""
+    if floor == 1.0:
+        return length - 0.5 * theta, -0.5, 0.0
+    shift = 2.0 * length / (1.0 + floor)
+    bent, a = theta - shift, 0.5 * (1.0 - floor * floor)
+    root = np.sqrt(a * a * bent * bent + 4.0 * mu * mu)
+    # Both lambda and lambda - bent, without cancelling.
+    if bent >= 0.0:
+        above = (a * bent + 2.0 * mu + root) / (2.0 * a)
+        below = mu * above / (a * above - mu)
+    else:
+        below = (-a * bent + 2.0 * mu + root) / (2.0 * a)
+        above = mu * below / (a * below - mu)
+    square = floor * floor
+    value = length * floor - 0.5 * shift * square - 0.5 * above + 0.5 * square * below
+    value += mu * (np.log(above) + np.log(below))
+    turn = 0.5 - 0.5 * a * bent / root  # 1 - d lambda / d theta
+    return value, -0.5 * square - mu / below, -mu * turn / (below * below)
+
+
+@compiled
+def _smoothed(posed, weights, mu, reached):
+    """Return the smoothed dual function, of the Lagrangian's minimum and log det."""
+    value = reached[0] + mu * reached[1]
+    for i in range(len(weights)):
+        if i < len(posed.q):
+            value += _end(posed.floor, posed.lengths[i], weights[i], mu)[0]
+        else:
+            value += mu * np.log(weights[i])
+    return value
+
+
+@inlined
+def _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
+    """Set Newton's step up the smoothed dual function, shape (M,); return whether there is one."""
+    (count, n), total = z.shape, len(step)
+    pulls = np.empty((total, n))
+    for i in range(total):
+        k, curved, square = rows.steps[i], rows.curved[i], 0.0
+        step[i] = mu * curved * inverse[k, k] - rows.offsets[i]
+        for c in range(n):
+            pulls[i, c] = curved * z[k, c] - rows.normals[i, c]
+            square += z[k, c] * z[k, c]
+            step[i] -= rows.normals[i, c] * z[k, c]
+        step[i] += 0.5 * curved * square
+        if i < count:
+            _, slope, curve = _end(posed.floor, posed.lengths[k], weights[i], mu)
+        else:
+            slope, curve = mu / weights[i], -mu / weights[i] ** 2
+        step[i] += slope
+        for j in range(i + 1):
+            other = rows.steps[j]
+            inner = mu * curved * rows.curved[j] * inverse[k, other]
+            for c in range(n):
+                inner += pulls[i, c] * pulls[j, c]
+            system[i, j] = inner * inverse[k, other]
+        system[i, i] = (system[i, i] - curve) * (1.0 + 1e-12)
+    return solve_spd(system, step, total)
+
+
+@inlined
+def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
+    """Take the longest share of a step that leads higher, up to what multipliers allow.
+
+    Returns:
+        That share, 0 where none does; how many were tried; the Lagrangian there and log det.
+    """
+    before, share, taken, tried = _smoothed(posed, weights, mu, reached), 1.0, 0.0, 0
+    for i in range(len(z), len(weights)):
+        if step[i] < 0.0:
+            share = min(share, -INSIDE * weights[i] / step[i])
+    for _ in range(HALVINGS):
+        tried += 1
+        there = weights + share * step
+        reached = _set_minimiser(posed, rows, there, inverse, z, pull)
+        if _smoothed(posed, there, mu, reached) >= before:
+            weights[:] = there
+            taken = share
+            break
+        share *= 0.5
+    if taken == 0.0:
+        reached = _set_minimiser(posed, rows, weights, inverse, z, pull)
+    return taken, tried, reached
+
+
+@inlined
+def _least_over(posed, k, curvature, slope, sector):
+    """Return the least of g . x + l |x| + b |x|^2 / 2 over a step's part of the shell."""
+    size, low, high, floor = 0.0, sector[LOW], sector[HIGH], posed.floor
+    for c in range(len(slope)):
+        size += slope[c] * slope[c]
+    along = -np.sqrt(size)
+    if high - low < 2.0 * np.pi:
+        angle = np.arctan2(-slope[1], -slope[0])
+        off = abs(angle - 0.5 * (low + high))
+        off = abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi)))
+        along *= np.cos(max(0.0, off - 0.5 * (high - low)))
+    along += posed.lengths[k]
+    if curvature > 0.0:
+        t = min(1.0, max(floor, -along / curvature))
+        return (along + 0.5 * curvature * t) * t
+    return min((along + 0.5 * curvature * floor) * floor, along + 0.5 * curvature)
+
+
+@compiled
+def prove(posed, theta, z, pull, node):
+    """Raise a node's bound to what the tangent at a point proves, if that is more.
+
+    Args:
+        posed: the problem.
+        theta: what makes the cost convex, shape (N,).
+        z: where the tangent touches, shape (N, n).
+        pull: multipliers of the arrival, shape (n,).
+        node: its tangent and its bound are updated.
+    """
+    (count, n), top, least, terms = z.shape, 0.0, 0.0, 0.0
+    slope = posed.q.copy()
+    for k in range(count):
+        top = max(top, posed.hessian[k, k] + abs(theta[k]))
+    kept = -theta - MARGIN * count * top
+    add_product(posed.hessian, z, 1.0, slope)
+    for c in range(n):
+        least -= pull[c] * posed.left[c]
+        terms += abs(pull[c] * posed.left[c])
+    for k in range(count):
+        value = 0.0
+        for c in range(n):
+            pulled = pull[c] * posed.arrival[k]
+            slope[k, c] += pulled - kept[k] * z[k, c]
+            value += 0.5 * z[k, c] * (posed.q[k, c] + pulled - slope[k, c])
+        there = _least_over(posed, k, kept[k], slope[k], node.sector[k])
+        least += value + there
+        terms += abs(value) + abs(there)
+    least -= ROUNDING * count * terms
+    if least > node.known[KEY]:
+        node.known[KEY] = least
+        node.point[:], node.kept[:], node.pull[:] = z, kept, pull
+
+
+@compiled
+def certify(posed, z, pull, node, cutoff):
+    """Raise the root's bound to what the multipliers of a stationary point prove, if they do.
+
+    With mu_k the multiplier of the modulus, theta_k is mu_k and as much of the length's curvature
+    l_k / |z_k| as leaves the step least at |z_k|. On a bound, a larger theta costs next to nothing:
+    it is raised until the cost is convex.
+
+    Args:
+        posed: the problem.
+        z: the point, on the shells, shape (N, n).
+        pull: multipliers of the arrival, shape (n,).
+        node: the root.
+        cutoff: the bound that is enough.
+    """
+    (count, n), floor = z.shape, posed.floor
+    force, theta, right = posed.q.copy(), np.zeros(count), posed.q.copy()
+    stiffened, matrix = posed.hessian.copy(), np.empty((count, count))
+    stiffen(posed, stiffened, right)
+    there, column, held = np.empty((count, n)), np.empty(count), np.zeros(n)
+    add_product(posed.hessian, z, 1.0, force)
+    for k in range(count):
+        along = square = 0.0
+        for c in range(n):
+            along += (force[k, c] + pull[c] * posed.arrival[k]) * z[k, c]
+            square += z[k, c] * z[k, c]
+        size = np.sqrt(square) + 1e-300
+        slope, share = posed.lengths[k] / size if posed.lengths[k] > 0.0 else 0.0, 0.0
+        if size > 1.0 - ON_BOUND or size < floor + ON_BOUND:
+            theta[k] = -along / square - slope
+            share = slope
+            if floor < 1.0:
+                share = min(slope, abs(theta[k]) * (1.0 + floor) / (1.0 - floor))
+        theta[k] += share
+        for c in range(n):
+            right[k, c] += (slope - share) * z[k, c]
+    top, before = np.abs(posed.hessian).max(), 0.0
+    for share in SPARES:
+        matrix[:] = stiffened
+        for k in range(count):
+            theta[k] += (share - before) * top
+            matrix[k, k] += theta[k]
+        before = share
+        if not extend_factor(matrix, matrix, 0, count, SINGULAR):
+            continue
+        bent = 0.0
+        if posed.stiff > 0.0:
+            column[:] = posed.arrival
+            bent = solve_factored(matrix, column, count)
+        along = column.copy()
+        for c in range(n):
+            column[:] = -right[:, c]
+            solve_factored(matrix, column, count)
+            there[:, c] = column
+            if bent > 0.0:
+                missed = -posed.left[c]
+                for k in range(count):
+                    missed += posed.arrival[k] * there[k, c]
+                held[c] = missed / bent
+                there[:, c] -= along * held[c]
+        prove(posed, theta, there, held, node)
+        if node.known[KEY] >= cutoff:
+            break
+
+
+@inlined
+def _begin(posed, held, known, rows, weights):
+    """Set the multipliers to begin with, and mu; return the forces at work."""
+    scale = np.abs(posed.q).max() + np.abs(posed.hessian).max() + 1e-300
+    going, mu = known[TAKEN] > 0.0, known[MU]
+    if not going:
+        mu = known[MU] = min(scale, SMOOTHED * mu) if mu > 0.0 else scale
+    for i in range(len(weights)):
+        weights[i] = held[rows.kinds[i], rows.steps[i]]
+        if not going and i < held.shape[1]:
+            weights[i] += AWAY * mu
+        elif not going:
+            weights[i] = max(weights[i], LEAST * mu)
+    return scale
+
+
+@compiled
+def climb(posed, node, near, cutoff, work):
+    """Climb the dual function by Newton's method, its barriers shrinking; interruptible.
+
+    Args:
+        posed: the problem.
+        node: updated.
+        near: share of what the bound lacks; where no more is left to climb, the climb ends.
+        cutoff: the bound at which the node is of no use.
+        work: multiplications to do, though no less than one Newton step takes.
+
+    Returns:
+        What becomes of the node, and the multiplications left.
+    """
+    z, held, known = node.z, node.held, node.known
+    count, rows = len(z), rows_of(posed.floor, node.sector, z.shape[1])
+    total, status = len(rows.steps), CLIMBED
+    weights, inverse, pull = np.empty(total), np.empty((count, count)), np.zeros(z.shape[1])
+    system, step, theta = np.empty((total, total)), np.empty(total), np.empty(count)
+    scale = _begin(posed, held, known, rows, weights)
+    reached = _set_minimiser(posed, rows, weights, inverse, z, pull)
+    while reached[1] > -np.inf and known[MU] >= SMALLEST * scale and known[TAKEN] < CLIMBS:
+        known[TAKEN] += 1.0
+        mu = known[MU]
+        if not _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
+            break
+        share, tried, reached = _advance(posed, rows, weights, mu, step, reached, inverse, z, pull)
+        work -= tried * (count**3 + 20.0 * count * count + 100.0) + total**3 / 6.0
+        theta[:] = 0.0
+        for i in range(total):
+            theta[rows.steps[i]] += rows.curved[i] * weights[i]
+        prove(posed, theta, z, pull, node)
+        lacking = cutoff - known[KEY]
+        if lacking <= 0.0:
+            status = PRUNED
+            break
+        if lacking < np.inf and mu * (2.0 * count + total) <= near * lacking:
+            break
+        if share > 0.3 or share == 0.0:  # as high as rounding lets it be, or nearly
+            known[MU] *= SHRINK
+        if work <= 0.0:
+            status = GOING
+            break
+    for i in range(total):
+        held[rows.kinds[i], rows.steps[i]] = weights[i]
+    return status, work
+
+
+@compiled
+def set_spread(posed, node, side, aside):
+    """Set where second moments reach to a side of where a climb has ended.
+
+    They are those of z and of 2 mu P on top. Where two ways round cost nearly the same, P is next
+    to singular, and z between the two.
+
+    Args:
+        posed: the problem.
+        node: that has been climbed.
+        side: which one, 2 (n - 1) in all: there and back along each tangent.
+        aside: shape (N, n), set.
+    """
+    z, (count, n) = node.z, node.z.shape
+    rows, inverse = rows_of(posed.floor, node.sector, n), np.zeros((count, count))
+    weights, j = np.empty(len(rows.steps)), 0
+    for i in range(len(weights)):
+        weights[i] = node.held[rows.kinds[i], rows.steps[i]]
+    _set_minimiser(posed, rows, weights, inverse, aside, np.zeros(n))
+    for k in range(count):
+        if inverse[k, k] > inverse[j, j]:
+            j = k
+    by, square = np.zeros((n, n)), 0.0
+    for c in range(n):
+        square += z[j, c] * z[j, c]
+    by[0, 0] = 1.0
+    if square > 0.0:
+        by[0] = z[j] / np.sqrt(square)
+    set_tangents(by)
+    reach = np.sqrt(2.0 * node.known[MU] / SHRINK / (inverse[j, j] + 1e-300))
+    reach *= 1.0 if side % 2 == 0 else -1.0
+    for k in range(count):
+        for c in range(n):
+            aside[k, c] = z[k, c] + inverse[k, j] * reach * by[1 + side // 2, c]
+
+
+@compiled
+def priced_branching(posed, node, narrowest):
+    """Return the step whose modulus misses most, as its multiplier prices it; -1 for none."""
+    chosen, most, floor, sector = -1, 0.0, posed.floor, node.sector
+    for k in range(len(node.z)):
+        bent, square = node.held[MODULUS, k] - 2.0 * posed.lengths[k] / (1.0 + floor), 0.0
+        for c in range(node.z.shape[1]):
+            square += node.z[k, c] * node.z[k, c]
+        missed = abs(bent * ((1.0 if bent > 0.0 else floor * floor) - square))
+        if missed > most and sector[k, HIGH] - sector[k, LOW] > narrowest:
+            chosen, most = k, missed
+    return chosen
