@@ -9,10 +9,10 @@ import pytest
 from plans import assembled, straight
 from problems import floor, rotation
 
-from orbimpc_ros.mpc.check import command_violations
-from orbimpc_ros.mpc.command import Command, command_of, flaw, stop
+from orbimpc_ros.mpc.check import command_violations, flaw
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.plan import Command, command_of, stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 
 NAN, INF = np.nan, np.inf

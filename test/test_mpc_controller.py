@@ -12,10 +12,10 @@ from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import Command, command_of
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.plan import Command, command_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 

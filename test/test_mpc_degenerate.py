@@ -14,8 +14,7 @@ from stepping import Stepped
 
 from orbimpc_ros.loop.fallback import may_stop
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import flaw
+from orbimpc_ros.mpc.check import flaw, violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem, Weights
 

@@ -7,8 +7,8 @@ from problems import ORDERS, rotation
 
 from orbimpc_ros.loop.compensation import CommandHistory, Interval, advanced
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem
 
 

@@ -21,8 +21,8 @@ from orbimpc_ros.loop.compensation import (
 )
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.scaling import weighed
 

@@ -27,12 +27,12 @@ from orbimpc_ros.loop.intercept import (
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Solvers, Task
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import drift, trajectory_of
+from orbimpc_ros.mpc.plan import command_of
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,

@@ -11,13 +11,12 @@ from problems import floor, goals, needs_machine_code, rotation, state
 from stepping import Stepped
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.check import approach_margin, command_violations, violations
-from orbimpc_ros.mpc.command import Command, command_of, flaw
+from orbimpc_ros.mpc.check import approach_margin, command_violations, flaw, violations
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.plan import UNPROVED, assemble, shifted
+from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of, shifted
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,

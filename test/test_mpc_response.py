@@ -11,8 +11,8 @@ from stepping import Stepped, measured
 
 from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
 
 LONG = 6.0  # [s] twenty time constants: by then lags are over

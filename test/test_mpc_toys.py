@@ -8,11 +8,11 @@ from toy_floor import Eastward
 from toy_model import DRAG, KEPT, Drag
 
 from orbimpc_ros.loop.fallback import safe_command
-from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import Command, flaw
+from orbimpc_ros.mpc.check import flaw, violations
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.floor import SHAPES

@@ -14,10 +14,10 @@ from orbimpc_ros.loop.compensation import Compensator, Interval, advanced
 from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.sim.world import Rope, Scenario

@@ -17,11 +17,12 @@ from planners import FRAMES, settings
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
 from orbimpc_ros.loop.planner import Decision
-from orbimpc_ros.mpc.command import flaw, stop
+from orbimpc_ros.mpc.check import flaw
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
+from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.proof.document import verified

@@ -16,8 +16,8 @@ from planners import told as values_of
 from scenarios import retrieval
 from stepping import Stepped
 
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message
 from orbimpc_ros.ros.planner.outputs import (

@@ -27,7 +27,7 @@ from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
 FILES = 12  # from odometry to a command; the mathematics is one of them
-MATHEMATICS = 21  # files of formulas, solvers and checks that a tick of the retrieval calls
+MATHEMATICS = 20  # files of formulas, solvers and checks that a tick of the retrieval calls
 HOPS = 29  # from file to file, the mathematics counting as one
 FRAMES = Frames('odom', 'base_link')
 

@@ -33,9 +33,8 @@ import numpy as np
 
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array, number
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
-from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import MovingObstacle, Problem, State
 
 MEMORY = 32  # commands; whatever was sent before them is taken as measured

@@ -36,11 +36,10 @@ from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
-from orbimpc_ros.mpc.check import command_violations, holds
-from orbimpc_ros.mpc.command import Command, command_of, flaw
+from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, assemble, command_of, later
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards

@@ -20,10 +20,10 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.loop.traffic import clearance
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import margins
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 from orbimpc_ros.mpc.proof.prove import certificate_of
