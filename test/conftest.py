@@ -23,8 +23,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 # Fixtures of tests that start processes or meet others over DDS.
 PROCESSES = {'domain', 'launch', 'observer', 'shared', 'workspace', 'default_context'}
 FLIGHTS = {
-    *('test_ros_crossing', 'test_ros_missions', 'test_ros_physics', 'test_ros_vehicles'),
-    'test_package_colcon',
+    *('test_ros_crossing', 'test_ros_physics', 'test_ros_vehicles', 'test_package_colcon'),
 }  # modules of whole flights and installations
 
 

@@ -12,9 +12,9 @@ pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros
 
 
 from benchmarks.baselines import BASELINES, baseline_named, tuned_of
-from benchmarks.baselines.baseline import Baseline, Sight, depths
+from benchmarks.baselines.baseline import Baseline, Sight
 from benchmarks.baselines.guidance import crabbed, sidestepped
-from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, State
+from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
@@ -101,21 +101,6 @@ def test_goals_with_a_cone_of_approach_are_approached_from_behind():
 
 def disc(x, y, velocity=(0.0, 0.0), radius=2.0):
     return MovingObstacle.drifting(Ball(np.array([x, y]), radius), np.array(velocity))
-
-
-def test_depths_are_those_of_the_deepest_body_at_each_time():
-    rng, times = np.random.default_rng(5), np.array([0.0, 0.7, 2.0])
-    corner = rng.uniform(-1.0, 1.0, 2)
-    bodies = Ball(rng.normal(size=2), 1.5), Box(corner, corner + 1.0)
-    hazards = [MovingObstacle.drifting(body, rng.normal(size=2)) for body in bodies]
-    paths = rng.normal(scale=2.0, size=(30, 3, 2))
-    found = depths(hazards, paths, times)
-    for m, k in itertools.product(range(30), range(3)):
-        each = [
-            hazard.body.depth((paths[m, k] - hazard.moved(times[k : k + 1])[0])[None])[0]
-            for hazard in hazards
-        ]
-        assert found[m, k] == pytest.approx(max(each))
 
 
 def test_a_sidestep_is_the_least_detour_that_is_clear():

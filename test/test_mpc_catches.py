@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Before which time nothing catches: each step by itself, and what of it was counted again."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -66,29 +65,6 @@ def test_without_limits_what_is_excluded_is_what_is_out_of_reach(seed):
         assert miss[count] <= np.sqrt(1.0 + EFFORT) * RADIUS + 1e-3
 
 
-def everywhere(problem, ways):
-    """Return s_1..s_6 of all flights at full speed whose turns are so many shares of the widest."""
-    turns = np.array(list(itertools.product(np.linspace(-1.0, 1.0, ways), repeat=5)))
-    angles = np.cumsum(problem.max_rate * turns, axis=1)
-    first = np.broadcast_to([[[1.0, 0.0]]], (len(turns), 1, 2))
-    moved = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return np.cumsum(np.concatenate([first, moved], axis=1), axis=1)
-
-
-@pytest.fixture(scope='module')
-def flights():
-    return everywhere(WING, 7)
-
-
-@needs_counts
-@pytest.mark.parametrize('seed', range(12))
-def test_no_flight_of_a_wing_catches_at_a_step_that_is_excluded(seed, flights):
-    goals = jumping(np.random.default_rng([seed, 78]))
-    catch, _ = hunted(WING, goals)
-    miss = np.linalg.norm(flights - goals, axis=-1).min(axis=0)
-    assert np.all(miss[: excluded(catch)] > RADIUS)
-
-
 @needs_counts
 @pytest.mark.parametrize(
     'problem', [FREE, WING, replace(WING, floor=Floor('circle', fraction=0.5))]
@@ -102,16 +78,6 @@ def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
         verdict = verified(parsed(made.text().encode()))
         assert verdict.holds
         assert verdict.proved == (count + 1) * problem.step
-
-
-def test_a_goal_that_comes_near_and_leaves_again_is_not_excluded():
-    """Of every step from the first on, the one catch is kept, whatever the others say."""
-    for k in range(1, 7):
-        goals = np.full((6, 2), 50.0)
-        goals[k - 1] = [k, 0.0]
-        catch, _ = hunted(FREE, goals)
-        assert catch.time <= k
-        assert catch.bound <= catch.time
 
 
 # --- what of it was counted again

@@ -15,8 +15,8 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.plan import Command, command_of
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.plan import Command
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -37,18 +37,6 @@ def state_of(problem, measured, applied):
     return compensator.state(measured)
 
 
-def test_state_is_the_attitude_scaled_by_the_speed_fraction():
-    attitude = exp(np.array([0.7]))
-    state = state_of(Problem(forward=2.0), odometry(attitude=attitude, speed=1.0), 0.9)
-    assert np.allclose(state.rotation, 0.5 * attitude)
-    assert np.allclose(state.attitude, attitude)
-    fast = state_of(Problem(forward=2.0), odometry(attitude=attitude, speed=7.0), 0.9)
-    assert np.allclose(fast.rotation, attitude)
-    backwards = state_of(Problem(), odometry(attitude=attitude, speed=-1.0), 0.9)
-    assert np.allclose(backwards.rotation, 0.0)
-    assert np.allclose(backwards.attitude, attitude)
-
-
 def test_second_order_state_carries_thrust_velocity_and_coasted_attitude():
     problem = Problem(3, 2, 2, step=0.5)
     attitude = exp(np.array([0.2, -0.4, 0.9]))
@@ -57,27 +45,6 @@ def test_second_order_state_carries_thrust_velocity_and_coasted_attitude():
     assert np.allclose(state.rotation, 0.25 * attitude)
     assert np.allclose(state.velocity, 2.0 * attitude[:, 0])
     assert np.allclose(state.coasted, attitude @ exp(np.array([0.05, 0.1, -0.15])))
-
-
-def test_first_order_command_turns_into_the_first_planned_rotation():
-    problem = Problem(dimension=3, step=0.5)
-    state = State.at([0.0, 0.0, 0.0], np.eye(3))
-    plan = Solver(problem).solve(state, np.tile([0.0, 2.0, 1.0], (5, 1)))
-    command = command_of(problem, state, plan)
-    reached = exp(problem.step * command.body_rate)
-    assert np.allclose(reached, plan.projected[1], atol=1e-9)
-    assert np.allclose(command.speed_fraction * reached[:, 0], plan.rotations[1, :, 0], atol=1e-9)
-
-
-def test_command_never_turns_faster_than_the_limit():
-    """Inside the disk a short chord is a wide angle: the rate is cut, the rotation follows it."""
-    problem = Problem(max_rate=0.3)
-    state = State.at([0.0, 0.0], 0.1 * np.eye(2), attitude=np.eye(2))
-    plan = Solver(problem).solve(state, np.tile([-3.0, 0.5], (5, 1)))
-    command = command_of(problem, state, plan)
-    assert np.abs(command.body_rate).max() <= 0.3 + 1e-12
-    assert np.allclose(command.rotation, exp(command.body_rate * problem.step), atol=1e-12)
-    assert np.abs(np.arctan2(*plan.rotations[1, ::-1, 0])) > 0.31
 
 
 @pytest.mark.parametrize('orders', ORDERS)
@@ -198,17 +165,6 @@ def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
     tick = controller.tick(carried, np.tile([2.0, 0.5], (2, 1)))
     assert (tick.status, tick.fallback) == ('failed', 'soft arrival')
     assert 'a test wants it' in tick.reason
-
-
-def test_the_arrival_weight_brings_second_order_vehicles_to_rest():
-    problem = Problem(dimension=3, translation_order=2, horizon=8, arrival_weight=1e4)
-    state = State.at([0.0, 0.0, 0.0], np.eye(3), velocity=[0.5, 0.2, 0.0])
-    goals = np.tile([1.5, 0.8, 0.4], (8, 1))
-    plan = Solver(problem).solve(state, goals)
-    assert plan.status == 'optimal'
-    assert violations(problem, state, goals, plan) == []
-    assert np.linalg.norm(plan.positions[-1] - goals[-1]) < 0.01
-    assert np.linalg.norm(plan.velocities[-1]) < 0.01
 
 
 def test_another_controller_goes_on_from_what_this_one_remembers():

@@ -44,22 +44,6 @@ def measured(position, heading, speed, time=0.0):
 
 
 @needs_machine_code
-@pytest.mark.parametrize(('shape', 'faces'), [('circle', 4), ('polygon', 4), ('polygon', 8)])
-def test_with_a_floor_every_turn_of_a_plan_is_flown_as_planned(shape, faces):
-    rng = np.random.default_rng(17)
-    for rate in (0.3, 0.8, 2.0):
-        problem = Problem(horizon=4, floor=floor(shape, 0.5, faces), max_rate=rate)
-        start = state(rng, problem, full_speed=False)
-        targets = goals(rng, problem, 2.0)
-        plan = Solver(problem).solve(start, targets)
-        assert violations(problem, start, targets, plan) == []
-        for k in range(problem.horizon):
-            command = command_of(problem, start, plan, k)
-            np.testing.assert_allclose(command.rotation, plan.projected[k + 1], atol=1e-6)
-            assert command.speed_fraction == pytest.approx(plan.speed_fraction[k + 1], abs=1e-6)
-
-
-@needs_machine_code
 def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
     rng, sooner = np.random.default_rng(23), {'cost': 0, 'bound': 0}
     for _ in range(20):
@@ -79,16 +63,6 @@ def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
 
 
 # --- the approach
-
-
-def test_the_goals_own_axis_is_the_direction_where_none_is_given():
-    rng = np.random.default_rng(1)
-    problem = Problem(3, horizon=4, approach=Approach(0.2))
-    start = replace(state(rng, problem), wanted=rotation(rng, 3))
-    targets = goals(rng, problem)
-    plan = Solver(problem).solve(start, targets)
-    same = replace(problem, approach=Approach(0.2, tuple(start.wanted[:, 0].tolist())))
-    assert plan.objective == pytest.approx(Solver(same).solve(start, targets).objective, rel=1e-6)
 
 
 def test_a_heading_that_vanishes_has_no_direction():
@@ -283,15 +257,6 @@ def test_a_climb_is_legal_from_anywhere(rotation_order, max_rate, floor, transla
         x = coordinates(carried(begin, climb(problem, start, targets)[1:]))
         plan = assemble(problem, start, targets, x, projection='thrust_aligned', proof=UNPROVED)
         assert violations(problem, start, targets, plan) == []
-
-
-@pytest.mark.parametrize('seed', range(4))
-def test_no_state_is_infeasible_for_a_descent(seed):
-    problem = lander(floor=THRUST)
-    start = replace(anywhere(np.random.default_rng(seed), problem), coasted=None)
-    plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
-    assert plan.status == 'optimal'
-    assert violations(problem, start, PAD, plan) == []
 
 
 @pytest.mark.parametrize('tilt', [0.1, 0.2618, 0.5])

@@ -71,20 +71,6 @@ def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
     np.testing.assert_allclose(flown.inputs[: len(inputs)], inputs, atol=1e-9)
 
 
-@pytest.mark.parametrize('model', [each for each in MODELS if each['dimension'] == 2])
-def test_the_condensed_quadratic_is_the_objective(model):
-    rng = np.random.default_rng([*map(ord, str(model))])
-    drawn = replace(weights(rng), length=0.0, attitude=4.0)
-    problem = Problem(**model, horizon=5, step=0.4, forward=1.7, weights=drawn)
-    start, targets = replace(disturbed(rng, problem), coasted=None), goals(rng, problem)
-    z, condensed = rng.normal(size=(5, 2)), Condensed(problem)
-    if problem.rotation_order == 2:
-        z[0] = (start.rotation + problem.step * start.rotation_rate)[:, 0]
-    q, c = condensed.affine(start, targets)
-    cost = 0.5 * np.sum(z * (condensed.hessian @ z)) + np.sum(q * z) + c
-    assert cost == pytest.approx(trajectory_of(problem, start, targets, z).cost)
-
-
 @pytest.mark.parametrize('order', [1, 2])
 def test_exact_steps_follow_a_vehicle_that_turns_evenly(order):
     """A fine integration of constant thrust on an axis that turns evenly, 0.3 rad in each step."""

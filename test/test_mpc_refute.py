@@ -228,9 +228,6 @@ def test_speeds_that_change_slowly_refute_a_catch():
     assert judged(json.dumps(known)) == 'does not hold'
 
 
-# --- what is refuted, as the verifier reads it
-
-
 # --- mutants
 
 

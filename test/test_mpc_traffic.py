@@ -20,7 +20,6 @@ from orbimpc_ros.loop.traffic import (
     nearest,
     silence,
 )
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 
 FASTEST = 50.0
@@ -75,16 +74,6 @@ def test_an_even_motion_is_found_whatever_the_stamps(seed):
     np.testing.assert_allclose(hazard.body.maximum - hazard.body.minimum, [2.0, 3.0, 4.0])
 
 
-def test_a_body_is_gone_when_its_lifetime_is_over_and_not_before():
-    bodies = Bodies()
-    bodies.see(seen(1.0, disc(0.0, 0.0), lifetime=0.5), FASTEST)
-    bodies.see(seen(1.0, disc(9.0, 0.0), 'b/0'), FASTEST)
-    assert len(moved(bodies, 1.5)) == 2
-    assert len(moved(bodies, 1.51)) == 1
-    bodies.current(1e6)
-    assert len(bodies) == 1
-
-
 def test_a_jump_makes_a_new_body_without_velocity():
     bodies = Bodies()
     bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
@@ -94,17 +83,6 @@ def test_a_jump_makes_a_new_body_without_velocity():
     np.testing.assert_allclose(at(hazard, 1.0), [9.0, 0.0])
     assert bodies.see(seen(3.1, disc(10.0, 0.0)), FASTEST) == ''
     np.testing.assert_allclose(at(moved(bodies, 3.1)[0], 1.0), [11.0, 0.0])
-
-
-def test_what_comes_again_changes_nothing_and_what_contradicts_is_refused():
-    bodies = Bodies()
-    bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
-    assert bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST) == ''
-    with pytest.raises(BadInput, match='duplicate id'):
-        bodies.see(seen(1.0, disc(1.0, 0.0)), FASTEST)
-    with pytest.raises(BadInput, match='reordered stamp'):
-        bodies.see(seen(0.5, disc(1.0, 0.0)), FASTEST)
-    np.testing.assert_allclose(at(moved(bodies, 1.0)[0], 1.0), [0.0, 0.0])
 
 
 # --- tracks

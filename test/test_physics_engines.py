@@ -416,6 +416,7 @@ def test_its_own_guidance_flies_to_a_waypoint(request, name, own, there, seconds
 @pytest.mark.parametrize(
     ('name', 'task', 'most'),
     [
+        ('cessna', 'cessna', {'closest': 5.0, 'bank': 0.55}),
         ('hummingbird', 'rope', {'time': 15.0, 'off': 0.5}),
         ('servicer', 'servicer', {'missed': 0.1, 'speed': 0.05, 'pointing': 0.1}),
     ],

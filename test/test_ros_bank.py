@@ -6,39 +6,32 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from planners import FRAMES, settings
+from planners import settings
 from stepping import targets
 
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
-from orbimpc_ros.ros.planner.core import Core, planner_of
-
-START = 1_700_000_000  # [s]
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 
 
 class Watched:
-    """A planner without its node, that watches a goal at 10 Hz."""
+    """A planner without its node, at rest, that watches a goal at 10 Hz."""
 
     def __init__(self, **changes):
         given = settings(step=0.1, horizon=5, **changes)
-        self.core, self.steps = Core(*planner_of(given)), 0
-        self.inputs = self.core.inputs
+        self.planner, self.steps = OfflinePlanner(given), 0
+        self.inputs = self.planner.inputs
 
     def watch(self, goal, ticks):
         """Watch a goal, shape (2,) [m] as a function of time [s]; return the last report."""
+        still = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
         for _ in range(ticks):
             self.steps += 1
             now = 0.1 * self.steps
-            stamp = Stamp(round((START + now) * SECOND), FRAMES)
-            still = Odometry(START + now, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
-            for topic, message in (
-                ('goal', messages.goal_message(stamp, goal(now))),
-                ('odom', messages.odometry_message(stamp, still)),
-            ):
-                assert self.inputs.update(topic, message, now, RosTime(stamp.nanoseconds)) == ''
-        return self.core.decide(now, RosTime(stamp.nanoseconds))
+            self.planner.goal(now, goal(now))
+            self.planner.odometry(now, still)
+        return self.planner.report(now)
 
     def ahead(self):
         """The times of the targets of the last tick [s]."""
@@ -71,7 +64,7 @@ def test_another_forecast_begins_with_the_last_goal():
     watched.inputs.adopt(settings(step=0.1, goal_prediction='auto'))
     assert watched.inputs.heard['goal_model'] != ''
     held = np.tile(carried(1.0), (5, 1))
-    np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
+    np.testing.assert_allclose(targets(watched.inputs, EPOCH / SECOND + watched.ahead(), 1.0), held)
     watched.inputs.forget()
     assert 'goal_model' not in watched.inputs.heard
 

@@ -162,14 +162,6 @@ def test_a_command_with_a_flaw_is_not_sent(monkeypatch):
     assert answer.decision.command.body_rate.tolist() == [0.0]
 
 
-def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
-    driven = Driven(deadline=1e-9)
-    driven.odometry(0.0, 0.0)
-    driven.goal(0.0, 0.0)
-    assert driven.tick(0.0).decision.status in ('optimal', 'feasible')  # checked: it may be flown
-    assert driven.core.counts['deadline misses'] == 1
-
-
 ATTITUDE = exp(np.array([0.4]))
 
 
@@ -413,18 +405,6 @@ def still(**changes):
     driven = Driven(publish_certificate=True, **changes)
     driven.core._clock = lambda: 0.0
     return driven
-
-
-def test_what_proves_that_nothing_is_feasible_is_on_the_wire():
-    driven = still(terminal='constraint')
-    report = driven.core.proved(driven.tick_again(1.0))
-    assert report.values['status'] == 'infeasible'
-    assert report.values['infeasible_checked'] is True
-    assert WORD not in report.decision.reason
-    (sent,) = refutation_messages(report).values()
-    verdict = verified(parsed(bytes(sent.data)))
-    assert verdict.holds
-    assert verdict.claimed == np.inf
 
 
 def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():

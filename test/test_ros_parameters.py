@@ -17,7 +17,6 @@ import yaml
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import (
-    DescribeParameters,
     GetParameters,
     SetParametersAtomically,
 )
@@ -407,15 +406,6 @@ def value_of(message):
     return Parameter.from_parameter_msg(ParameterMessage(value=message)).value
 
 
-def test_descriptors_are_there_for_all_to_see(running):
-    names = [row.name for row in PLANNER]
-    described = running(DescribeParameters, 'describe_parameters', names=names).descriptors
-    assert [each.description for each in described] == [
-        row.descriptor.description for row in PLANNER
-    ]
-    assert [each.read_only for each in described] == [not row.live for row in PLANNER]
-
-
 def settings_of(table, **changes):
     made = planner_settings if table is PLANNER else sim_settings
     return made({**defaults(table), **changes})
@@ -432,12 +422,3 @@ def test_wind_and_gravity_add_up_to_one_disturbance_of_planner_and_simulator():
     assert model.discretisation == planner.problem.discretisation == 'exact'
     np.testing.assert_allclose(settings_of(PLANNER, wind=(0.3, -0.2, 7.0)).disturbance, [0.3, -0.2])
     assert not settings_of(PLANNER).disturbance.any()
-
-
-def test_both_cones_come_into_the_problem_and_may_change_in_flight():
-    problem = settings_of(PLANNER, **LANDER).problem
-    assert (problem.tilt, problem.glide_slope) == (0.2618, 0.8727)
-    rows = {row.name: row for row in PLANNER}
-    for name in ('tilt', 'glide_slope'):
-        assert rows[name].live
-        assert rows[name].descriptor.floating_point_range[0].to_value < 1.6

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bags import check_pictures, check_rollout
+from bags import check_pictures, check_rollout, messages_of
 from harness import TOOL, alive, children_of, orbimpc, wait_for
 from rosbags.rosbag2 import Reader
 
@@ -80,6 +80,41 @@ def test_the_bag_holds_every_topic_complete(flown):
     assert stamps['/diagnostics']
     with Reader(folder / 'bag') as reader:
         assert {f'/{name}' for name in LISTED} <= set(reader.topics)
+
+
+TICK = {
+    'status', 'reason', 'objective', 'lower_bound', 'gap', 'bound_checked', 'infeasible_checked',
+    'nodes', 'solve_time_ms', 'speed_fraction', 'projection_distance', 'fallback', 'cause',
+    'binding', 'advanced', 'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
+    'earliest_catch', 'catch_bound', 'catch_checked', 'obstacles', 'obstacles_left_out',
+    'clearance', 'traffic_stamps', 'margins',
+}  # fmt: skip
+
+
+def test_frames_stamps_and_values_are_as_documented(flown):
+    _, folder = flown
+    found = messages_of(folder)
+    for topic, frame in (('goal', 'odom'), ('rotation', 'odom'), ('plan', 'odom')):
+        assert {each.header.frame_id for each in found[topic].values()} == {frame}
+    assert {each.header.frame_id for each in found['cmd_vel'].values()} == {'base_link'}
+    assert {each.child_frame_id for each in found['odom'].values()} == {'base_link'}
+    for stamp, plan in found['plan'].items():
+        times = [each.header.stamp.sec * SECOND for each in plan.poses]
+        assert times == [stamp + k * SECOND for k in range(6)]
+        assert plan.poses[0].pose.position == found['odom'][stamp].pose.pose.position
+    for stamp, told in ((stamp, bags.fields(each)) for stamp, each in found['tick'].items()):
+        assert set(told) == TICK
+        assert told['goal_stamps'] == {'goal': stamp}
+        assert (told['status'], told['fallback']) == ('optimal', '')
+        assert told['lower_bound'] <= told['objective']
+        assert told['gap'] <= 1e-4
+        assert told['solve_time_ms'] > 0.0
+        assert len(told['speed_fraction']) == 6
+        assert min(told['speed_fraction'][1:]) >= np.sqrt(0.3) - 1e-6
+        assert set(told['margins']) == {'hull', 'floor'}
+        assert min(told['margins'].values()) >= -1e-6
+    caught = [each.content.data for each in bags.read(folder / 'bag') if each.topic == '/caught']
+    assert caught[-1:] == [True]  # before, it may have said that it is not
 
 
 def test_every_plan_is_what_is_flown(flown):
