@@ -75,7 +75,7 @@ def fly_disturbed(parameters: dict, scenario: Scenario, view) -> Flight:
         for sent in view.of(flight):
             planner.hear(*sensed(planner.at(sent.content.time), sent.content), now)
         if planner.stamp != answered:
-            answered, answer = planner.stamp, planner.report(now).decision.command
+            answered, answer = planner.stamp, planner.report(now).command
             if not view.command_lost(flight.ticks):
                 command, heard = (answer.speed_fraction, answer.body_rate), now
         flight = flight.after(*command, heard + HELD * scenario.model.step - now)

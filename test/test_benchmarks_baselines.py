@@ -183,7 +183,7 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     for _ in range(3):
         tell(planner, flight, 0, mission.margin)
-        command = planner.report(flight.vehicle.time).decision.command
+        command = planner.report(flight.vehicle.time).command
         flight = flight.after(command.speed_fraction, command.body_rate)
     sight = pilots[0].seen[-1]
     centres, velocities, radii = discs('crossing', 0)

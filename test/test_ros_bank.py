@@ -12,6 +12,7 @@ from stepping import targets
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.planner.outputs import values
 from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 
 
@@ -46,16 +47,17 @@ def test_a_swing_on_a_moving_carrier_is_planned_for_and_named():
     watched = Watched(goal_prediction='auto')
     report = watched.watch(carried, 100)
     targets = np.array([carried(time) for time in watched.ahead()])
-    np.testing.assert_allclose(report.decision.goals, targets, atol=1e-3)
-    assert report.values['goal_model'] == 'carrier'
+    np.testing.assert_allclose(report.goals, targets, atol=1e-3)
+    assert values(report)['goal_model'] == 'carrier'
 
 
 def test_the_name_changes_when_the_goal_does():
     watched = Watched(goal_prediction='auto')
-    assert watched.watch(lambda time: np.array([time, 0.0]), 60).values['goal_model'] == 'velocity'
+    report = watched.watch(lambda time: np.array([time, 0.0]), 60)
+    assert values(report)['goal_model'] == 'velocity'
     report = watched.watch(lambda time: np.array([6.0, 0.0]), 20)
-    assert report.values['goal_model'] == 'still'
-    np.testing.assert_allclose(report.decision.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
+    assert values(report)['goal_model'] == 'still'
+    np.testing.assert_allclose(report.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
 
 
 def test_another_forecast_begins_with_the_last_goal():
@@ -86,4 +88,4 @@ def test_a_forecast_of_ones_own_takes_a_class_and_a_line(monkeypatch):
     monkeypatch.setitem(FORECASTS, 'away', Away)
     watched = Watched(goal_prediction='away')
     report = watched.watch(lambda time: np.array([5.0, 0.0]), 3)
-    np.testing.assert_allclose(report.decision.goals[:, 0], 5.0 + 0.1 * np.arange(1, 6), atol=1e-6)
+    np.testing.assert_allclose(report.goals[:, 0], 5.0 + 0.1 * np.arange(1, 6), atol=1e-6)

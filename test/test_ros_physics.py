@@ -61,11 +61,11 @@ def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
         planner.goal(0.5 * k, place + np.array([300.0 - 5.0 * k, 0.0]))
         planner.odometry(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
         report = planner.report(0.5 * k)
-    heading = math.atan2(*report.decision.state.attitude[::-1, 0])
+    heading = math.atan2(*report.state.attitude[::-1, 0])
     assert heading == pytest.approx(0.0 if believed else slip, abs=1e-6)
     if believed:
-        np.testing.assert_allclose(report.decision.disturbance, 0.0, atol=1e-3)
-        assert abs(report.decision.command.body_rate[0]) < 1e-3
+        np.testing.assert_allclose(report.disturbance, 0.0, atol=1e-3)
+        assert abs(report.command.body_rate[0]) < 1e-3
 
 
 @pytest.mark.parametrize(

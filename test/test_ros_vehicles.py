@@ -47,8 +47,8 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
         planner.goal(now, goal(now))
         planner.odometry(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
         report = planner.report(now)
-        command = report.decision.command
-        log.append((now, motion, command, report.decision))
+        command = report.command
+        log.append((now, motion, command, report))
         wanted = command.speed_fraction
         held = wanted if wanted * craft.forward >= band else 0.0
         dragged = 0.0 if wind is None else 0.2 * (next(wind) - motion.velocity)
@@ -157,7 +157,7 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     ticks, vehicles = [], []
     while not flight.over:
         tell(planner, flight, 0)
-        ticks.append(planner.report(flight.vehicle.time).decision)
+        ticks.append(planner.report(flight.vehicle.time))
         command = ticks[-1].command
         flight = flight.after(command.speed_fraction, command.body_rate)
         vehicles += flight.trail

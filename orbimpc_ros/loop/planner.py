@@ -8,8 +8,9 @@ Nothing here reads a clock or a message: the node, replays, studies and tests ca
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -103,6 +104,8 @@ class Decision(ByContent):
     disturbance: Array | None = None  # planned with, shape (n,) [m/s] or [m/s^2]; None for none
     innovation: float | None = None  # of odometry, in deviations, where w is estimated
     left_out: int = 0  # moving obstacles within reach that were too many to plan with
+    solve_time_ms: float = 0.0  # of all of it, check included; 0 if nothing was solved [ms]
+    heard: Mapping[str, Any] = field(default_factory=dict)  # see Inputs.heard: replays need it
 
     @property
     def case(self) -> Case | None:

@@ -24,6 +24,18 @@ ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impo
 
 
 @dataclass(frozen=True)
+class Deadline:
+    """The end of the time that there is for a decision; called, whether it is over."""
+
+    clock: Callable[[], float]  # [s]
+    end: float  # by that clock; infinite for none [s]
+
+    def __call__(self) -> bool:
+        """Return whether time is up."""
+        return self.clock() > self.end
+
+
+@dataclass(frozen=True)
 class Task:
     """One optimisation."""
 

@@ -18,7 +18,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.inputs import PLAN, others
-from orbimpc_ros.ros.planner.outputs import Report, command_messages, prices, report_messages
+from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
 from orbimpc_ros.sim.outputs import future, traffic_markers
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import Flight
@@ -46,6 +46,9 @@ class OfflinePlanner(Core):
         clock: that deadlines are kept by [s]; None where a solve has none, so that what it finds
             does not depend on the machine.
         planner: decides; by default the planner of the package.
+
+    Attributes:
+        decision: behind the last answer; None before the first.
     """
 
     def __init__(
@@ -59,18 +62,13 @@ class OfflinePlanner(Core):
         chosen = planner_of(settings)[1] if planner is None else planner
         super().__init__(settings, chosen, clock=clock, others=avoided)
         self._node = node
-        self._report: Report | None = None
+        self.decision: Decision | None = None
 
     @property
     def stamp(self) -> int | None:
         """Return the stamp of the odometry that a plan would start from [ns]; None without."""
         known = None if self.inputs.missing else self.inputs.odometry
         return None if known is None else known.stamp.nanoseconds
-
-    @property
-    def decision(self) -> Decision | None:
-        """Return the decision behind the last answer; None before the first."""
-        return None if self._report is None else self._report.decision
 
     # --- answers as messages, at times that are given
 
@@ -87,10 +85,10 @@ class OfflinePlanner(Core):
         known = self.inputs.odometry
         assert known is not None
         at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
-        report = self.decide(now, at, fresh=True)
-        if report.solve_time_ms and solve_time_ms is not None:
-            report = replace(report, solve_time_ms=solve_time_ms)
-        return self._messages(known.stamp, replace(report, binding=prices(report.decision)))
+        decision = self.decide(now, at, fresh=True)
+        if decision.solve_time_ms and solve_time_ms is not None:
+            decision = replace(decision, solve_time_ms=solve_time_ms)
+        return self._messages(known.stamp, decision)
 
     def be_safe(self, stamp: int, reason: Reason) -> dict[str, Any]:
         """Answer with the safe command, for a reason that is no solver's."""
@@ -106,8 +104,8 @@ class OfflinePlanner(Core):
             pushed: speed [m/s] or, at translation order 2, force [N].
             rate: body rate, shape (3,) [rad/s].
         """
-        assert self._report is not None
-        problem, command = self.settings.problem, self._report.decision.command
+        assert self.decision is not None
+        problem, command = self.settings.problem, self.decision.command
         if pushed is not None:
             weight = 1.0 if problem.translation_order == 1 else self.settings.mass
             command = replace(command, speed_fraction=pushed / (weight * problem.forward))
@@ -115,12 +113,12 @@ class OfflinePlanner(Core):
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
         self.planner.sent(command, at)
 
-    def _messages(self, stamp: Stamp, report: Report) -> dict[str, Any]:
-        self._report = report
+    def _messages(self, stamp: Stamp, decision: Decision) -> dict[str, Any]:
+        self.decision = decision
         known = self.inputs.odometry is not None
         return {
-            **command_messages(self.settings, stamp, report.decision.command),
-            **report_messages(self.settings, stamp, report, self._node, oriented=known),
+            **command_messages(self.settings, stamp, decision.command),
+            **report_messages(self.settings, stamp, decision, self._node, oriented=known),
         }
 
     # --- aboard a flight in this process, at times since its start
@@ -137,12 +135,12 @@ class OfflinePlanner(Core):
         """Take in the vehicle's motion."""
         self.hear('odom', messages.odometry_message(self.at(now), measured), now)
 
-    def report(self, now: float) -> Report:
+    def report(self, now: float) -> Decision:
         """Plan at a time [s]; return what was decided and has been sent."""
         at = _nanoseconds(now)
-        report = self.decide(now, RosTime(at))
-        self.planner.sent(report.decision.command, at / SECOND)
-        return report
+        decision = self.decide(now, RosTime(at))
+        self.planner.sent(decision.command, at / SECOND)
+        return decision
 
     def at(self, now: float) -> Stamp:
         """Return the stamp of a message of a time [s]."""

@@ -70,7 +70,7 @@ def flown(job: Job) -> Row:
     while not (flight.over or flight.touched or failed):
         tell(planner, flight, simulated.goal_path_steps, job.margin)
         begun = time.thread_time()
-        decision = planner.report(flight.vehicle.time).decision
+        decision = planner.report(flight.vehicle.time)
         ticks.append((decision, 1e3 * (time.thread_time() - begun)))
         if job.controller == WAYPOINT:
             _steer(flight)
