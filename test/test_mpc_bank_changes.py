@@ -145,7 +145,7 @@ def test_a_long_watch_needs_no_more_memory_and_loses_nothing(family):
     assert footprint(bank) <= held
     ahead = times[-1] + np.arange(0.0, 4.0)
     np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-    assert bank.model == family
+    assert bank.motion.model == family
 
 
 def footprint(thing):

@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from orbimpc_ros.loop.goal.bank import Bank
+from orbimpc_ros.loop.goal.fits import Mixture
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, GoalTrajectory
 from orbimpc_ros.loop.goal.route import Route
@@ -506,6 +507,11 @@ class Inputs:
     # --- what decisions are made of
 
     @property
+    def _motion(self) -> GoalMotion | None:
+        """Return how the forecast takes the goal to move; it may know none before the first."""
+        return self.forecast.motion if isinstance(self.forecast, Bank) else self.forecast
+
+    @property
     def heard(self) -> dict[str, Any]:
         """Return which messages the next decision is made of, by the keys on ``tick``.
 
@@ -513,7 +519,7 @@ class Inputs:
         for some may be lost on the way; how the forecast takes the goal to move, if it chooses; and
         the stamps of what was heard last of obstacles and of other vehicles, by topic [ns].
         """
-        model = self.forecast.model if isinstance(self.forecast, Bank) else ''
+        model = self._motion.model if isinstance(self._motion, Mixture) else ''
         return {
             'goal_stamps': self.goal_stamps,
             'goal_counts': dict(self.goal_counts),
@@ -534,7 +540,7 @@ class Inputs:
         """
         known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
-        motion: GoalMotion | None = None if goal is None else self.forecast
+        motion: GoalMotion | None = None if goal is None else self._motion
         wanted = None if goal is None else goal.value.attitude
         if path is not None:
             fresh = ages['goal_path'] <= self.settings.goal_timeout
