@@ -75,31 +75,27 @@ class CommandHistory:
 
     Attributes:
         last: the last command, sent or about to be; None before the first.
+        sent: commands of late and when they were, where that is known [s].
     """
 
     def __init__(self) -> None:
         self.last: Command | None = None
-        self._sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+        self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
 
     @property
     def fraction(self) -> float:
         """Return the share of full speed or thrust commanded last; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
-    @property
-    def is_empty(self) -> bool:
-        """Return whether it is unknown of every command when it was sent."""
-        return not self._sent
-
     def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
         """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
 
         Without times the last command counts as reached; ``begun`` is the share before the first.
         """
-        if not self._sent or lag == 0.0:
+        if not self.sent or lag == 0.0:
             return self.fraction
-        since, first = self._sent[0]
-        reached = begun if len(self._sent) < MEMORY else first.speed_fraction
+        since, first = self.sent[0]
+        reached = begun if len(self.sent) < MEMORY else first.speed_fraction
         for interval in self.intervals(since, time):
             assert interval.command is not None
             reached, _ = _followed(reached, interval.command, interval.duration, lag)
@@ -124,16 +120,16 @@ class CommandHistory:
         """Note a command sent at a time [s], if that is known; times do not decrease."""
         self.last = command
         if at is not None:
-            self._sent.append((at, command))
+            self.sent.append((at, command))
 
     def forget(self) -> None:
         """Forget since when commands are in force, for instance because the clock jumped."""
-        self._sent.clear()
+        self.sent.clear()
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
         found, before, command, since = [], None, None, begin
-        for at, following in self._sent:
+        for at, following in self.sent:
             if since < at < end:
                 found.append(Interval(at - since, command, before))
                 since = at
@@ -359,7 +355,7 @@ class Estimator:
         if last is not None and odometry.time <= last.time:
             return
         self._last = odometry
-        if history.is_empty and not self._problem.inertial:
+        if not history.sent and not self._problem.inertial:
             self._begin(odometry)
         moved = None if last is None else self._moved(last, odometry, history)
         if moved is None:

@@ -27,12 +27,7 @@ from orbimpc_ros.loop.fallback import (
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.loop.goal.route import Paced, Route
-from orbimpc_ros.loop.intercept import (
-    FARTHEST,
-    Intercept,
-    Interception,
-    InterceptQuery,
-)
+from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
@@ -223,13 +218,8 @@ class Planner:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
-            self._interception = Interception(
-                caught,
-                capture_radius,
-                self._solvers,
-                self._compensator.response.speed,
-                centred=centred,
-            )
+            known = caught, capture_radius, self._solvers, self._compensator.response.speed
+            self._interception = Interception(*known, centred=centred)
         by_its_axis = self._interception is not None and self._approach.is_the_goals
         self._wants_attitude = problem.wants_attitude or by_its_axis
         self._memory = self._fresh()

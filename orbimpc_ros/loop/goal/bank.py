@@ -182,17 +182,12 @@ class Bank:
         """Return what the goal does as far as it is known at a time [s]."""
         used = np.flatnonzero(self._shares > NEGLIGIBLE)
         rows = self._fits.rows(time - self._epoch)[used, None]
+        shares, fitted = self._shares[used] / self._shares[used].sum(), self._fitted[used]
         return Mixture(
-            model=NAMES[int(np.argmax(self._shares))],
-            epoch=self._epoch,
-            origin=self._origin,
-            last=time,
-            fastest=self._fastest,
-            shares=self._shares[used] / self._shares[used].sum(),
-            rates=self._fits.rates[used, None],
-            dampings=self._fits.dampings[used, None],
-            fitted=self._fitted[used],
-            now=rows @ self._fitted[used],
+            NAMES[int(np.argmax(self._shares))],
+            *(self._epoch, self._origin, time, self._fastest, shares),
+            *(self._fits.rates[used, None], self._fits.dampings[used, None]),
+            *(fitted, rows @ fitted),
         )
 
     def _note_speed(self, time: float, position: Array) -> None:

@@ -461,31 +461,18 @@ def data_evidence(
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """The families by their shares, as they are at one moment: K of them, in n dimensions.
+    """The families by their shares, as they are at one moment: K of them, in n dimensions."""
 
-    Attributes:
-        model: name of the likeliest.
-        epoch: from which time is counted [s].
-        origin: from which places are counted, shape (n,) [m].
-        last: when the goal was seen last [s].
-        fastest: speed with which it was seen to move [m/s].
-        shares: of the families, shape (K,).
-        rates: angular frequencies, shape (K, 1) [rad/s].
-        dampings: shape (K, 1) [1/s].
-        fitted: coefficients, shape (K, 7, n).
-        now: places at the last sighting, shape (K, 1, n) [m].
-    """
-
-    model: str
-    epoch: float
-    origin: Array
-    last: float
-    fastest: float
-    shares: Array
-    rates: Array
-    dampings: Array
-    fitted: Array
-    now: Array
+    model: str  # name of the likeliest
+    epoch: float  # from which time is counted [s]
+    origin: Array  # from which places are counted, shape (n,) [m]
+    last: float  # when the goal was seen last [s]
+    fastest: float  # speed with which it was seen to move [m/s]
+    shares: Array  # of the families, shape (K,)
+    rates: Array  # angular frequencies, shape (K, 1) [rad/s]
+    dampings: Array  # shape (K, 1) [1/s]
+    fitted: Array  # coefficients, shape (K, 7, n)
+    now: Array  # places at the last sighting, shape (K, 1, n) [m]
 
     def at(self, times: Array) -> Array:
         """Return the mean of the families' places at ``times``, (N,) [s], shape (N, n) [m]."""

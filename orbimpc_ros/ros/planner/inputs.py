@@ -12,7 +12,6 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from orbimpc_ros.loop.goal.bank import Bank
-from orbimpc_ros.loop.goal.fits import Mixture
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, GoalTrajectory
 from orbimpc_ros.loop.goal.route import Route
@@ -519,7 +518,7 @@ class Inputs:
         for some may be lost on the way; how the forecast takes the goal to move, if it chooses; and
         the stamps of what was heard last of obstacles and of other vehicles, by topic [ns].
         """
-        model = self._motion.model if isinstance(self._motion, Mixture) else ''
+        model = getattr(self._motion, 'model', '')
         return {
             'goal_stamps': self.goal_stamps,
             'goal_counts': dict(self.goal_counts),

@@ -571,19 +571,18 @@ class PlannerNode(Managed):
 
     def _start_afresh(self, why: str, reason: Reason = AFRESH) -> None:
         self.get_logger().warning(f'{reason.words}: {why}')
-        self._forget_plan()
+        self._forget_plan(wind=reason is RESET)
         self._core.inputs.start_afresh()
         self._events.begin()
         self._publish_events()
         self.safe(reason)
 
-    def _forget_plan(self) -> None:
+    def _forget_plan(self, *, wind: bool = False) -> None:
         self._patience.cancel()
-        self._core.planner.start_afresh()
+        self._core.planner.start_afresh(wind=wind)
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._core.planner.start_afresh(wind=True)
         self._start_afresh('asked to', RESET)
         response.success = True
         response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
