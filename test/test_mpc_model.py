@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import ORDERS, disturbed, goals, weights
+from problems import CASES, ORDERS, disturbed, goals, weights
 
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model import dynamics
@@ -116,10 +116,6 @@ def test_the_paper_means_sums_and_the_weight_of_the_attitude_has_no_unit():
 
 
 def test_a_case_may_state_what_its_weights_mean():
-    plain = {
-        'dimension': 2, 'rotation_order': 1, 'translation_order': 1, 'horizon': 5, 'step': 0.5,
-        'forward': 2.0, 'weights': {'position': 1.0, 'input': 0.05, 'terminal': 10.0},
-        'state': {'position': [0.0, 0.0], 'rotation': np.eye(2).tolist()}, 'goal': [3.0, 1.0],
-    }  # fmt: skip
+    plain = {**CASES['uav_hull_1'], 'step': 0.5, 'forward': 2.0}
     timed = {**plain, 'weights': {**plain['weights'], 'scaling': 'time'}}
     assert case_of(timed).problem == weighed(case_of(plain).problem, 'time')

@@ -166,9 +166,7 @@ SPOILT = {
     'speed': (TwistStamped, nudged('twist.linear.x', 2e-4), 'speed'),
     'a little speed': (TwistStamped, nudged('twist.linear.x', 0.5e-4), ''),
     'rate': (TwistStamped, nudged('twist.angular.z', 2e-3), 'body_rate'),
-    'a small rate': (TwistStamped, nudged('twist.angular.z', 0.5e-3), ''),
     'rotation': (QuaternionStamped, nudged('quaternion.x', 1e-3), 'rotation'),
-    'a small rotation': (QuaternionStamped, nudged('quaternion.x', 2.5e-4), ''),
     'objective': (DiagnosticArray, reported('objective', '1.0'), 'objective'),
     'gap': (DiagnosticArray, reported('gap', '0.5'), 'gap'),
     'a word for a number': (DiagnosticArray, reported('gap', '"NaN"'), ''),  # it is not compared
@@ -380,22 +378,16 @@ DIFFERENCES = {
     'less than that': ('body_rate', turn(2 * np.pi), turn(-2 * np.pi), {'step': 0.4}, True),
     'a small turn': ('body_rate', turn(3e-3), turn(0.0), {}, True),
     'relative': ('objective', costing(1e3), costing(1e3 + 1e-4), {}, False),
-    'not so small': ('objective', costing(1.0), costing(1.0 + 1e-4), {}, True),
     'but near zero': ('objective', costing(0.0), costing(1e-8), {}, False),
     # What is left unproved objectives may differ by, up to what counts as proved.
     'left open': ('objective', costing(1.0, 2e-5), costing(1.0 + 1e-5, 2e-5), {}, False),
-    'more than that': ('objective', costing(1.0, 2e-5), costing(1.0 + 3e-5, 2e-5), {}, True),
-    'all open': ('objective', costing(1.0, math.inf), costing(1.0 + 9e-5, math.inf), {}, False),
-    'too much': ('objective', costing(1.0, math.inf), costing(1.0 + 2e-4, math.inf), {}, True),
     'unknown gap': ('objective', costing(1.0, math.nan), costing(1.0 + 1e-5, math.nan), {}, True),
     # Rounding decides where a search ends, not whether a proof was found.
     'both open': ('gap', {'gap': 0.5}, {'gap': 0.002}, {}, False),
     'then proved': ('gap', {'gap': 0.0}, {'gap': 0.002}, {}, True),
-    'now proved': ('gap', {'gap': 0.002}, {'gap': 0.0}, {}, True),
     'no bound': ('gap', {'gap': 0.5}, {'gap': math.inf}, {}, True),
     'no plan': ('gap', {'gap': 0.5}, {'gap': math.nan}, {}, True),
     'none twice': ('gap', {'gap': math.nan}, {'gap': math.nan}, {}, False),
-    'infinite twice': ('gap', {'gap': math.inf}, {'gap': math.inf}, {}, False),
     'a plan now': ('gap', {'gap': math.nan}, {'gap': 1.0}, {}, True),
     'gone': ('gap', {'gap': 1.0}, {'gap': None}, {}, True),
     # Whether there was time for an exact proof is not compared.

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import write
+from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.outcome import Status
@@ -21,7 +22,6 @@ from orbimpc_ros.tool.replay import recording, ticks_of
 STORE = get_typestore(Stores.ROS2_JAZZY)
 KINDS = ('UInt8MultiArray', 'MultiArrayLayout')
 HERE = Path(__file__).parent
-CASES = json.loads((HERE / 'reference' / 'cases.json').read_text())
 
 FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 
