@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 from problems import state as state_of
-from stepping import Stepped
+from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.intercept import EFFORT, steps_before
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem
@@ -28,11 +26,6 @@ SLOWER = replace(WING, floor=Floor('circle', fraction=0.5))
 needs_counts = pytest.mark.skipif(not COMPILED, reason='bounds are counted again with numba')
 
 
-def measured(heading=0.0):
-    attitude = exp(np.array([heading]))
-    return Odometry(0.0, np.zeros(2), attitude, np.array([1.0, 0.0]), np.zeros(1))
-
-
 def jumping(rng):
     """Return goals that are now near, now far, shape (6, 2): early ones are not the harder ones."""
     far = rng.uniform(0.0, 1.6, 6) * np.arange(1, 7)
@@ -42,7 +35,7 @@ def jumping(rng):
 
 def hunted(problem, goals, **given):
     """Return the catch of a first tick from the origin along x at full speed, and its state."""
-    tick = Stepped(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
+    tick = Stepped(problem, capture_radius=RADIUS, **given).tick(odometry(), goals)
     return tick.catch, tick.state
 
 

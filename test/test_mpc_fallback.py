@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from problems import ORDERS, floor
 from problems import state as random_state
-from stepping import Stepped
-from test_mpc_controller import flown, odometry
+from stepping import Stepped, odometry
+from test_mpc_controller import flown
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure

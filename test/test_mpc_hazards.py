@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from problems import needs_machine_code
-from stepping import Stepped
+from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import achieved_clearance, with_clearance
 from orbimpc_ros.mpc.check import violations
@@ -174,8 +173,7 @@ def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
     controller = Stepped(Problem(horizon=3), gap_tolerance=0.05)
     around = MovingObstacle.drifting(Ball([4.0, 0.0], 1.0), velocity)
     controller.hazards = (MovingObstacle.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
-    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
-    tick = controller.tick(odometry, np.tile([4.5, 0.0], (3, 1)))
+    tick = controller.tick(odometry(speed=0.0), np.tile([4.5, 0.0], (3, 1)))
     assert tick.plan is not None
     assert tick.reason == told
 
@@ -214,12 +212,10 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
     ]
     controller.hazards = tuple(still)
     goals = np.tile([2.5, 0.0], (6, 1))
-    rest, attitude = np.zeros(2), np.eye(2)
-    tick = controller.tick(Odometry(0.0, np.zeros(2), attitude, rest, np.zeros(1)), goals)
+    tick = controller.tick(odometry(speed=0.0), goals)
     assert tick.status == 'optimal'
     assert [each.reserve for each in tick.state.hazards] == [0.0, 0.0]
-    moved = Odometry(0.5, tick.plan.positions[1], attitude, rest, np.zeros(1))
-    tick = controller.tick(moved, goals)
+    tick = controller.tick(odometry(tick.plan.positions[1], 0.0, 0.0, 0.5), goals)
     assert tick.status == 'optimal'
     assert [each.reserve for each in tick.state.hazards] == pytest.approx([0.4 / 3.0] * 2)
 
@@ -285,15 +281,14 @@ def test_the_clearest_way_is_flown_where_none_is_clear():
     """Shut in by a disc that is too large to leave within the horizon."""
     controller = Stepped(BOAT)
     controller.hazards = (MovingObstacle.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
-    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
-    tick = controller.tick(odometry, FAR)
+    tick = controller.tick(odometry(), FAR)
     assert tick.status in ('infeasible', 'failed')
     assert tick.fallback == 'clearest way'
     assert 'm inside of a hazard' in tick.reason
     assert violations(BOAT, replace(tick.state, hazards=()), FAR, tick.plan) == []
     away = np.linalg.norm(tick.plan.positions - [9.0, 1.0], axis=1)
     assert away[-1] > away[0] + 2.0  # backwards, out of it
-    assert controller.tick(replace(odometry, time=0.5), FAR).command.body_rate != 0.0
+    assert controller.tick(odometry(time=0.5), FAR).command.body_rate != 0.0
 
 
 # --- from inside

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from plans import assembled
 from problems import floor, goals, needs_machine_code, rotation, state
-from stepping import Stepped
+from stepping import Stepped, odometry
 
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import approach_margin, command_violations, flaw, violations
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
@@ -32,13 +31,6 @@ from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
-
-
-def measured(position, heading, speed, time=0.0):
-    along = np.array([speed, 0.0])
-    attitude = exp(np.array([heading]))
-    return Odometry(time, np.array(position, float), attitude, along, np.zeros(1))
-
 
 # --- turns
 
@@ -139,7 +131,7 @@ def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
     problem = Problem(max_acceleration=0.1, floor=floor('circle', 0.5))
     controller = Stepped(problem, safe=kind)
     ahead = np.tile([9.0, 0.0], (5, 1))
-    first = controller.tick(measured([0.0, 0.0], 0.0, 1.0), ahead).command.speed_fraction
+    first = controller.tick(odometry([0.0, 0.0], 0.0, 1.0), ahead).command.speed_fraction
     lost = Reason(Cause.ODOMETRY, 'lost')
     found = [controller.safe(np.eye(2), lost).command.speed_fraction for _ in range(8)]
     if kind == 'stop':
@@ -284,8 +276,7 @@ def test_what_is_outside_comes_back_in_and_it_is_said():
     assert inside.size
     assert slopes(plan)[inside].min() >= 0.6 - 1e-5
     controller = Stepped(lander(floor=THRUST), gap_tolerance=1e-3, disturbance=FALLING)
-    below = Odometry(0.0, np.array([6.0, 0.0, 2.0]), UPRIGHT, np.zeros(3), np.zeros(3))
-    tick = controller.tick(below, PAD)
+    tick = controller.tick(odometry((6.0, 0.0, 2.0), UPRIGHT, 0.0), PAD)
     assert tick.fallback == ''
     assert tick.status == 'optimal'
     assert 'outside the glide slope until step' in tick.reason
@@ -297,8 +288,7 @@ def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
     with pytest.raises(Infeasible, match='beyond what 8 steps can reach'):
         Solver(problem).solve(falling([0.0, 0.0, 500.0]), PAD)
     controller = Stepped(problem, shrinking=True, gap_tolerance=1e-3, disturbance=FALLING)
-    high = Odometry(0.0, np.array([3.0, 0.0, 90.0]), UPRIGHT, np.zeros(3), np.zeros(3))
-    tick = controller.tick(high, PAD)
+    tick = controller.tick(odometry((3.0, 0.0, 90.0), UPRIGHT, 0.0), PAD)
     assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
     assert tick.plan.gap < 1e-3
 

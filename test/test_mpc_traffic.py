@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from stepping import odometry
 
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.traffic import (
     FORGOTTEN,
     AgentTrajectory,
@@ -151,11 +151,6 @@ def test_a_silent_vehicle_is_forgotten_in_the_end_and_one_never_heard_is_told_of
 
 
 # --- which of them matter
-
-
-def odometry(position=(0.0, 0.0), speed=1.0):
-    forward = np.array([speed, 0.0])
-    return Odometry(0.0, np.array(position), np.eye(2), forward, np.zeros(1))
 
 
 def brute(problem, hazard, speed, blown):
