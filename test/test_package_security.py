@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from harness import recording
+from harness import recording, run
 
 from orbimpc_ros.ros.entry import PACKAGES
 
@@ -140,10 +140,7 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
         'ROS_SECURITY_STRATEGY': 'Enforce',
         'ROS_SECURITY_KEYSTORE': str(prepare(tmp_path / 'keystore')),
     }
-    words = [sys.executable, '-m', PACKAGES[node]]
-    done = subprocess.run(
-        words, env=environment, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = run(sys.executable, '-m', PACKAGES[node], env=environment)
     lines = [line for line in done.stderr.splitlines() if not line.startswith('[INFO]')]
     assert done.returncode not in (0, None)
     assert len([line for line in lines if 'ROS_SECURITY_ENABLE=true' in line]) == 1, done.stderr

@@ -3,8 +3,6 @@
 
 import itertools
 import signal
-import subprocess
-import sys
 import textwrap
 import time
 
@@ -14,6 +12,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
+from harness import python
 from planners import QUICK, Bench, told
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
@@ -132,10 +131,9 @@ IN_A_CALLBACK = """
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
-def test_a_signal_in_a_callback_of_native_code_ends_a_start(script, name):
-    file = script(IN_A_CALLBACK.format(signal=name))
-    done = subprocess.run([sys.executable, file], capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, b'', b'')
+def test_a_signal_in_a_callback_of_native_code_ends_a_start(name):
+    done = python(IN_A_CALLBACK.format(signal=name))
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
 BLOCKED = """

@@ -5,14 +5,13 @@ import itertools
 import shutil
 import signal
 import subprocess
-import sys
 from collections import defaultdict
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from bags import check_pictures, check_rollout, messages_of
-from harness import TOOL, alive, children_of, orbimpc, wait_for
+from harness import TOOL, alive, children_of, orbimpc, python, run, wait_for
 from rosbags.rosbag2 import Reader
 
 pytest.importorskip('rclpy')
@@ -157,8 +156,7 @@ def test_a_node_that_fails_is_shown(tmp_path):
         'p.Process.__init__ = lambda self, module, *a, **k: start(self, module + "x", *a, **k);'
         'from orbimpc_ros.tool import cli; sys.exit(cli.main(sys.argv[1:]))'
     )
-    words = [sys.executable, '-c', script, 'demo', '--out', str(tmp_path)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = python(script, 'demo', '--out', tmp_path)
     assert done.returncode == 1
     assert 'No module named' in done.stderr
     assert 'orbimpc: ' in done.stderr
@@ -168,12 +166,7 @@ def test_a_node_that_fails_is_shown(tmp_path):
 @pytest.mark.skipif(shutil.which('prlimit') is None, reason='no prlimit: apt install util-linux')
 def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
     """A limit on the size of files stands for the disk: the bag is larger than that."""
-    done = subprocess.run(
-        ['prlimit', '--fsize=40000', *TOOL, 'demo', 'retrieval', '--out', str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run('prlimit', '--fsize=40000', *TOOL, 'demo', 'retrieval', '--out', tmp_path)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: file too large'
     assert 'Traceback' not in done.stderr

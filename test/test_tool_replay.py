@@ -3,8 +3,6 @@
 
 import importlib
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import GOLDEN, rewritten, ros2_bag, write
+from harness import python
 
 pytest.importorskip('rclpy')
 
@@ -133,8 +132,7 @@ def test_another_solver_finds_the_same():
     script = (
         "import sys; sys.modules['numba'] = None; from orbimpc_ros.tool.cli import main; main()"
     )
-    words = [sys.executable, '-c', script, 'replay', str(GOLDEN / 'spacecraft')]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    done = python(script, 'replay', GOLDEN / 'spacecraft')
     assert done.stdout.endswith('differences   none\n'), done.stdout
 
 
@@ -502,9 +500,7 @@ def test_without_ros_the_tool_says_what_to_install():
         "import sys; sys.modules['rcl_interfaces'] = None; from orbimpc_ros.tool.cli import main;"
         f"sys.exit(main(['replay', {str(RETRIEVAL)!r}]))"
     )
-    done = subprocess.run(
-        [sys.executable, '-c', script], capture_output=True, text=True, check=False
-    )
+    done = python(script)
     assert (done.returncode, done.stdout) == (2, '')
     assert done.stderr.startswith('orbimpc: rcl_interfaces is missing: install ROS 2, or ')
     assert done.stderr.count('\n') == 1

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from harness import TOOL, orbimpc
+from harness import TOOL, orbimpc, python, run
 from problems import ANSWERS, CASES
 
 from orbimpc_ros.tool import cli
@@ -245,15 +245,14 @@ def test_the_tool_can_be_interrupted_before_it_has_imported_what_takes_long():
     words = (
         'import sys, orbimpc_ros.tool.cli; print({"numpy", "scipy", "rclpy"} & set(sys.modules))'
     )
-    done = subprocess.run([sys.executable, '-c', words], capture_output=True, text=True, check=True)
-    assert done.stdout == 'set()\n'
+    assert python(words).stdout == 'set()\n'
 
 
 def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
     (tmp_path / 'problem').write_text(json.dumps(case()))
     words = [*TOOL, 'solve', str(tmp_path / 'problem')]
     with open('/dev/full', 'w') as full:
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        done = run(*words, capture_output=False, stdout=full, stderr=subprocess.PIPE)
     assert done.returncode == cli.FAILED
     assert done.stderr == 'orbimpc: output: no space left on device\n'
 
