@@ -155,13 +155,10 @@ def test_a_silent_vehicle_is_forgotten_in_the_end_and_one_never_heard_is_told_of
 
 def brute(problem, hazard, speed, blown):
     """Return whether a body and the reach of a vehicle meet, by looking often."""
-    for time in np.linspace(0.0, problem.horizon * problem.step, 2001):
-        fastest = problem.forward + blown
-        order = problem.translation_order
-        reach = fastest * time if order == 1 else speed * time + 0.5 * fastest * time**2
-        if hazard.body.depth(-hazard.moved(np.array([time])))[0] >= -reach:
-            return True
-    return False
+    times = np.linspace(0.0, problem.horizon * problem.step, 2001)
+    fastest, order = problem.forward + blown, problem.translation_order
+    reach = fastest * times if order == 1 else speed * times + 0.5 * fastest * times**2
+    return bool((hazard.body.depth(-hazard.moved(times)) >= -reach).any())
 
 
 @pytest.mark.parametrize('order', [1, 2])

@@ -280,12 +280,6 @@ def test_loiter_closes_a_level_circle_at_the_least_speed(n):
     assert np.ptp([p[-1] for p in places]) == 0.0 or n == 2
 
 
-def test_loiter_turns_no_faster_than_allowed():
-    slow = safe_command('loiter', Problem(max_rate=0.1), ATTITUDE, 0.0)
-    assert slow.body_rate.tolist() == [0.1]
-    assert slow.speed_fraction == 1.0  # without a floor: full speed
-
-
 def test_an_unknown_wind_is_estimated_planned_with_and_told():
     """The goal flies downwind with a vehicle that is carried there: as fast as it would without."""
     driven = Driven(disturbance='estimated', **{'response.speed': 0.1})

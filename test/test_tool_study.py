@@ -43,8 +43,8 @@ def test_flights_draw_what_is_allowed_and_one_parameter_does_not_change_another(
 
 
 def test_draws_fill_their_ranges():
-    drawn = [draws_of('retrieval').of(5, k) for k in range(400)]
-    found = np.array([each['rope.frequency'] for each in drawn])
+    draws = draws_of('retrieval')
+    found = np.array([draws.of(5, k)['rope.frequency'] for k in range(400)])
     assert 0.02 <= found.min() < 0.03 < 0.29 < found.max() <= 0.3
 
 
@@ -66,7 +66,8 @@ def test_a_parameter_file_is_studied_with_goals_all_around_as_far_away_as_its_ow
 
 
 def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
-    drawn = [draws_of('servicer').of(0, k)['start.orientation'] for k in range(50)]
+    draws = draws_of('servicer')
+    drawn = [draws.of(0, k)['start.orientation'] for k in range(50)]
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0)
     np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.3)
 
