@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import ORDERS, rotation
+from problems import ORDERS, needs_machine_code, rotation
 from problems import state as state_of
 from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.intercept import EFFORT, steps_before
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem
 from orbimpc_ros.mpc.problem.reach import missed
@@ -23,7 +22,6 @@ RADIUS = 0.4
 FREE = Problem(horizon=6)
 WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
 SLOWER = replace(WING, floor=Floor('circle', fraction=0.5))
-needs_counts = pytest.mark.skipif(not COMPILED, reason='bounds are counted again with numba')
 
 
 def jumping(rng):
@@ -58,7 +56,7 @@ def test_without_limits_what_is_excluded_is_what_is_out_of_reach(seed):
         assert miss[count] <= np.sqrt(1.0 + EFFORT) * RADIUS + 1e-3
 
 
-@needs_counts
+@needs_machine_code
 @pytest.mark.parametrize(
     'problem', [FREE, WING, replace(WING, floor=Floor('circle', fraction=0.5))]
 )
@@ -76,7 +74,7 @@ def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
 # --- what of it was counted again
 
 
-@needs_counts
+@needs_machine_code
 @pytest.mark.parametrize('problem', [FREE, WING])
 def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
     catches = [hunted(problem, jumping(np.random.default_rng([s, 80])))[0] for s in range(10)]
@@ -84,7 +82,7 @@ def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
     assert sum(map(excluded, catches)) > 5
 
 
-@needs_counts
+@needs_machine_code
 def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monkeypatch):
     goals = np.tile([3.9, 0.0], (6, 1))
     behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to
@@ -97,7 +95,7 @@ def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monke
     assert not word.checked
 
 
-@needs_counts
+@needs_machine_code
 def test_what_no_turn_leads_to_is_the_methods_word():
     coned = Approach(0.2, (-1.0, 0.0))
     catch, _ = hunted(WING, np.tile([1.0, 0.0], (6, 1)), approach=coned)

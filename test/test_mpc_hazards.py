@@ -1,12 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Obstacles that are round and that move: what they are, and what plans make of them."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import needs_machine_code
+from problems import needs_machine_code, polled
 from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
@@ -88,9 +87,8 @@ def test_plans_stay_clear_at_all_times(model):
     for _ in range(3):
         hazards = crossing(rng, n, 2)
         start = State.at(np.zeros(n), 0.6 * np.eye(n), hazards=hazards)
-        polls = itertools.count()
         try:
-            plan = planner.solve(start, goals, None, lambda p=polls: next(p) > 400)
+            plan = planner.solve(start, goals, None, polled(400))
         except (Infeasible, SolverFailure):
             continue
         plans += 1
@@ -303,8 +301,7 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
         [-0.6, 0.4], 0.6 * np.eye(2), hazards=(MovingObstacle.drifting(hull, [0.0, 0.0]),)
     )
     goals = np.tile([6.0, 0.0], (8, 1))
-    polls = itertools.count()
-    plan = Solver(problem).solve(start, goals, None, lambda: next(polls) > 600)
+    plan = Solver(problem).solve(start, goals, None, polled(600))
     assert violations(problem, start, goals, plan) == []
     depth = hull.depth(plan.positions)
     assert depth[0] > 0.5
@@ -313,7 +310,7 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     assert (depth[gone:] <= 1e-6).all()  # and stays out
     still = replace(start, hazards=(MovingObstacle.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
     with pytest.raises((Infeasible, SolverFailure)):  # shut in, not just inside of a margin
-        Solver(problem).solve(still, goals, None, lambda: next(polls) > 1200)
+        Solver(problem).solve(still, goals, None, polled(600))
 
 
 @needs_machine_code

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
-from problems import floor, rotation
+from problems import floor, needs_machine_code, rotation
 from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.compensation import Response
@@ -30,7 +30,6 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp, log
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import drift, trajectory_of
 from orbimpc_ros.mpc.plan import command_of
 from orbimpc_ros.mpc.problem import (
@@ -50,7 +49,6 @@ RADIUS = 3.0
 WING = Problem(
     horizon=8, step=0.5, forward=15.0, floor=floor('circle', 2.0 / 3.0), max_rate=np.radians(25.0)
 )
-needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
 
 
 def farthest(problem):
@@ -76,7 +74,7 @@ def turned_at_random(rng, problem, start):
     return sizes[:, None] * np.column_stack([np.cos(begin + angles), np.sin(begin + angles)])
 
 
-@needs_speed
+@needs_machine_code
 def test_no_trajectory_catches_before_the_bound_and_the_plan_does_at_its_step():
     rng = np.random.default_rng(7)
     controller, found = Stepped(WING, capture_radius=RADIUS), 0
@@ -137,7 +135,7 @@ def test_without_a_catch_the_weights_say_what_is_flown():
     assert tracked.catch is None
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('bearing', [0.5, 1.6, 2.8, -0.7, -1.2, -2.4])
 def test_a_goal_within_the_smallest_circle_is_caught_by_who_looks_beyond_the_horizon(bearing):
     goal = 15.0 * np.array([np.cos(bearing), np.sin(bearing)])  # the smallest circle: 23 m
@@ -166,7 +164,7 @@ def circles_until_caught(goal, beyond):
     return False
 
 
-@needs_speed
+@needs_machine_code
 def test_who_means_to_catch_a_goal_does_not_put_it_off():
     goal = np.array([-10.0, 5.0])
     controller = Stepped(replace(WING, discretisation='exact'), capture_radius=2.0)
@@ -182,7 +180,7 @@ def test_who_means_to_catch_a_goal_does_not_put_it_off():
     assert meant[-1] <= meant[0] + 1.0
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('place', [(35.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
 def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
     """A fifth of a step later, and again; a goal that has moved on too far is not flown at."""
@@ -214,7 +212,7 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     assert farthest(replace(WING, rotation_order=2, floor=Floor())) == 8
 
 
-@needs_speed
+@needs_machine_code
 def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
     """At full speed ahead it is 7.5 m a step: 1.5 m before the goal is a quarter into the third."""
     problem = replace(WING, discretisation='exact')
@@ -239,7 +237,7 @@ def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
     assert tick.problem.step * tick.plan.horizon == pytest.approx(1.125)
 
 
-@needs_speed
+@needs_machine_code
 def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     boat = Problem(horizon=12, step=0.5, forward=3.0, max_rate=0.7)
     goals = np.tile([9.0, 0.0], (12, 1))
@@ -269,7 +267,7 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     assert violations(alone.problem, blocked.state, alone.goals, alone.plan)
 
 
-@needs_speed
+@needs_machine_code
 def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps():
     """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
     bird = replace(WING, floor=floor('circle', 1.0))
@@ -281,7 +279,7 @@ def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps
     assert not blind.catch.time < 1.0  # where the goal is in between is not known
 
 
-@needs_speed
+@needs_machine_code
 def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     here, later = odometry([0.0, 0.0], 0.0, 15.0), odometry([7.5, 0.0], 0.0, 15.0, time=0.5)
 
@@ -303,7 +301,7 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     assert tick.catch.time > 4.0
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('cone', [0.0, 0.6])
 def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
     """The earliest one turns as fast as it may: that gains centimetres. Turns are 11 deg a step."""
@@ -327,7 +325,7 @@ def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
     assert miss <= RADIUS
 
 
-@needs_speed
+@needs_machine_code
 def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     """A vehicle that turns by a wide angle within a step ends elsewhere than the plan's chords."""
     rope = Problem(horizon=5, step=1.0, forward=1.0, floor=floor('circle', 1.0))
@@ -353,7 +351,7 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     assert far > 5
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('away', [30.0, 33.0, 36.0])
 def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_help(
     monkeypatch, away
@@ -381,7 +379,7 @@ def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_he
     assert max(asked.values()) == 2  # the defect is that of full speed at once
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('bearing', [[-1.0, 0.0, 0.0], [-0.9, 0.3, 0.3], [-0.2, 0.0, 1.0]])
 def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
     """Right behind, behind, and above; the searches end after so many polls, on any machine."""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import adversary
 import numpy as np
 import pytest
-from plans import assembled
-from problems import FAMILIES, HELD_OUT, OPEN, case, needs_machine_code, rotation, seeds
+from plans import assembled, judged
+from problems import FAMILIES, HELD_OUT, OPEN, case, needs_machine_code, polled, rotation, seeds
 
 from orbimpc_ros.mpc.check import holds, margins, violations
 from orbimpc_ros.mpc.errors import SolverFailure
@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import certificate_of
-from orbimpc_ros.mpc.proof.reading import Refused, parsed
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 ROUNDING = 1e-7  # relative: what plans may miss constraints by saves as much
@@ -40,12 +40,6 @@ class Solved(NamedTuple):
     case: Case
     solver: Solver
     plan: Plan
-
-
-def polled(limit):
-    """A clock that says that time is up after so many looks at it."""
-    left = iter(range(limit))
-    return lambda: next(left, None) is None
 
 
 def drawn():
@@ -222,13 +216,6 @@ def with_another_horizon(known):
 
 
 CHANGES = (raised, near, moved, not_a_number, without_a_leaf, shorter, with_another_horizon)
-
-
-def judged(text):
-    try:
-        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
-    except Refused as error:
-        return str(error)
 
 
 def cut(text):

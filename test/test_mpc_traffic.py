@@ -74,17 +74,6 @@ def test_an_even_motion_is_found_whatever_the_stamps(seed):
     np.testing.assert_allclose(hazard.body.maximum - hazard.body.minimum, [2.0, 3.0, 4.0])
 
 
-def test_a_jump_makes_a_new_body_without_velocity():
-    bodies = Bodies()
-    bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
-    bodies.see(seen(2.0, disc(1.0, 0.0)), FASTEST)
-    assert 'jumped' in bodies.see(seen(2.1, disc(9.0, 0.0)), FASTEST)
-    (hazard,) = moved(bodies, 3.1)
-    np.testing.assert_allclose(at(hazard, 1.0), [9.0, 0.0])
-    assert bodies.see(seen(3.1, disc(10.0, 0.0)), FASTEST) == ''
-    np.testing.assert_allclose(at(moved(bodies, 3.1)[0], 1.0), [11.0, 0.0])
-
-
 # --- tracks
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from harness import python, run
+from test_package_layers import imports_of
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
@@ -51,13 +52,8 @@ def setup_keyword(name):
 
 def imported():
     """Return the top-level modules that the package imports, its own and Python's aside."""
-    found = set()
-    for file in (ROOT / 'orbimpc_ros').rglob('*.py'):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Import):
-                found.update(alias.name.split('.')[0] for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.split('.')[0])
+    files = (ROOT / 'orbimpc_ros').rglob('*.py')
+    found = {name.split('.')[0] for file in files for name in imports_of(file)}
     return {name for name in found if name not in STANDARD and name != 'orbimpc_ros'}
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from problems import needs_machine_code
 
 pytest.importorskip('rclpy')
 
@@ -14,7 +15,6 @@ from bags import messages_of
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.plant import Plant
@@ -24,9 +24,7 @@ from orbimpc_ros.tool.offline import aboard
 from orbimpc_ros.tool.settings import config
 
 DEFAULTS = {row.name: row.default for row in SIM}
-NEARER = 'rope.center=[350.0, 60.0, 0.0]'  # a short flight
 DYING = Path(__file__).with_name('dying_engine.py')
-needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
 
 
 def test_parameters_make_the_aircraft_that_they_say():
@@ -48,7 +46,7 @@ def test_a_planner_is_told_nothing_of_wind_and_swing(name):
     assert values['wind'] == (0.0, 0.0, 0.0)
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('believed', [True, False])
 def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""

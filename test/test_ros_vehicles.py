@@ -2,7 +2,6 @@
 """The vehicles that the documentation sets up, flown with lags, wind and faults."""
 
 import math
-import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,23 +10,22 @@ import numpy as np
 import pytest
 import yaml
 from continuous import Craft, at_rest, flown, turned
+from pages import blocks_of
+from problems import needs_machine_code
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.world import departure
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
-BLOCK = re.compile(r'^```yaml\n(.*?)^```', re.DOTALL | re.MULTILINE)
-needs_machine_code = pytest.mark.skipif(not COMPILED, reason='takes minutes without numba')
 
 
 def recipe(name):
     """The parameters that the page gives under a heading that begins so."""
     (section,) = (each for each in PAGE.read_text().split('\n## ') if name in each.splitlines()[0])
-    (text,) = BLOCK.findall(section)
-    return yaml.safe_load(text)['/**/planner']['ros__parameters']
+    (block,) = (each for each in blocks_of(section) if each.language == 'yaml')
+    return yaml.safe_load(block.text)['/**/planner']['ros__parameters']
 
 
 def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):

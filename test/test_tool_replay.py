@@ -431,12 +431,6 @@ def test_what_if_shows_a_tick_side_by_side(replay):
     assert not named['status'].endswith('differs')
 
 
-def test_a_tick_as_it_was_is_the_same(replay):
-    code, out, _ = replay(RETRIEVAL, '--tick', 12)
-    assert code == 0
-    assert 'differs' not in out
-
-
 # --- other people's bags
 
 
