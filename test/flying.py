@@ -64,16 +64,14 @@ def fly_disturbed(parameters: dict, scenario: Scenario, view) -> Flight:
     A tick without odometry has no command; the last one is then in force for 1.5 steps from when
     it came, and after that the vehicle is safe, just as in the simulator.
     """
-    from orbimpc_ros.sim.outputs import sensed
-    from orbimpc_ros.tool.offline import aboard
+    from orbimpc_ros.tool.offline import aboard, tell
 
     timeouts = {'odom_timeout': 5.0, 'goal_timeout': 5.0}
     planner, flight = aboard(timeouts | parameters, clock=None), departure(scenario, 10.0)
     answered, command, heard = None, (0.0, np.zeros(scenario.model.rates)), -np.inf
     while not flight.over:
         now = flight.vehicle.time
-        for sent in view.of(flight):
-            planner.hear(*sensed(planner.at(sent.content.time), sent.content), now)
+        tell(planner, flight, 0, view=view)
         if planner.stamp != answered:
             answered, answer = planner.stamp, planner.report(now).command
             if not view.command_lost(flight.ticks):

@@ -19,8 +19,8 @@ from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.inputs import PLAN, others
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
-from orbimpc_ros.sim.outputs import future, traffic_markers
-from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.faults import NO_FAULTS, View
+from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
 from orbimpc_ros.sim.world import Flight
 
 EPOCH = 1_700_000_000 * SECOND  # of flights in this process: stamps are dates
@@ -168,21 +168,32 @@ def aboard(
     return OfflinePlanner(settings, clock=clock, planner=planner)
 
 
-def tell(planner: OfflinePlanner, flight: Flight, ahead: int, margin: float = 0.0) -> None:
-    """Send a planner the messages on a flight as it is now.
+def tell(
+    planner: OfflinePlanner,
+    flight: Flight,
+    ahead: int,
+    margin: float = 0.0,
+    view: View | None = None,
+) -> float:
+    """Send a planner the messages on a flight as it is now; return the time on its clock [s].
 
     Args:
         planner: that hears it.
         flight: as it is now.
         ahead: steps of the goal's future.
         margin: by which the balls in the traffic are reported larger than they are [m].
+        view: faults between flight and planner; by default none.
     """
-    now, model = flight.vehicle.time, flight.scenario.model
+    if view is None:
+        view = View(NO_FAULTS, 0, flight.scenario.model.step)
+    now = flight.vehicle.time + view.faults.jumped(flight.ticks)
     stamp = planner.at(now)
     if flight.scenario.traffic:
         planner.planner.expect_hazards()
         planner.hear('obstacles', traffic_markers(stamp, flight, margin), now)
     if ahead:
         planner.hear('goal_path', future(stamp, flight, ahead), now)
-    planner.goal(now, flight.goal)
-    planner.odometry(now, measured(flight.vehicle, model.velocity_source))
+    for sent in view.of(flight):
+        measured = planner.at(sent.content.time + view.faults.jumped(sent.ticks))
+        planner.hear(*sensed(measured, sent.content), now)
+    return now

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import multiprocessing
 import os
 import signal
@@ -29,6 +30,7 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
+from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
@@ -58,6 +60,9 @@ class Job:
 def flown(job: Job) -> Row:
     """Fly and return ``controller``, ``index`` and what came of the flight.
 
+    The planner sees it through the faults of the simulator's parameters. Until odometry and goal
+    have come, and while no command is in force, the vehicle does what the simulator lets it do.
+
     ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether it ended at an
     obstacle), ``failed`` (how an engine has failed, or an empty string); the rows of
     :func:`_of_way` and :func:`_of_ticks`.
@@ -65,17 +70,23 @@ def flown(job: Job) -> Row:
     simulated = sim_settings(settings.of_sim(job.values))
     # Other processes may keep the machine busy: ticks are measured in processor time.
     planner = aboard(job.values, time.thread_time, lambda given: _pilot(job, given))
-    flight = departure(simulated.scenario, simulated.begin)
+    flight, model = departure(simulated.scenario, simulated.begin), simulated.model
+    view = View(simulated.faults, simulated.seed, model.step)
     way, ticks, failed = [flight], list[tuple[Decision, float]](), ''
+    order, came = (0.0, np.zeros(model.rates)), -math.inf
     while not (flight.over or flight.touched or failed):
-        tell(planner, flight, simulated.goal_path_steps, job.margin)
-        begun = time.thread_time()
-        decision = planner.report(flight.vehicle.time)
-        ticks.append((decision, 1e3 * (time.thread_time() - begun)))
+        now = flight.vehicle.time
+        shown = tell(planner, flight, simulated.goal_path_steps, job.margin, view)
+        if planner.stamp is not None:
+            begun = time.thread_time()
+            decision = planner.report(shown)
+            ticks.append((decision, 1e3 * (time.thread_time() - begun)))
+            if not view.command_lost(flight.ticks):
+                order, came = (decision.command.speed_fraction, decision.command.body_rate), now
         if job.controller == WAYPOINT:
             _steer(flight)
         try:
-            flight = flight.after(decision.command.speed_fraction, decision.command.body_rate)
+            flight = flight.after(*order, came + simulated.command_timeout - now)
             way.append(flight)
         except EngineFailure as error:
             failed = str(error)
@@ -153,7 +164,7 @@ def _of_ticks(ticks: Sequence[tuple[Decision, float]]) -> Row:
     of a plan and ``projection`` loss; ``p50_ms`` and ``longest_ms``, processor time of the ticks.
     """
     plans = [decision.plan for decision, _ in ticks if decision.plan is not None]
-    spent = [each for _, each in ticks]
+    spent = [each for _, each in ticks] or [0.0]
     return {
         'ticks': len(ticks),
         'optimal': sum(decision.status is Status.OPTIMAL for decision, _ in ticks),
