@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -39,7 +38,7 @@ from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.replay.recording import stamp_of
 from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process
+from orbimpc_ros.tool.run.processes import Process, Processes
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
@@ -49,7 +48,6 @@ FAST, FASTEST, SLOW = 50.0, 200.0, 5.0  # [Hz]
 SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
-LEAVE = 5.0  # [s] in which a planner ends
 TRAILING = 10.0  # [s] in which the last answers come, or are lost
 BARE = 'a node that only answers'
 PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'benchmarks.bench.echo'
@@ -188,25 +186,16 @@ def _driven(
         nodes: their modules by namespace.
         executor: of all.
     """
-    processes = list[Process]()
     # The environment will name the folder, which goes away: it is restored.
     with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
         folder = Path(name)
         discovery.isolate(folder)
         file = folder / 'planner.yaml'
         settings.write(file, PARAMETERS, executor=executor)
-        with closing(Driver([*nodes], executor)) as driver:
-            try:
-                for i, (namespace, module) in enumerate(nodes.items()):
-                    log = folder / f'node-{i}.log'
-                    processes.append(Process(module, file, log, namespace=namespace))
-                yield driver, processes
-            finally:
-                for process in processes:  # all at once, so that none waits for another to end
-                    process.tell(signal.SIGINT)
-                for process in processes:
-                    process.wait(LEAVE)
-                    process.stop()
+        with closing(Driver([*nodes], executor)) as driver, Processes() as processes:
+            for i, (namespace, module) in enumerate(nodes.items()):
+                processes.start(module, file, folder / f'node-{i}.log', namespace=namespace)
+            yield driver, processes
 
 
 def _start(count: int) -> list[BenchRow]:

@@ -27,7 +27,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process
+from orbimpc_ros.tool.run.processes import Process, Processes
 
 Some = TypeVar('Some', bound='Session')
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
@@ -54,7 +54,7 @@ class Place(NamedTuple):
 
 
 class Session(Observer):
-    """Processes that are stopped, the last one first, when the session ends.
+    """Processes that are stopped when the session ends.
 
     Args:
         place: of the processes.
@@ -71,16 +71,14 @@ class Session(Observer):
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
         self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
-        self._processes: list[Process] = []
+        self._processes = Processes()
 
     def launch(self, module: str, values: Mapping[str, Any]) -> Process:
         """Return a new process of a node's module with parameters."""
         name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
         settings.write(file, {**values, 'executor': self._place.executor})
-        process = Process(module, file, file.with_suffix('.log'), self.domain)
-        self._processes.append(process)
-        return process
+        return self._processes.start(module, file, file.with_suffix('.log'), self.domain)
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:
         """Spin until ``done``.
@@ -102,8 +100,7 @@ class Session(Observer):
         return self
 
     def __exit__(self, *_error: object) -> None:
-        for process in reversed(self._processes):
-            process.stop()
+        self._processes.__exit__()
         self.close()
 
 

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.loop.planner import Decision, Planner
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Plan
@@ -73,7 +74,8 @@ def flown(job: Job) -> Row:
     flight, model = departure(simulated.scenario, simulated.begin), simulated.model
     view = View(simulated.faults, simulated.seed, model.step)
     way, ticks, failed = [flight], list[tuple[Decision, float]](), ''
-    order, came = (0.0, np.zeros(model.rates)), -math.inf
+    order: tuple[float, Array] = (0.0, np.zeros(model.rates))
+    came = -math.inf  # when [s]
     while not (flight.over or flight.touched or failed):
         now = flight.vehicle.time
         shown = tell(planner, flight, simulated.goal_path_steps, job.margin, view)
