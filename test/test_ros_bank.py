@@ -10,6 +10,7 @@ from planners import settings
 from stepping import targets
 
 from orbimpc_ros.loop.goal.forecast import FORECASTS
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.planner.outputs import values
@@ -30,8 +31,8 @@ class Watched:
         for _ in range(ticks):
             self.steps += 1
             now = 0.1 * self.steps
-            self.planner.goal(now, goal(now))
-            self.planner.odometry(now, still)
+            self.planner.sense(now, GoalObservation(now, np.array(goal(now))))
+            self.planner.sense(now, still, now)
         return self.planner.report(now)
 
     def ahead(self):

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy')
 
 from bags import messages_of
 
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
@@ -56,8 +57,9 @@ def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     velocity = turned.T @ [45.0, 0.0]
     for k in range(5):
         place = np.array([0.5 * k * 45.0, 0.0])
-        planner.goal(0.5 * k, place + np.array([300.0 - 5.0 * k, 0.0]))
-        planner.odometry(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
+        ahead = place + np.array([300.0 - 5.0 * k, 0.0])
+        planner.sense(0.5 * k, GoalObservation(0.5 * k, ahead))
+        planner.sense(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
         report = planner.report(0.5 * k)
     heading = math.atan2(*report.state.attitude[::-1, 0])
     assert heading == pytest.approx(0.0 if believed else slip, abs=1e-6)

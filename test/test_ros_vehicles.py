@@ -13,6 +13,7 @@ from continuous import Craft, at_rest, flown, turned
 from pages import blocks_of
 from problems import needs_machine_code
 
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.sim.world import departure
 
@@ -42,8 +43,8 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
         if parameters.get('velocity_source') == 'air':
             velocity = velocity - craft.blown
         seen = motion.attitude.T @ velocity
-        planner.goal(now, goal(now))
-        planner.odometry(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
+        planner.sense(now, GoalObservation(now, np.array(goal(now))))
+        planner.sense(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
         report = planner.report(now)
         command = report.command
         log.append((now, motion, command, report))

@@ -58,7 +58,7 @@ class Baseline(ABC):
         problem: that the planner would solve.
     """
 
-    TUNABLE: ClassVar[Mapping[str, float]] = {}
+    TUNABLE: ClassVar[dict[str, float]] = {}
 
     def __init__(self, settings: PlannerSettings, tuned: Mapping[str, float]) -> None:
         self.problem = settings.problem

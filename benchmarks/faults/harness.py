@@ -117,7 +117,7 @@ class Harness(Session):
     Attributes:
         planner: its process.
         draw: generator of all draws.
-        spoiled: fault of the stimulus.
+        spoiled: changes of ``odometry`` and ``goal`` on their way; what is not in it is healthy.
         jump: error of the clock [s]; only where that is simulated.
     """
 
@@ -133,7 +133,7 @@ class Harness(Session):
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
         super().__init__(place, Limits(1.0, self._values['max_rate']))
         self._simulated, self._module = simulated, module
-        self.draw, self.spoiled = random.Random(seed), stimulus.HEALTHY
+        self.draw, self.spoiled = random.Random(seed), dict[str, stimulus.Spoiler]()
         self.jump, self._frozen_at = 0.0, math.nan
         self._begun = self._due = time.monotonic()
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
@@ -180,12 +180,13 @@ class Harness(Session):
         if self._simulated:
             self._clock.publish(Clock(clock=messages.time_message(self.now)))
         goal = stimulus.goal_at(time.monotonic() - self._begun, self.now)
-        self._publish(self.goal, goal, self.spoiled.goal)
+        self._publish(self.goal, goal, 'goal')
         if self.odometry is not None:
             odometry = stimulus.odometry_at(time.monotonic() - self._begun, self.now)
-            self._publish(self.odometry, odometry, self.spoiled.odometry)
+            self._publish(self.odometry, odometry, 'odometry')
 
-    def _publish(self, publisher: Any, message: Any, spoil: stimulus.Spoiler | None) -> None:
+    def _publish(self, publisher: Any, message: Any, name: str) -> None:
+        spoil = self.spoiled.get(name)
         for each in [message] if spoil is None else spoil(message, self.draw):
             publisher.publish(each)
 

@@ -32,7 +32,7 @@ from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
 from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
-from benchmarks.faults.stimulus import HEALTHY, SLIP, Spoiled, with_field
+from benchmarks.faults.stimulus import SLIP, with_field
 from benchmarks.machine import resident
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
@@ -126,7 +126,7 @@ def _soak(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """A controller that raises: one is survived, after five in a row the planner has to leave."""
-    slipping = Spoiled(odometry=with_field('twist.twist.linear.y', SLIP))
+    slipping = {'odometry': with_field('twist.twist.linear.y', SLIP)}
     for seed in SEEDS if long else SEEDS[:1]:
         with fixtures.harness(seed=seed, module=ALTERED) as harness:
             until_due(harness, MIDWAY)
@@ -134,7 +134,7 @@ def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
             harness.spin(2.5 * STEP)
             raised = begin + 1.0 / RATE + STEP  # at the latest: the next odometry, the next tick
             late = max(0.0, harness.monitor.first_safe(begin) - raised) / STEP
-            harness.spoiled = HEALTHY
+            harness.spoiled = {}
             harness.until_planned()
             yield Outcome('raises', harness.monitor.broken(), late)
             harness.spoiled, begin = slipping, time.monotonic()

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
-from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
@@ -127,13 +127,12 @@ class OfflinePlanner(Core):
         """Take in a message at a time [s]."""
         self.inputs.update(topic, message, now, RosTime(_nanoseconds(now)))
 
-    def goal(self, now: float, place: Array) -> None:
-        """Take in the goal's position, shape (n,) [m]."""
-        self.hear('goal', messages.goal_message(self.at(now), place), now)
-
-    def odometry(self, now: float, measured: Odometry) -> None:
-        """Take in the vehicle's motion."""
-        self.hear('odom', messages.odometry_message(self.at(now), measured), now)
+    def sense(
+        self, now: float, content: Odometry | GoalObservation, measured: float | None = None
+    ) -> None:
+        """Take in what a sensor has measured, by default now [s]."""
+        stamp = self.at(now if measured is None else measured)
+        self.hear(*sensed(stamp, content), now)
 
     def report(self, now: float) -> Decision:
         """Plan at a time [s]; return what was decided and has been sent."""
@@ -194,6 +193,5 @@ def tell(
     if ahead:
         planner.hear('goal_path', future(stamp, flight, ahead), now)
     for sent in view.of(flight):
-        measured = planner.at(sent.content.time + view.faults.jumped(sent.ticks))
-        planner.hear(*sensed(measured, sent.content), now)
+        planner.sense(now, sent.content, sent.content.time + view.faults.jumped(sent.ticks))
     return now
