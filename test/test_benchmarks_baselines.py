@@ -17,10 +17,11 @@ from benchmarks.baselines.guidance import crabbed, sidestepped
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.offline import EPOCH, aboard, tell
+from orbimpc_ros.tool.offline import EPOCH, aboard, closed_loop
 from orbimpc_ros.tool.study import flights
 from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import Job, flown
@@ -176,15 +177,18 @@ class Listener(Baseline):
         return super().step(snapshot, now, late)
 
 
+def flown_on(planner, values, steps, margin=0.0):
+    """Fly the first steps of a flight."""
+    flight = departure(sim_settings(settings.of_sim(values)).scenario)
+    loop = closed_loop(planner, flight, View(NO_FAULTS, 0, 1.0), np.inf, 0, margin)
+    assert len(list(itertools.islice(loop, steps))) == steps
+
+
 def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     mission, pilots = draws_of('crossing'), []
     values = mission.of(4, 0)
     planner = aboard(values, pilot=lambda known: pilots.append(Listener(known)) or pilots[0])
-    flight = departure(sim_settings(settings.of_sim(values)).scenario)
-    for _ in range(3):
-        tell(planner, flight, 0, mission.margin)
-        command = planner.report(flight.vehicle.time).command
-        flight = flight.after(command.speed_fraction, command.body_rate)
+    flown_on(planner, values, 3, mission.margin)
     sight = pilots[0].seen[-1]
     centres, velocities, radii = discs('crossing', 0)
     assert sorted(each.body.radius for each in sight.hazards) == pytest.approx(sorted(radii + 0.3))
@@ -200,14 +204,12 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
 @pytest.mark.parametrize(('hurry', 'late'), [(0.0, False), (1.0, True)])
 def test_deadlines_go_by_the_given_clock(hurry, late):
     mission, pilots, ticks = draws_of('fixed_wing'), [], itertools.count()
-    flight = departure(sim_settings(settings.of_sim(mission.values)).scenario)
     planner = aboard(
         mission.values,
         pilot=lambda known: pilots.append(Listener(known)) or pilots[0],
         clock=lambda: hurry * next(ticks),
     )
-    tell(planner, flight, 0)
-    planner.report(flight.vehicle.time)
+    flown_on(planner, mission.values, 1)
     assert pilots[0].late == [late]
 
 

@@ -121,19 +121,12 @@ def test_a_row_adds_up():
 
 
 def test_faults_of_the_parameter_file_are_flown():
-    def row(*faults, controller=OURS):
-        changes = [f'faults.{each}' for each in faults]
-        return flown(job('retrieval', controller, 0, 'max_ticks=20', *changes))
-
-    plain = row()
-    for fault in ('position_noise=0.1', 'attitude_noise=0.1', 'dropout=0.3', 'delay=0.4'):
-        assert row(fault)['closest'] != plain['closest'], fault
-    jumping = row('clock_jump=-3.0', 'clock_jump_tick=2', 'occlusion_length=1.0')
-    assert jumping['closest'] < 1.0
-    for name in (OURS, 'lead'):
-        lost = row('dropout=1.0', controller=name)
-        assert (lost['ticks'], lost['caught']) == (0, False)
-        assert '0.0%' in report(draws_of('retrieval'), {name: [lost]})
+    noise = 'faults.position_noise=0.1', 'faults.clock_jump=-3.0', 'faults.clock_jump_tick=2'
+    noisy, plain = (flown(job('retrieval', OURS, 0, *faults)) for faults in (noise, ()))
+    assert noisy['closest'] != plain['closest'] < noisy['closest'] + 0.5
+    lost = flown(job('retrieval', 'lead', 0, 'faults.dropout=1.0', 'max_ticks=3'))
+    assert (lost['ticks'], lost['caught']) == (0, False)
+    assert '| 0.0% |' in report(draws_of('retrieval'), {'lead': [lost]})
 
 
 def test_the_end_of_an_arrival_is_reported():

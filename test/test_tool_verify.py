@@ -17,7 +17,8 @@ from orbimpc_ros.mpc.proof.document import OLD, Certificate
 from orbimpc_ros.mpc.proof.prove import WORD, Unproved
 from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.replay import recording, ticks_of
+from orbimpc_ros.tool.replay import recording
+from orbimpc_ros.tool.replay.resolving import replayed
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 KINDS = ('UInt8MultiArray', 'MultiArrayLayout')
@@ -121,7 +122,7 @@ def test_a_bound_above_what_a_trajectory_costs_fails(tool, monkeypatch, own):
 def test_a_claim_about_what_is_not_found_any_more_fails(tool, monkeypatch, claimed):
     (known,) = claimed.items()
     claiming(monkeypatch, *known)
-    monkeypatch.setattr('orbimpc_ros.tool.replay.ticks_of', lost)
+    monkeypatch.setattr('orbimpc_ros.tool.replay.resolving.replayed', lost)
     code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
     assert code == 1
     assert 'DOES NOT HOLD: ' in out
@@ -130,7 +131,7 @@ def test_a_claim_about_what_is_not_found_any_more_fails(tool, monkeypatch, claim
 
 def lost(*known):
     """Ticks whose plans are not found again."""
-    for each in ticks_of(*known):
+    for each in replayed(*known):
         yield replace(
             each, decision=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
         )

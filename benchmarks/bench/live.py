@@ -189,7 +189,7 @@ def _driven(
         folder = Path(name)
         discovery.isolate(folder)
         file = folder / 'planner.yaml'
-        settings.write(file, PARAMETERS, executor=executor)
+        file.write_text(settings.text(PARAMETERS | {'executor': executor}))
         with closing(Driver([*nodes], executor)) as driver, Processes() as processes:
             for i, (namespace, module) in enumerate(nodes.items()):
                 processes.start(module, file, folder / f'node-{i}.log', namespace=namespace)

@@ -77,7 +77,7 @@ class Session(Observer):
         """Return a new process of a node's module with parameters."""
         name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
-        settings.write(file, {**values, 'executor': self._place.executor})
+        file.write_text(settings.text({**values, 'executor': self._place.executor}))
         return self._processes.start(module, file, file.with_suffix('.log'), self.domain)
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:

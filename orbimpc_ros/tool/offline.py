@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
@@ -19,7 +22,7 @@ from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.inputs import PLAN, others
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
-from orbimpc_ros.sim.faults import NO_FAULTS, View
+from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
 from orbimpc_ros.sim.world import Flight
 
@@ -167,31 +170,46 @@ def aboard(
     return OfflinePlanner(settings, clock=clock, planner=planner)
 
 
-def tell(
+def closed_loop(
     planner: OfflinePlanner,
     flight: Flight,
-    ahead: int,
+    view: View,
+    held: float,
+    ahead: int = 0,
     margin: float = 0.0,
-    view: View | None = None,
-) -> float:
-    """Send a planner the messages on a flight as it is now; return the time on its clock [s].
+) -> Iterator[tuple[Flight, Decision | None, float]]:
+    """Yield a flight at each step, what is decided then, and in what processor time [ms].
+
+    As in a simulator in lock-step, the planner answers odometry that is new; where none comes, or
+    the answer is lost, the last command is in force for a time since it came.
 
     Args:
-        planner: that hears it.
-        flight: as it is now.
-        ahead: steps of the goal's future.
+        planner: that hears of the flight.
+        flight: at its start.
+        view: what reaches the planner of it.
+        held: that time [s].
+        ahead: steps of the goal's future that are published.
         margin: by which the balls in the traffic are reported larger than they are [m].
-        view: faults between flight and planner; by default none.
     """
-    if view is None:
-        view = View(NO_FAULTS, 0, flight.scenario.model.step)
-    now = flight.vehicle.time + view.faults.jumped(flight.ticks)
-    stamp = planner.at(now)
+    answered, came = planner.stamp, -math.inf
+    order: tuple[float, Array] = (0.0, np.zeros(flight.scenario.model.rates))
     if flight.scenario.traffic:
         planner.planner.expect_hazards()
-        planner.hear('obstacles', traffic_markers(stamp, flight, margin), now)
-    if ahead:
-        planner.hear('goal_path', future(stamp, flight, ahead), now)
-    for sent in view.of(flight):
-        planner.sense(now, sent.content, sent.content.time + view.faults.jumped(sent.ticks))
-    return now
+    while not (flight.over or flight.touched):
+        now, decision, spent = flight.vehicle.time, None, 0.0
+        shown = now + view.faults.jumped(flight.ticks)
+        if flight.scenario.traffic:
+            planner.hear('obstacles', traffic_markers(planner.at(shown), flight, margin), shown)
+        if ahead:
+            planner.hear('goal_path', future(planner.at(shown), flight, ahead), shown)
+        for sent in view.of(flight):
+            planner.sense(shown, sent.content, sent.content.time + view.faults.jumped(sent.ticks))
+        if planner.stamp != answered:
+            answered, begun = planner.stamp, time.thread_time()
+            decision = planner.report(shown)
+            spent = 1e3 * (time.thread_time() - begun)
+            if not view.command_lost(flight.ticks):
+                order, came = (decision.command.speed_fraction, decision.command.body_rate), now
+        yield flight, decision, spent
+        flight = flight.after(*order, came + held - now)
+    yield flight, None, 0.0

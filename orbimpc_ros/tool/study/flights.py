@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 import multiprocessing
 import os
 import signal
@@ -24,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.loop.planner import Decision, Planner
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Plan
@@ -36,7 +34,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.offline import aboard, tell
+from orbimpc_ros.tool.offline import aboard, closed_loop
 
 Row = dict[str, Any]
 Key = tuple[str, int]  # controller, and number of a flight
@@ -61,8 +59,7 @@ class Job:
 def flown(job: Job) -> Row:
     """Fly and return ``controller``, ``index`` and what came of the flight.
 
-    The planner sees it through the faults of the simulator's parameters. Until odometry and goal
-    have come, and while no command is in force, the vehicle does what the simulator lets it do.
+    The planner sees it through the faults of the simulator's parameters.
 
     ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether it ended at an
     obstacle), ``failed`` (how an engine has failed, or an empty string); the rows of
@@ -71,27 +68,19 @@ def flown(job: Job) -> Row:
     simulated = sim_settings(settings.of_sim(job.values))
     # Other processes may keep the machine busy: ticks are measured in processor time.
     planner = aboard(job.values, time.thread_time, lambda given: _pilot(job, given))
-    flight, model = departure(simulated.scenario, simulated.begin), simulated.model
-    view = View(simulated.faults, simulated.seed, model.step)
-    way, ticks, failed = [flight], list[tuple[Decision, float]](), ''
-    order: tuple[float, Array] = (0.0, np.zeros(model.rates))
-    came = -math.inf  # when [s]
-    while not (flight.over or flight.touched or failed):
-        now = flight.vehicle.time
-        shown = tell(planner, flight, simulated.goal_path_steps, job.margin, view)
-        if planner.stamp is not None:
-            begun = time.thread_time()
-            decision = planner.report(shown)
-            ticks.append((decision, 1e3 * (time.thread_time() - begun)))
-            if not view.command_lost(flight.ticks):
-                order, came = (decision.command.speed_fraction, decision.command.body_rate), now
-        if job.controller == WAYPOINT:
-            _steer(flight)
-        try:
-            flight = flight.after(*order, came + simulated.command_timeout - now)
+    view = View(simulated.faults, simulated.seed, simulated.model.step)
+    way, ticks, failed = list[Flight](), list[tuple[Decision, float]](), ''
+    known = view, simulated.command_timeout, simulated.goal_path_steps, job.margin
+    try:
+        begin = departure(simulated.scenario, simulated.begin)
+        for flight, decision, spent in closed_loop(planner, begin, *known):
             way.append(flight)
-        except EngineFailure as error:
-            failed = str(error)
+            if decision is not None:
+                ticks.append((decision, spent))
+            if job.controller == WAYPOINT:
+                _steer(flight)
+    except EngineFailure as error:
+        failed = str(error)
     caught, begun = flight.captured, flight.scenario.start.time
     return {
         'controller': job.controller,
