@@ -33,27 +33,17 @@ def error_after(forecast, rope, rng, *, seconds, noise=0.0, lost=0.0, spacing=1.
 
 
 @pytest.mark.parametrize('seed', range(20))
-def test_harmonic_knows_a_swing_after_seeing_it_once(seed):
+@pytest.mark.parametrize(
+    ('noise', 'lost', 'swings', 'least', 'within'),
+    [(0.0, 0.0, 1.0, 6.0, 0.01), (0.02, 0.2, 1.3, 20.0, 0.15)],
+    ids=['exact', 'noise and dropouts'],
+)
+def test_harmonic_knows_a_swing_after_seeing_it_once(seed, noise, lost, swings, least, within):
+    """With 2 cm of noise and a fifth of the sightings lost within a capture radius of 0.15 m."""
     rng = np.random.default_rng(seed)
     rope, frequency = swing(rng)
-    seconds = max(1.0 / frequency, 6.0)
-    assert error_after(FORECASTS['harmonic'](), rope, rng, seconds=seconds) < 0.01
-
-
-@pytest.mark.parametrize('seed', range(20))
-def test_harmonic_stands_noise_and_dropouts(seed):
-    """2 cm of noise and a fifth of the sightings lost: within a capture radius of 0.15 m."""
-    rng = np.random.default_rng(seed)
-    rope, frequency = swing(rng)
-    error = error_after(
-        FORECASTS['harmonic'](),
-        rope,
-        rng,
-        seconds=max(1.3 / frequency, 20),
-        noise=0.02,
-        lost=0.2,
-    )
-    assert error < 0.15
+    known = {'seconds': max(swings / frequency, least), 'noise': noise, 'lost': lost}
+    assert error_after(FORECASTS['harmonic'](), rope, rng, **known) < within
 
 
 STILL = {

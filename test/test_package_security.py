@@ -3,15 +3,13 @@
 
 import os
 import signal
-import subprocess
 import sys
-import time
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from harness import recording, run
+from harness import recording, run, wait_for
 
 from orbimpc_ros.ros.entry import PACKAGES
 
@@ -155,22 +153,9 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
     ('place', 'peers', 'warnings'),
     [('SUBNET', '10.0.0.7', 2), ('LOCALHOST', '', 0)],
 )
-def test_a_node_warns_where_other_machines_may_join(domain, tmp_path, place, peers, warnings):
-    environment = {
-        **os.environ,
-        'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': place,
-        'ROS_STATIC_PEERS': peers,
-    }
-    log = tmp_path / 'log'
-    with log.open('wb') as stream:
-        words = [sys.executable, '-m', 'orbimpc_ros.ros.planner']
-        node = subprocess.Popen(words, env=environment, stdout=stream, stderr=stream)
-        try:
-            while 'waits for' not in log.read_text():
-                assert node.poll() is None
-                time.sleep(0.05)
-        finally:
-            node.kill()
-            node.wait()
-    assert log.read_text().count('open to') == warnings
+def test_a_node_warns_where_other_machines_may_join(launch, monkeypatch, place, peers, warnings):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', place)
+    monkeypatch.setenv('ROS_STATIC_PEERS', peers)
+    node = launch('planner')
+    wait_for(lambda: 'waits for' in node.output)
+    assert node.output.count('open to') == warnings

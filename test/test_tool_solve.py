@@ -119,7 +119,8 @@ def test_yaml_reads_like_json(solve):
     )
 
 
-NAN = float('nan')
+BALL, BOX = {'centre': [2.0, 0.0], 'radius': 0.5}, {'min': [0, 3], 'max': [1, 4]}
+SPACE = {'centre': [2, 0, 0], 'radius': 1}
 # What files alone may have: values that are out of range are refused like anybody's.
 BAD = {
     'missing horizon': ({'horizon': ...}, 'horizon'),
@@ -140,6 +141,19 @@ BAD = {
     'velocity at order 1': ({'state.velocity': [0.0, 0.0]}, 'velocity'),
     'obstacles not a list': ({'obstacles': {'min': [0, 0], 'max': [1, 1]}}, 'obstacles'),
     'obstacle without max': ({'obstacles': [{'min': [0.0, 0.0]}]}, 'max'),
+    'ball without radius': ({'obstacles': [{'centre': [2.0, 0.0]}]}, 'obstacles'),
+    'hazards not a list': ({'hazards': {}}, 'hazards is {}'),
+    'hazard a number': ({'hazards': [5]}, 'hazards[0] is 5'),
+    'hazard without velocity': ({'hazards': [BALL]}, 'hazards[0] field velocity'),
+    'hazard without shifts': ({'hazards': [{**BOX, 'times': [0, 1]}]}, 'hazards[0] field shifts'),
+    'velocity too short': ({'hazards': [{**BALL, 'velocity': [1.0]}]}, 'hazards[0].velocity'),
+    'hazard in space': ({'hazards': [{**SPACE, 'velocity': [1, 0, 0]}]}, 'hazards is 3'),
+    'approach without cone': ({'approach': {'direction': [0.0, 1.0]}}, 'approach'),
+    'cone a word': ({'approach': {'cone': 'x'}}, 'approach'),
+    'direction a word': ({'approach': {'cone': 0.3, 'direction': 'north'}}, 'approach'),
+    'attitude too small': ({'goal_attitude': [[1.0, 0.0]]}, 'goal_attitude'),
+    'attitude no rotation': ({'goal_attitude': [[2.0, 0.0], [0.0, 2.0]]}, 'state.wanted'),
+    'attitude a word': ({'goal_attitude': 'north'}, 'goal_attitude'),
     'corner cutting a word': ({'no_corner_cutting': 'yes'}, 'no_corner_cutting'),
 }
 
