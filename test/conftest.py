@@ -12,9 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, ROOT, Observer, launching, new_domain
-
-__all__ = ['PATIENCE', 'ROOT', 'Observer', 'new_domain']
+from harness import Observer, launching, new_domain
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

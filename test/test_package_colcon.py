@@ -9,10 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE
-from harness import run
+from harness import PATIENCE, ROOT, run
 
-ROOT = Path(__file__).parents[1]
 NAME = 'orbimpc_ros'
 NOT_SOURCES = ('.*', 'build', 'dist', 'install', 'log', 'out', '__pycache__', '*.egg-info')
 

@@ -3,13 +3,11 @@
 
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 import yaml
-from harness import run
+from harness import ROOT, run
 
-ROOT = Path(__file__).parents[1]
 GITHUB = ROOT / '.github'
 SCHEMAS = {
     'vendor.github-workflows': sorted((GITHUB / 'workflows').glob('*.yml')),

@@ -4,15 +4,14 @@
 import importlib.util
 import re
 import runpy
-from pathlib import Path
 
 import pages
 import pytest
+from harness import ROOT
 
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.cli import _parser
 
-ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'
 PAGES = [*sorted(DOCS.glob('*.md')), ROOT / 'README.md', ROOT / 'CONTRIBUTING.md']
 LINK = re.compile(r'\]\((?!https?:)([^)#]*)(#[^)]+)?\)|(?:src|srcset)="([^"]+)"')

@@ -8,11 +8,10 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from harness import ROOT
 from test_package_manifest import setup_keyword
 
 from orbimpc_ros import install
-
-ROOT = Path(__file__).parents[1]
 
 
 def declared(extra):

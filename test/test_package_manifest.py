@@ -6,13 +6,11 @@ import os
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pytest
-from harness import python, run
+from harness import ROOT, python, run
 from test_package_layers import imports_of
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
 STANDARD = sys.stdlib_module_names
 

@@ -5,11 +5,10 @@ import os
 import signal
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from harness import recording, run, wait_for
+from harness import ROOT, recording, run, wait_for
 
 from orbimpc_ros.ros.entry import PACKAGES
 
@@ -17,7 +16,6 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
 
-ROOT = Path(__file__).parents[1]
 POLICY = ROOT / 'config' / 'security' / 'policy.xml'
 # The schema's structure: elements in each, and the attributes that each must and may have.
 KINDS = {

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT
+from harness import ROOT
 
 pytest.importorskip('rclpy')
 

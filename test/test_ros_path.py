@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from conftest import PATIENCE, ROOT
 from geometry_msgs.msg import PoseStamped
+from harness import PATIENCE, ROOT
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher

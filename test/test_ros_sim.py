@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import Observer, new_domain
+from harness import Observer, new_domain
 
 pytest.importorskip('rclpy')
 

@@ -6,12 +6,11 @@ import os
 import signal
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 from dying_engine import FAILURES
-from harness import PATIENCE, TOOL, orbimpc, wait_for
+from harness import PATIENCE, ROOT, TOOL, orbimpc, wait_for
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
@@ -25,7 +24,6 @@ from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import OURS, Job, flown
 from orbimpc_ros.tool.study.report import report
 
-ROOT = Path(__file__).parents[1]
 STUDIES = sorted(file.stem for file in (ROOT / 'config' / 'studies').glob('*.yaml'))
 CONFIGS = [str(file) for file in sorted((ROOT / 'config').glob('*.yaml'))]
 

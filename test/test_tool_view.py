@@ -11,7 +11,8 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from drawing import GOLDEN, INSTALL, Drawing, needs_rerun
+from bags import GOLDEN
+from drawing import INSTALL, Drawing, needs_rerun
 from harness import TOOL, wait_for
 
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
