@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -45,19 +45,11 @@ PLANNER: dict[str, Any] = {
 }  # [s], [m], [rad/s]
 
 
-class Place(NamedTuple):
-    """A folder for parameters and logs, a ROS domain, and the executor of nodes."""
-
-    folder: Path
-    domain: int
-    executor: str
-
-
 class Session(Observer):
     """Processes that are stopped when the session ends.
 
     Args:
-        place: of the processes.
+        fixtures: give it a folder, a DDS domain and the executor of nodes.
         limits: of commands.
 
     Attributes:
@@ -65,9 +57,10 @@ class Session(Observer):
         monitor: of commands, ticks and diagnostics.
     """
 
-    def __init__(self, place: Place, limits: Limits) -> None:
-        super().__init__(place.domain)
-        self.folder, self._place, self.monitor = place.folder, place, Monitor(limits)
+    def __init__(self, fixtures: Fixtures, limits: Limits) -> None:
+        self.folder, self.executor = fixtures.folder(), fixtures.executor
+        self.monitor = Monitor(limits)
+        super().__init__(discovery.isolate(self.folder))
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
         self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
@@ -77,7 +70,7 @@ class Session(Observer):
         """Return a new process of a node's module with parameters."""
         name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
-        file.write_text(settings.text({**values, 'executor': self._place.executor}))
+        file.write_text(settings.text({**values, 'executor': self.executor}))
         return self._processes.start(module, file, file.with_suffix('.log'), self.domain)
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:
@@ -108,7 +101,7 @@ class Harness(Session):
     """Feeds a planner at a steady rate and records all that it publishes, until closed.
 
     Args:
-        place: of the planner.
+        fixtures: of the session.
         parameters: of the planner, beside those of all harnesses.
         simulated: whether to be the planner's clock as well.
         seed: of all draws.
@@ -123,7 +116,7 @@ class Harness(Session):
 
     def __init__(
         self,
-        place: Place,
+        fixtures: Fixtures,
         parameters: Mapping[str, Any] | None = None,
         *,
         simulated: bool = False,
@@ -131,7 +124,7 @@ class Harness(Session):
         module: str = NODE,
     ) -> None:
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
-        super().__init__(place, Limits(1.0, self._values['max_rate']))
+        super().__init__(fixtures, Limits(1.0, self._values['max_rate']))
         self._simulated, self._module = simulated, module
         self.draw, self.spoiled = random.Random(seed), dict[str, stimulus.Spoiler]()
         self.jump, self._frozen_at = 0.0, math.nan
@@ -224,22 +217,22 @@ class Fixtures(AbstractContextManager['Fixtures']):
     """
 
     def __init__(self, folder: Path, executor: str = 'wait_set') -> None:
-        self._folder, self._executor, self._count = folder, executor, 0
+        self._folder, self.executor, self._count = folder, executor, 0
         self._shared: dict[str, Harness] = {}
         self._stack = ExitStack()
         for part in PARTS:
             part()
 
-    def place(self) -> Place:
-        """Return a place with a folder and a DDS domain of its own."""
+    def folder(self) -> Path:
+        """Return a new folder."""
         self._count += 1
         folder = self._folder / f'{self._count:03}'
         folder.mkdir()
-        return Place(folder, discovery.isolate(folder), self._executor)
+        return folder
 
     def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
         """Return a new harness, to be closed."""
-        return Harness(self.place(), parameters, **more)
+        return Harness(self, parameters, **more)
 
     def shared(self, parameters: Mapping[str, Any], *, simulated: bool = False) -> Harness:
         """Return the shared harness of some parameters; its planner runs."""

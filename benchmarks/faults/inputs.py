@@ -92,7 +92,7 @@ def _garbage() -> list[Fault]:
 
 def _velocities() -> list[Fault]:
     """Return velocities along the world's axes: doubted, and flown with."""
-    known: Any = {'strict': False, 'event': complaint('see velocity_frame'), 'unit': 1.0}
+    known: Any = {'strict': False, 'event': complaint('see velocity_frame')}
     turned = stimulus.in_the_world
     return [_spoiled('of the world', 'odometry', turned, times=(MIDWAY,), **known)]
 
@@ -154,7 +154,7 @@ def _mismatch() -> Sequence[Fault]:
 
     return [
         _endpoints('latched cmd_vel', subscribe, lambda h, it: h.node.destroy_subscription(it),
-                   strict=False, event=Monitor.first_error, times=(MIDWAY,), unit=1.0)
+                   strict=False, event=Monitor.first_error, times=(MIDWAY,))
     ]  # fmt: skip
 
 
