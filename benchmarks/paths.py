@@ -29,7 +29,7 @@ from benchmarks.baselines.followers import (
     l1,
     npfg,
 )
-from orbimpc_ros.loop.goal.route import Route
+from orbimpc_ros.loop.goal.motion import Route
 from orbimpc_ros.loop.planner import Snapshot
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array

@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import Command
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
@@ -42,7 +42,7 @@ def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
     model, vehicle = windy(rng, n, velocity_source=source)
     problem, wind = Problem(n, forward=2.0), model.blown
     compensator, seen = known(problem, wind, source), measured(vehicle, source)
-    state = compensator.state(seen)
+    state = State.at(**compensator.state(seen))
     np.testing.assert_allclose(state.rotation, vehicle.fraction * vehicle.attitude, atol=1e-12)
     np.testing.assert_allclose(state.disturbance, wind)
     assert compensator.odd_speed(seen) == ''
@@ -56,7 +56,7 @@ def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
         still = np.zeros(1 if n == 2 else 3)
         seen = Odometry(0.0, np.zeros(n), attitude, 20.0 * rng.normal(size=n), still)
         for source in ('ground', 'air'):
-            state = known(Problem(n, forward=5.0), wind, source).state(seen)
+            state = State.at(**known(Problem(n, forward=5.0), wind, source).state(seen))
             share = float(np.linalg.norm(state.rotation[:, 0]))
             assert 0.0 <= share <= 1.0 + 1e-12
             np.testing.assert_allclose(state.rotation, share * attitude, atol=1e-12)

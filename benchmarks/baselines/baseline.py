@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -88,7 +87,7 @@ class Baseline(ABC):
         start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
         time, wind = start.odometry.time, start.disturbance
         hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
-        state = replace(self._compensator.state(start.odometry), hazards=hazards)
+        state = State.at(**start.state, hazards=hazards)
         goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))
         sight = Sight(time, state, goals, ahead.at, np.zeros(2) if wind is None else wind)
         command = self._limited(state, *self.steered(self._led(sight)))

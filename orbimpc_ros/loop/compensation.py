@@ -27,7 +27,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
 from orbimpc_ros.mpc.plan import Command, Plan
-from orbimpc_ros.mpc.problem import MovingObstacle, Problem, State
+from orbimpc_ros.mpc.problem import Problem
 
 MEMORY = 32  # commands; whatever was sent before them is taken as measured
 NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
@@ -495,9 +495,10 @@ class Estimator:
 
 
 class Start(NamedTuple):
-    """Where a plan starts; the fields but the first and the last two are those of a decision."""
+    """Where a plan starts; ``advanced`` to ``innovation`` are fields of a decision, too."""
 
     odometry: Odometry  # what to plan from
+    state: dict[str, Any]  # the same as arguments of State.at
     advanced: float  # [s]
     led: float  # [s]
     disturbance: Array | None  # shape (n,)
@@ -590,7 +591,8 @@ class Compensator:
         moved = odometry.time - measured.time - led
         innovation = None if self._estimator is None else self._estimator.innovation
         odd = self.odd_speed(odometry)
-        return Start(odometry, moved, led, self.disturbance, innovation, limited, odd)
+        state = self.state(odometry)
+        return Start(odometry, state, moved, led, self.disturbance, innovation, limited, odd)
 
     def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""
@@ -634,26 +636,13 @@ class Compensator:
             return settled
         return replace(settled, body_rate=coming.body_rate)
 
-    def state(
-        self,
-        odometry: Odometry,
-        reached: float | None = None,
-        wanted: Array | None = None,
-        hazards: tuple[MovingObstacle, ...] = (),
-    ) -> State:
-        """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
+    def state(self, odometry: Odometry) -> dict[str, Any]:
+        """Return the state there, as arguments of State.at: R_0 = sigma_0 Q_0, in conv SO(n).
 
         At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate``
         the one that commands have led to: a gust is no change of speed that a plan has to make up
         for, and a vehicle in a dead band would never be told more than a step from the speed that
         it has.
-
-        Args:
-            odometry: there.
-            reached: the share of full speed that changes of speed count from, where they are
-                limited; None before the first command: from the measured one.
-            wanted: the rotation wanted at the end, shape (n, n); None for any.
-            hazards: what moves.
         """
         problem, coming, velocity = self._problem, self.coming, None
         applied = 0.0 if coming is None else coming.speed_fraction
@@ -670,17 +659,14 @@ class Compensator:
         coasted = None
         if problem.rotation_order == 2:
             coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
-        return State.at(
-            position=odometry.position,
-            rotation=fraction * odometry.attitude,
-            velocity=velocity,
-            attitude=odometry.attitude,
-            coasted=coasted,
-            disturbance=self.disturbance,
-            commanded=reached,
-            wanted=wanted,
-            hazards=hazards,
-        )
+        return {
+            'position': odometry.position,
+            'rotation': fraction * odometry.attitude,
+            'velocity': velocity,
+            'attitude': odometry.attitude,
+            'coasted': coasted,
+            'disturbance': self.disturbance,
+        }
 
     def odd_speed(self, odometry: Odometry) -> str:
         """Return that the measured speed is not one that the model knows, in words; else empty.

@@ -25,8 +25,7 @@ from orbimpc_ros.loop.fallback import (
     may_stop,
     safe_command,
 )
-from orbimpc_ros.loop.goal.motion import GoalMotion
-from orbimpc_ros.loop.goal.route import Paced, Route
+from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
@@ -347,7 +346,8 @@ class Planner:
         if not lost:
             memory.wanted = snapshot.wanted
         wanted = memory.wanted if self._wants_attitude else None  # or it is not looked at
-        state = self._compensator.state(start.odometry, memory.reached, wanted, hazards)
+        reached = memory.reached  # where changes of speed are limited, they count from it
+        state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
         if lost:
             decision = self._hold(state, knots, lost)
         else:

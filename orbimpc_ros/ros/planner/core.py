@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from orbimpc_ros.loop.intercept import steps_before
-from orbimpc_ros.loop.planner import Decision, Planner, joined
+from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
 from orbimpc_ros.loop.task import Deadline
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.proof.document import Refutation
@@ -116,7 +116,11 @@ class Core:
         self, now: float, ros: RosTime = UNKNOWN, stop: Reason | None = None
     ) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
-        return self.planner.unsafe(self.inputs.snapshot(now, ros, stop=stop))
+        known = self.inputs.odometry  # a whole snapshot would forget bodies, which replays do not
+        if known is None:
+            return self.planner.unsafe(Snapshot(stop=stop))
+        age = known.age(now, ros)
+        return self.planner.unsafe(Snapshot(known.value, odometry_age=age, stop=stop))
 
     def decide(
         self,
