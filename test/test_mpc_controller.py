@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.plan import Command
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.vehicle import advance, launched, measured
 
@@ -27,11 +27,10 @@ def test_second_order_state_carries_thrust_velocity_and_coasted_attitude():
     attitude = exp(np.array([0.2, -0.4, 0.9]))
     compensator, rate = Compensator(problem), np.array([0.1, 0.2, -0.3])
     compensator.history.add(Command(0.25, np.zeros(3), np.eye(3)))
-    seen = replace(odometry(np.zeros(3), attitude, 2.0), body_rate=rate)
-    state = State.at(**compensator.state(seen))
-    assert np.allclose(state.rotation, 0.25 * attitude)
-    assert np.allclose(state.velocity, 2.0 * attitude[:, 0])
-    assert np.allclose(state.coasted, attitude @ exp(np.array([0.05, 0.1, -0.15])))
+    state = compensator.state(replace(odometry(np.zeros(3), attitude, 2.0), body_rate=rate))
+    assert np.allclose(state['rotation'], 0.25 * attitude)
+    assert np.allclose(state['velocity'], 2.0 * attitude[:, 0])
+    assert np.allclose(state['coasted'], attitude @ exp(np.array([0.05, 0.1, -0.15])))
 
 
 @pytest.mark.parametrize('orders', ORDERS)

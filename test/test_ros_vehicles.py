@@ -15,6 +15,7 @@ from problems import needs_machine_code
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
@@ -149,14 +150,16 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
     from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool import settings
-    from orbimpc_ros.tool.offline import aboard, tell
+    from orbimpc_ros.tool.offline import aboard
 
     values = settings.resolve(settings.config('lander.yaml'))
     planner, flight = aboard(values, clock=None), departure(sim_settings(values).scenario)
     ticks, vehicles = [], []
     while not flight.over:
-        tell(planner, flight, 0)
-        ticks.append(planner.report(flight.vehicle.time))
+        now = flight.vehicle.time
+        planner.sense(now, GoalObservation(now, flight.goal))
+        planner.sense(now, measured(flight.vehicle))
+        ticks.append(planner.report(now))
         command = ticks[-1].command
         flight = flight.after(command.speed_fraction, command.body_rate)
         vehicles += flight.trail

@@ -11,7 +11,6 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.loop.goal.bank import Bank
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.planner import Snapshot
@@ -506,8 +505,9 @@ class Inputs:
 
     @property
     def _motion(self) -> GoalMotion | None:
-        """Return how the forecast takes the goal to move; it may know none before the first."""
-        return self.forecast.motion if isinstance(self.forecast, Bank) else self.forecast
+        """Return how the goal moves: the motion that a forecast has at the moment, or itself."""
+        found: GoalMotion | None = getattr(self.forecast, 'motion', self.forecast)
+        return found
 
     @property
     def heard(self) -> dict[str, Any]:

@@ -67,8 +67,7 @@ def numbers(decision: Decision) -> dict[str, float]:
     plan, took = decision.plan, {'solve_time': 1e-3 * decision.solve_time_ms}
     if plan is None:
         return took
-    costs = {'objective': plan.objective, 'lower_bound': plan.lower_bound, 'gap': plan.gap}
-    return costs | took
+    return {'objective': plan.objective, 'lower_bound': plan.lower_bound, 'gap': plan.gap} | took
 
 
 def values(decision: Decision) -> dict[str, object]:
