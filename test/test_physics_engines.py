@@ -19,7 +19,6 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant, Kind, class_of
 from orbimpc_ros.sim.engines import EngineFailure, Start
-from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Rope, Scenario, departure, fixed, outcome
 from orbimpc_ros.tool.study import flights as study
@@ -186,14 +185,6 @@ def test_a_point_is_missed_by_height_and_a_line_is_not(cessna):
     point = replace(best.scenario, rope_length=0.0)
     again = departure(point)
     assert min(f.miss for f in flown(again, 6)) == pytest.approx(height, abs=1.0)
-
-
-def test_odometry_may_come_late(cessna):
-    flights = flown(aircraft(), 3)
-    view = View(Faults(delay=0.4), 0, 1.0)
-    seen = [view.of(flight)[-1].content for flight in flights]
-    assert seen[-1].time == pytest.approx(2.6)
-    assert flights[2].vehicle.position[0] < seen[-1].position[0] < flights[3].vehicle.position[0]
 
 
 def test_a_start_that_cannot_be_flown_is_refused(cessna):
