@@ -148,12 +148,12 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path, solved
     made, layout = (STORE.types[f'std_msgs/msg/{name}'] for name in KINDS)
     kind = made.__msgtype__
     early = 3 * 10**9  # [ns] three ticks
-    messages = [each for each in bags.raw(HERE / 'golden' / 'retrieval') if each.stamp < early]
+    messages = [each for each in bags.raw(HERE / 'golden' / 'spacecraft') if each.stamp < early]
     for text in (*BROKEN, sound, json.dumps(spoilt), old):
         message = made(layout([], 0), np.frombuffer(text.encode(), np.uint8))
         data = bytes(STORE.serialize_cdr(message, kind))
         messages.append(messages[0]._replace(topic='/certificate', type=kind, data=data))
-    bag = write(tmp_path / 'bag', messages, bags.notes(HERE / 'golden' / 'retrieval'))
+    bag = write(tmp_path / 'bag', messages, bags.notes(HERE / 'golden' / 'spacecraft'))
     code, out, _ = tool('verify', bag)
     assert code == 1
     assert f'{len(BROKEN) + 1} DOES NOT HOLD' in out
