@@ -139,6 +139,8 @@ def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
     else:
         assert np.abs(np.diff([first, *found])).max() <= 0.1 + 1e-9
         assert found[-1] == pytest.approx(0.5 if kind == 'loiter' else first)
+        fresh = Stepped(problem, safe=kind)  # up to the floor at once
+        assert fresh.safe(np.eye(2), lost).command.speed_fraction == pytest.approx(0.5)
 
 
 # --- descents
