@@ -1,7 +1,7 @@
 # make demo   sets up .venv and catches the swinging rope over ROS 2
 # make test   sets up .venv and runs lint, types and tests
 # make quick  sets up .venv and runs the pure tests of the nodes and the package: a minute
-# make long   draws other problems and flights: hours (CONTRIBUTING.md)
+# make long   draws other problems: hours (CONTRIBUTING.md)
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
 # PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to,
@@ -28,7 +28,7 @@ EXTRAS_DEMO = [ros,fast]
 EXTRAS_TEST = [ros,fast,study,test,view]
 endif
 
-.PHONY: demo test quick lint pytest long proofs flights docs clean help
+.PHONY: demo test quick lint pytest long proofs questions docs clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -54,14 +54,14 @@ pytest: $(VENV)/.installed-test
 quick: $(VENV)/.installed-test
 	$(BIN)/python -m pytest --quick -n 2 $(wildcard $(QUICK:%=test/test_%.py))
 
-long: proofs flights
+long: proofs questions
 
 proofs: $(VENV)/.installed-test
 	ORBIMPC_SEEDS=1000:1020 $(BIN)/python -m pytest -n $(JOBS) \
 		$(patsubst %,test/test_mpc_%.py,laws proof refute)
 
-flights: $(VENV)/.installed-test
-	ORBIMPC_FLIGHTS=200 $(BIN)/python -m pytest -n $(JOBS) test/test_ros_missions.py
+questions: $(VENV)/.installed-test
+	ORBIMPC_LONG=1 $(BIN)/python -m pytest test/test_mpc_degenerate.py
 
 docs: $(VENV)/.installed-demo
 	$(SAY) 'Parameters and pictures'

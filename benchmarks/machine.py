@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -45,16 +45,31 @@ def _version(name: str) -> str | None:
         return None
 
 
-def require_writable(file: Path) -> None:
-    """Create the file for a result before the work, so that it will not be in vain.
+def require_known(only: Sequence[str] | None, names: Sequence[str]) -> None:
+    """Require that what ``--only`` names is there.
+
+    Raises:
+        BadInput: it is not.
+    """
+    for name in only or ():
+        if name not in names:
+            raise BadInput('--only', name, ' | '.join(names))
+
+
+def writable(file: str | None) -> Path | None:
+    """Create the file of ``--json`` before the work, so that it will not be in vain.
 
     Raises:
         BadInput: it cannot be written; what is in it stays until the result comes.
     """
+    if file is None:
+        return None
+    path = Path(file).resolve()
     try:
-        file.open('a').close()
+        path.open('a').close()
     except OSError as error:
-        raise BadInput.stating(f'--json {file}', why(error), WRITABLE) from None
+        raise BadInput.stating(f'--json {path}', why(error), WRITABLE) from None
+    return path
 
 
 def resident(pid: int) -> int:

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
     from orbimpc_ros.loop.state import Odometry
-    from orbimpc_ros.mpc.command import Command
     from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
     from orbimpc_ros.mpc.outcome import Fallback, Status
-    from orbimpc_ros.mpc.plan import Plan, Proof
+    from orbimpc_ros.mpc.plan import Command, Plan, Proof
     from orbimpc_ros.mpc.problem import (
         Approach,
         Ball,
@@ -32,12 +31,11 @@ if TYPE_CHECKING:
 __version__ = '0.1.0'
 
 _HOMES = {
-    'mpc.command': ('Command',),
     'mpc.errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
     'loop.planner': ('Decision', 'Planner', 'Snapshot'),
     'loop.state': ('Odometry',),
     'mpc.outcome': ('Fallback', 'Status'),
-    'mpc.plan': ('Plan', 'Proof'),
+    'mpc.plan': ('Command', 'Plan', 'Proof'),
     'mpc.problem': (
         'Approach',
         'Ball',

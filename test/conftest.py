@@ -12,9 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, ROOT, Observer, launching, new_domain
-
-__all__ = ['PATIENCE', 'ROOT', 'Observer', 'new_domain']
+from harness import Observer, launching, new_domain
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -23,8 +21,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 # Fixtures of tests that start processes or meet others over DDS.
 PROCESSES = {'domain', 'launch', 'observer', 'shared', 'workspace', 'default_context'}
 FLIGHTS = {
-    *('test_ros_crossing', 'test_ros_missions', 'test_ros_physics', 'test_ros_vehicles'),
-    'test_package_colcon',
+    *('test_ros_crossing', 'test_ros_physics', 'test_ros_vehicles', 'test_package_colcon'),
 }  # modules of whole flights and installations
 
 

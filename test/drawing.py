@@ -2,14 +2,12 @@
 """The viewer in tests: what to install, and a recording that can be asked."""
 
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orbimpc_ros.tool import view
 
-GOLDEN = Path(__file__).parent / 'golden'
 INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/recording.md says"
 needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk: {INSTALL}')
 

@@ -59,24 +59,10 @@ def planned(planner: Planner, flight: Flight, forecast: Forecast) -> Decision:
 
 
 def fly_disturbed(parameters: dict, scenario: Scenario, view) -> Flight:
-    """Return the end of a flight whose planner, by its parameters, sees it only through faults.
+    """Return the end of a flight whose planner, by its parameters, sees it only through faults."""
+    from orbimpc_ros.tool.offline import aboard, closed_loop
 
-    A tick without odometry has no command; the last one is then in force for 1.5 steps from when
-    it came, and after that the vehicle is safe, just as in the simulator.
-    """
-    from orbimpc_ros.sim.outputs import sensed
-    from orbimpc_ros.tool.offline import aboard
-
-    timeouts = {'odom_timeout': 5.0, 'goal_timeout': 5.0}
-    planner, flight = aboard(timeouts | parameters, clock=None), departure(scenario, 10.0)
-    answered, command, heard = None, (0.0, np.zeros(scenario.model.rates)), -np.inf
-    while not flight.over:
-        now = flight.vehicle.time
-        for sent in view.of(flight):
-            planner.hear(*sensed(planner.at(sent.content.time), sent.content), now)
-        if planner.stamp != answered:
-            answered, answer = planner.stamp, planner.report(now).decision.command
-            if not view.command_lost(flight.ticks):
-                command, heard = (answer.speed_fraction, answer.body_rate), now
-        flight = flight.after(*command, heard + HELD * scenario.model.step - now)
+    planner = aboard({'odom_timeout': 5.0, 'goal_timeout': 5.0} | parameters, clock=None)
+    held = HELD * scenario.model.step
+    *_, (flight, _, _) = closed_loop(planner, departure(scenario, 10.0), view, held)
     return flight

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -31,10 +32,20 @@ os.environ['PYTHONFAULTHANDLER'] = '1'
 _numbers = itertools.count()
 
 
+def run(*words: object, text: str = '', **given: Any) -> subprocess.CompletedProcess:
+    """Run a command to its end on some input; what else is given is ``subprocess.run``'s."""
+    known = {'capture_output': True, 'text': True, 'check': False, **given}
+    return subprocess.run([*map(str, words)], input=text, **known)
+
+
+def python(script: str, *words: object, **given: Any) -> subprocess.CompletedProcess:
+    """Run a script, which may be indented, in an interpreter of its own."""
+    return run(sys.executable, '-c', textwrap.dedent(script), *words, **given)
+
+
 def orbimpc(*words: object, text: str = '') -> subprocess.CompletedProcess:
     """Run a command of the tool as a user does, on some input."""
-    command = [*TOOL, *map(str, words)]
-    return subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    return run(*TOOL, *words, text=text)
 
 
 def new_domain() -> int:

@@ -59,14 +59,17 @@ def choices(problem: Problem) -> list[Choice]:
 
 
 class Stated:
-    """A problem as the paper writes it, within a branch of its choices, each constraint eased."""
+    """A problem as the paper writes it, within a branch of its choices, each constraint eased.
+
+    State and goals are numbers, or parameters that have values by the time of a solve.
+    """
 
     def __init__(self, problem: Problem, start: State, goals: np.ndarray) -> None:
         self.problem, self.choices = problem, choices(problem)
         self.ease: dict[tuple[str, int], cp.Parameter] = {}
         self._rows: list[Any] = []
         self._chords = cp.Parameter(problem.horizon, nonneg=True)
-        self._r = [cp.Constant(start.rotation)]
+        self._r = [start.rotation + np.zeros((problem.dimension,) * 2)]
         self._r += [cp.Variable((problem.dimension,) * 2) for _ in range(problem.horizon)]
         self._s, self._p = self._rollout(start)
         self._first(start)
@@ -88,8 +91,10 @@ class Stated:
                     way = way + h * h * (z * (old / 3.0 + new / 6.0) + w / 2.0)
                 if problem.discretisation == 'held':
                     way = way + h * h / 2.0 * (z * new + w)
-            s.append(s[-1] + way)
-            p.append(p[-1] + gained)
+            for states, more in ((s, way), (p, gained))[: problem.translation_order]:
+                after = cp.Variable(problem.dimension)  # of its own: programs stay sparse
+                self._rows.append(after == states[-1] + more)
+                states.append(after)
         return s, p
 
     def _by(self, name: str, step: int) -> cp.Parameter:
@@ -176,8 +181,11 @@ class Stated:
             normal.value, offset.value = cell
         return self
 
-    def optimum(self, name: str = '', step: int = 0, by: float = 0.0) -> float:
-        """Return the least cost, infinite without any, with one constraint eased by so much."""
+    def optimum(self, name: str = '', step: int = 0, by: float = 0.0, **how: Any) -> float:
+        """Return the least cost, infinite without any, with one constraint eased by so much.
+
+        CVXPY is told ``how`` to solve it.
+        """
         for parameter in self.ease.values():
             parameter.value = 0.0
         omega = np.full(self.problem.horizon, self.problem.max_rate)
@@ -186,7 +194,7 @@ class Stated:
         elif name:
             self.ease[name, step].value = by
         self._chords.value = 2.0 * np.sin(0.5 * self.problem.step * omega)
-        return self._program.solve(solver=cp.CLARABEL)
+        return self._program.solve(solver=cp.CLARABEL, **how)
 
 
 def convex(problem: Problem, start: State, goals: np.ndarray) -> float:

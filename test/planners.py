@@ -62,9 +62,10 @@ class Bench:
         self.odometry = node.create_publisher(Odometry, 'odom', qos())
         self.goal = node.create_publisher(PoseStamped, 'goal', qos())
         self.planner = launch(planner, parameters)
-        observer.until_connected('cmd_vel', 'tick', '/diagnostics')
-        for publisher in (self.odometry, self.goal):
-            observer.until(publisher.get_subscription_count, 'the planner listening')
+        if parameters.get('autostart', True):
+            observer.until_connected('cmd_vel', 'tick', '/diagnostics')
+            for publisher in (self.odometry, self.goal):
+                observer.until(publisher.get_subscription_count, 'the planner listening')
 
     def until(self, *arguments):
         self.observer.until(*arguments)

@@ -7,6 +7,8 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.proof.document import verified
+from orbimpc_ros.mpc.proof.reading import Refused, parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 GOALS = np.tile([3.0, 1.0], (5, 1))
@@ -30,6 +32,14 @@ def straight(problem, fractions):
     start = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
     goals = np.zeros((problem.horizon, problem.dimension))
     return start, goals, assembled(problem, start, goals, x)
+
+
+def judged(text):
+    """Return whether a certificate holds, or why it is none."""
+    try:
+        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
+    except Refused as error:
+        return str(error)
 
 
 def changed(array, index, value):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -136,6 +137,12 @@ OPEN: dict[str, dict[str, Any]] = {
         'approach': Approach(0.5, (1.0, 0.5)),
     },
 }
+
+
+def polled(limit: int) -> Callable[[], bool]:
+    """Return a clock that says that time is up after so many looks at it."""
+    left = iter(range(limit))
+    return lambda: next(left, None) is None
 
 
 def seeds(*usual: int) -> list[int]:

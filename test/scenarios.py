@@ -33,8 +33,8 @@ retrieval, retrieval3d, dubins, spacecraft = (
     partial(scenario, f'{name}.yaml')
     for name in ('retrieval', 'retrieval3d', 'dubins', 'spacecraft')
 )
-retrieval_problem, dubins_problem, spacecraft_problem = (
-    partial(problem, f'{name}.yaml') for name in ('retrieval', 'dubins', 'spacecraft')
+retrieval_problem, spacecraft_problem = (
+    partial(problem, f'{name}.yaml') for name in ('retrieval', 'spacecraft')
 )
 
 

@@ -5,6 +5,16 @@ import numpy as np
 
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.mpc.geometry.rotations import exp
+
+
+def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
+    """Return odometry of a vehicle that flies straight ahead; in the plane, a heading will do."""
+    n = len(position)
+    if np.ndim(attitude) == 0:
+        attitude = exp(np.array([attitude] if n == 2 else [0.0, 0.0, attitude]))
+    still = np.zeros(1 if n == 2 else 3)
+    return Odometry(time, np.array(position, float), attitude.copy(), speed * np.eye(n)[0], still)
 
 
 def measured(time, motion, noise=0.0):

@@ -12,15 +12,16 @@ pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros
 
 
 from benchmarks.baselines import BASELINES, baseline_named, tuned_of
-from benchmarks.baselines.baseline import Baseline, Sight, depths
+from benchmarks.baselines.baseline import Baseline, Sight
 from benchmarks.baselines.guidance import crabbed, sidestepped
-from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, State
+from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.offline import EPOCH, aboard, tell
+from orbimpc_ros.tool.offline import EPOCH, aboard, closed_loop
 from orbimpc_ros.tool.study import flights
 from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import Job, flown
@@ -103,21 +104,6 @@ def disc(x, y, velocity=(0.0, 0.0), radius=2.0):
     return MovingObstacle.drifting(Ball(np.array([x, y]), radius), np.array(velocity))
 
 
-def test_depths_are_those_of_the_deepest_body_at_each_time():
-    rng, times = np.random.default_rng(5), np.array([0.0, 0.7, 2.0])
-    corner = rng.uniform(-1.0, 1.0, 2)
-    bodies = Ball(rng.normal(size=2), 1.5), Box(corner, corner + 1.0)
-    hazards = [MovingObstacle.drifting(body, rng.normal(size=2)) for body in bodies]
-    paths = rng.normal(scale=2.0, size=(30, 3, 2))
-    found = depths(hazards, paths, times)
-    for m, k in itertools.product(range(30), range(3)):
-        each = [
-            hazard.body.depth((paths[m, k] - hazard.moved(times[k : k + 1])[0])[None])[0]
-            for hazard in hazards
-        ]
-        assert found[m, k] == pytest.approx(max(each))
-
-
 def test_a_sidestep_is_the_least_detour_that_is_clear():
     wanted = (0.0, 1.0)
 
@@ -191,15 +177,18 @@ class Listener(Baseline):
         return super().step(snapshot, now, late)
 
 
+def flown_on(planner, values, steps, margin=0.0):
+    """Fly the first steps of a flight."""
+    flight = departure(sim_settings(settings.of_sim(values)).scenario)
+    loop = closed_loop(planner, flight, View(NO_FAULTS, 0, 1.0), np.inf, 0, margin)
+    assert len(list(itertools.islice(loop, steps))) == steps
+
+
 def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     mission, pilots = draws_of('crossing'), []
     values = mission.of(4, 0)
     planner = aboard(values, pilot=lambda known: pilots.append(Listener(known)) or pilots[0])
-    flight = departure(sim_settings(settings.of_sim(values)).scenario)
-    for _ in range(3):
-        tell(planner, flight, 0, mission.margin)
-        command = planner.report(flight.vehicle.time).decision.command
-        flight = flight.after(command.speed_fraction, command.body_rate)
+    flown_on(planner, values, 3, mission.margin)
     sight = pilots[0].seen[-1]
     centres, velocities, radii = discs('crossing', 0)
     assert sorted(each.body.radius for each in sight.hazards) == pytest.approx(sorted(radii + 0.3))
@@ -215,14 +204,12 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
 @pytest.mark.parametrize(('hurry', 'late'), [(0.0, False), (1.0, True)])
 def test_deadlines_go_by_the_given_clock(hurry, late):
     mission, pilots, ticks = draws_of('fixed_wing'), [], itertools.count()
-    flight = departure(sim_settings(settings.of_sim(mission.values)).scenario)
     planner = aboard(
         mission.values,
         pilot=lambda known: pilots.append(Listener(known)) or pilots[0],
         clock=lambda: hurry * next(ticks),
     )
-    tell(planner, flight, 0)
-    planner.report(flight.vehicle.time)
+    flown_on(planner, mission.values, 1)
     assert pilots[0].late == [late]
 
 

@@ -6,7 +6,6 @@ import math
 import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from benchmarks import bench
@@ -93,18 +92,6 @@ def test_a_local_solver_sometimes_finds_the_optimum_and_never_a_better_one(key, 
     pairs = [(a.objective, b.objective) for a, b in zip(theirs, ours, strict=True)]
     assert all(a > b * (1.0 - each.gap) for a, b in pairs if not math.isnan(a))
     assert any(a == pytest.approx(b, rel=each.gap) for a, b in pairs)
-
-
-def test_wings_meet_winds_and_goals_that_move():
-    each = comparison('wing', 4)
-    instances = each.instances(each.problem, 80)
-    assert len(instances) == 80
-    assert len({tuple(state.disturbance) for state, _ in instances}) == 2  # of two flights
-    assert all(np.linalg.norm(goals[-1] - goals[0]) > 0.0 for _, goals in instances)
-    flown = np.diff([state.position for state, _ in instances[:40]], axis=0)
-    over_ground = np.linalg.norm(flown, axis=1) / each.problem.step
-    assert over_ground.max() < each.problem.forward + 5.0
-    assert np.linalg.norm(instances[39].state.position - instances[39].goals[0]) < 40.0
 
 
 def test_turns_of_a_quarter_and_more_are_declined():

@@ -12,50 +12,6 @@ CHANGED = START + 12.0  # [s]
 SOON = 2.0  # [s] within which a change of course is to be known
 
 
-def line(begin, velocity):
-    return lambda times: begin + np.outer(np.asarray(times) - CHANGED, velocity)
-
-
-def changing(change, n, rng):
-    """A goal's motion until it changes its course, and from then on."""
-    before = drawn(
-        {'stops': 'velocity', 'turns': 'velocity', 'is released': 'swing'}[change], n, rng
-    )
-    place = before([CHANGED])[0]
-    velocity = np.diff(before([CHANGED - 1e-4, CHANGED]), axis=0)[0] / 1e-4
-    if change == 'stops':
-        return before, line(place, np.zeros(n))
-    if change == 'turns':
-        aside = rng.normal(size=n)
-        return before, line(place, aside * np.linalg.norm(velocity) / np.linalg.norm(aside))
-    return before, line(place, velocity)
-
-
-def errors_after(change, n, noise, seed):
-    """Errors of forecasts soon after a change: of the bank, a line since then, the old course."""
-    rng = np.random.default_rng([7, n, seed])
-    before, after = changing(change, n, rng)
-    times, seen = sighted(before, rng, seconds=12.0 + SOON, noise=noise)
-    new = times >= CHANGED
-    seen[new] += after(times[new]) - before(times[new])
-    ahead = times[-1:] + AHEAD
-    fit = np.polynomial.polynomial.polyfit(times[new] - CHANGED, seen[new], int(change != 'stops'))
-    straight = np.polynomial.polynomial.polyval(ahead - CHANGED, fit).T
-    found = (shown(times, seen).at(ahead), straight, before(ahead))
-    return [np.linalg.norm(each - after(ahead)) for each in found]
-
-
-@pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('change', ['stops', 'turns', 'is released'])
-def test_a_change_of_course_is_known_soon(change, n):
-    exact = [errors_after(change, n, 0.0, seed)[0] for seed in range(10)]
-    assert np.median(exact) < 0.01
-    bank, since, old = np.median([errors_after(change, n, 0.05, s) for s in range(20)], axis=0)
-    # Since when the course is new is not known, and a release shows late: velocities go on.
-    assert bank < {'stops': 1.5, 'turns': 3.0, 'is released': 5.0}[change] * since
-    assert bank < 0.3 * old
-
-
 @pytest.mark.parametrize(('rate', 'noise'), [(2.0, 0.02), (5.0, 0.05), (10.0, 0.05)])
 @pytest.mark.parametrize('turned', [0.0, 0.5, 1.0], ids=['stops', 'turns', 'reverses'])
 def test_a_second_after_a_change_of_course_the_new_one_is_known(turned, rate, noise):
@@ -189,7 +145,7 @@ def test_a_long_watch_needs_no_more_memory_and_loses_nothing(family):
     assert footprint(bank) <= held
     ahead = times[-1] + np.arange(0.0, 4.0)
     np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-    assert bank.model == family
+    assert bank.motion.model == family
 
 
 def footprint(thing):

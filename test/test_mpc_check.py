@@ -40,16 +40,6 @@ def test_not_finite(name, value):
     assert only_complaint(problem, replace(plan, objective=value)) == 'plan is not finite'
 
 
-def test_shifted_plan_holds_from_where_the_plan_leads():
-    problem = Problem(floor=floor('circle', 0.5))
-    plan = solved(problem)
-    following = State.at(plan.positions[1], plan.rotations[1])
-    moved = shifted(problem, following, GOALS, plan, projection='nearest')
-    assert moved is not None
-    assert violations(problem, following, GOALS, moved) == []
-    assert np.allclose(moved.rotations[:-1], plan.rotations[1:])
-
-
 def test_the_rest_of_a_plan_turns_no_faster_than_the_vehicle_between_its_steps():
     """On the chord of a turn as wide as may be, headings turn faster in its middle."""
     problem = Problem(floor=floor('circle', 0.5), max_rate=0.3, discretisation='exact')

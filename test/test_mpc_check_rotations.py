@@ -9,10 +9,9 @@ from plans import GOALS, START, assembled, changed, only_complaint, solved, stra
 from problems import rotation, state
 
 from orbimpc_ros.mpc.check import command_violations, violations
-from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.plan import UNPROVED, assemble
+from orbimpc_ros.mpc.plan import UNPROVED, assemble, command_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 STRAYS = 'a projected rotation strays {} from its projection'

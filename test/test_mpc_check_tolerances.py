@@ -13,8 +13,7 @@ import pytest
 from plans import assembled, changed
 
 from orbimpc_ros.mpc.check import command_violations, violations
-from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.plan import UNPROVED
+from orbimpc_ros.mpc.plan import UNPROVED, Command
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 
 # As documented, not as imported: a check that allows more must not have its tests follow it.

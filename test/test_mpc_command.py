@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plans import assembled, straight
+from plans import assembled, changed, straight
 from problems import floor, rotation
 
-from orbimpc_ros.mpc.check import command_violations
-from orbimpc_ros.mpc.command import Command, command_of, flaw, stop
+from orbimpc_ros.mpc.check import command_violations, flaw
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.plan import Command, command_of, stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 
 NAN, INF = np.nan, np.inf
@@ -97,12 +97,6 @@ def test_no_rotation(n):
     for broken in broken_rotations(n):
         found = flaw(Problem(n), replace(good(n), rotation=broken))
         assert found == 'the commanded rotation is not a rotation'
-
-
-def changed(array, index, value):
-    copy = array.copy()
-    copy[index] = value
-    return copy
 
 
 # --- commands that are made

@@ -8,6 +8,7 @@ import sys
 import textwrap
 
 import pytest
+from harness import python
 
 from orbimpc_ros.mpc import kernels
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -31,15 +32,9 @@ PLAIN = """
 """
 
 
-def test_plain_python_finds_what_machine_code_does(tmp_path):
-    script = tmp_path / 'solve.py'
-    script.write_text(textwrap.dedent(PLAIN))
-
+def test_plain_python_finds_what_machine_code_does():
     def found(disabled):
-        known = {**os.environ, 'NUMBA_DISABLE_JIT': disabled}
-        command = [sys.executable, str(script)]
-        done = subprocess.run(command, env=known, capture_output=True, check=True, text=True)
-        return json.loads(done.stdout)
+        return json.loads(python(PLAIN, env={**os.environ, 'NUMBA_DISABLE_JIT': disabled}).stdout)
 
     assert found('0') == pytest.approx(found('1'), rel=1e-6)
 

@@ -6,78 +6,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from problems import ORDERS
-from stepping import Stepped
+from scenarios import model_of
+from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import Command, command_of
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.plan import Command
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.solver import Solver
-
-
-def odometry(position=(0.0, 0.0), attitude=None, speed=1.0, rate=None, time=0.0):
-    n = len(position)
-    return Odometry(
-        time,
-        np.array(position),
-        np.eye(n) if attitude is None else attitude,
-        np.eye(n)[0] * speed,
-        np.zeros(1 if n == 2 else 3) if rate is None else np.array(rate),
-    )
-
-
-def state_of(problem, measured, applied):
-    compensator, n = Compensator(problem), problem.dimension
-    compensator.history.add(Command(applied, np.zeros(1 if n == 2 else 3), np.eye(n)))
-    return compensator.state(measured)
-
-
-def test_state_is_the_attitude_scaled_by_the_speed_fraction():
-    attitude = exp(np.array([0.7]))
-    state = state_of(Problem(forward=2.0), odometry(attitude=attitude, speed=1.0), 0.9)
-    assert np.allclose(state.rotation, 0.5 * attitude)
-    assert np.allclose(state.attitude, attitude)
-    fast = state_of(Problem(forward=2.0), odometry(attitude=attitude, speed=7.0), 0.9)
-    assert np.allclose(fast.rotation, attitude)
-    backwards = state_of(Problem(), odometry(attitude=attitude, speed=-1.0), 0.9)
-    assert np.allclose(backwards.rotation, 0.0)
-    assert np.allclose(backwards.attitude, attitude)
+from orbimpc_ros.sim.vehicle import advance, launched, measured
 
 
 def test_second_order_state_carries_thrust_velocity_and_coasted_attitude():
     problem = Problem(3, 2, 2, step=0.5)
     attitude = exp(np.array([0.2, -0.4, 0.9]))
-    measured = odometry((0.0, 0.0, 0.0), attitude, speed=2.0, rate=(0.1, 0.2, -0.3))
-    state = state_of(problem, measured, 0.25)
-    assert np.allclose(state.rotation, 0.25 * attitude)
-    assert np.allclose(state.velocity, 2.0 * attitude[:, 0])
-    assert np.allclose(state.coasted, attitude @ exp(np.array([0.05, 0.1, -0.15])))
-
-
-def test_first_order_command_turns_into_the_first_planned_rotation():
-    problem = Problem(dimension=3, step=0.5)
-    state = State.at([0.0, 0.0, 0.0], np.eye(3))
-    plan = Solver(problem).solve(state, np.tile([0.0, 2.0, 1.0], (5, 1)))
-    command = command_of(problem, state, plan)
-    reached = exp(problem.step * command.body_rate)
-    assert np.allclose(reached, plan.projected[1], atol=1e-9)
-    assert np.allclose(command.speed_fraction * reached[:, 0], plan.rotations[1, :, 0], atol=1e-9)
-
-
-def test_command_never_turns_faster_than_the_limit():
-    """Inside the disk a short chord is a wide angle: the rate is cut, the rotation follows it."""
-    problem = Problem(max_rate=0.3)
-    state = State.at([0.0, 0.0], 0.1 * np.eye(2), attitude=np.eye(2))
-    plan = Solver(problem).solve(state, np.tile([-3.0, 0.5], (5, 1)))
-    command = command_of(problem, state, plan)
-    assert np.abs(command.body_rate).max() <= 0.3 + 1e-12
-    assert np.allclose(command.rotation, exp(command.body_rate * problem.step), atol=1e-12)
-    assert np.abs(np.arctan2(*plan.rotations[1, ::-1, 0])) > 0.31
+    compensator, rate = Compensator(problem), np.array([0.1, 0.2, -0.3])
+    compensator.history.add(Command(0.25, np.zeros(3), np.eye(3)))
+    state = compensator.state(replace(odometry(np.zeros(3), attitude, 2.0), body_rate=rate))
+    assert np.allclose(state['rotation'], 0.25 * attitude)
+    assert np.allclose(state['velocity'], 2.0 * attitude[:, 0])
+    assert np.allclose(state['coasted'], attitude @ exp(np.array([0.05, 0.1, -0.15])))
 
 
 @pytest.mark.parametrize('orders', ORDERS)
@@ -86,41 +39,29 @@ def test_every_model_flies_to_its_goal_in_closed_loop(orders):
     problem = Problem(**orders, horizon=8, step=0.5)
     controller = Stepped(problem)
     goal = np.array([2.0, 1.5, -1.0])[:n]
-    position, velocity, attitude = np.zeros(n), np.zeros(n), np.eye(n)
-    rate, fraction = np.zeros(1 if n == 2 else 3), 0.0
-    for k in range(60):
-        body = attitude.T @ velocity if problem.translation_order == 2 else fraction * np.eye(n)[0]
-        measured = Odometry(0.5 * k, position.copy(), attitude.copy(), body, rate.copy())
-        tick = controller.tick(measured, np.tile(goal, (8, 1)))
+    model = model_of(problem)
+    vehicle = launched(model, np.zeros(n), np.eye(n), fraction=0.0)
+    for _ in range(60):
+        tick = controller.tick(measured(vehicle), np.tile(goal, (8, 1)))
         # At the goal an interior point is too inaccurate for its bound to be worth much.
         there = not COMPILED and tick.plan.objective < 1e-6
         assert tick.status == 'optimal' or there, tick.reason
-        push = problem.forward * fraction * attitude[:, 0]
-        if problem.translation_order == 1:
-            position = position + problem.step * push
-        else:
-            position, velocity = position + problem.step * velocity, velocity + problem.step * push
-        turning = tick.command.body_rate if problem.rotation_order == 1 else rate
-        attitude = attitude @ exp(problem.step * turning)
-        rate, fraction = tick.command.body_rate, tick.command.speed_fraction
-    assert np.linalg.norm(position - goal) < 0.1
+        vehicle = advance(model, vehicle, tick.command.speed_fraction, tick.command.body_rate)
+    assert np.linalg.norm(vehicle.position - goal) < 0.1
 
 
 def flown(controller, count):
     """Fly a controller for some ticks towards a goal far ahead; return the last odometry."""
-    position, attitude, speed = np.zeros(2), np.eye(2), 1.0
-    for k in range(count):
-        measured = odometry(tuple(position), attitude.copy(), speed, time=float(k))
-        tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
-        position = position + speed * attitude[:, 0]
-        attitude = attitude @ exp(tick.command.body_rate)
-        speed = tick.command.speed_fraction
-    return odometry(tuple(position), attitude.copy(), speed, time=float(count))
+    model = model_of(controller.problem)
+    vehicle = launched(model, np.zeros(2), np.eye(2))
+    for _ in range(count):
+        command = controller.tick(measured(vehicle), np.tile([9.0, 3.0], (5, 1))).command
+        vehicle = advance(model, vehicle, command.speed_fraction, command.body_rate)
+    return measured(vehicle)
 
 
 def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
     controller = Stepped(Problem())
-    measured = odometry()
     honest, first = Solver._assembled, iter([True])
 
     def corrupted(self, *args, **kwargs):
@@ -128,7 +69,7 @@ def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
         return replace(plan, positions=plan.positions + 1e-3) if next(first, False) else plan
 
     monkeypatch.setattr(Solver, '_assembled', corrupted)
-    tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
+    tick = controller.tick(odometry(), np.tile([9.0, 3.0], (5, 1)))
     assert tick.status == 'feasible'
     assert 'positions differ' in tick.reason
     heading = tick.plan.rotations[1:, :, 0]  # straight to the goal: what takes no search stands in
@@ -140,17 +81,15 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
     problem = Problem(horizon=6, terminal='constraint')
     controller = Stepped(problem, shrinking=True)
     goal = np.array([3.0, 2.0])
-    position, attitude, speed = np.zeros(2), np.eye(2), 1.0
+    model = model_of(problem)
+    vehicle = launched(model, np.zeros(2), np.eye(2))
     for k in range(6):
         assert len(controller.ends(float(k))) == 6 - k
-        measured = odometry(tuple(position), attitude.copy(), speed, time=float(k))
-        tick = controller.tick(measured, np.tile(goal, (6 - k, 1)))
+        tick = controller.tick(measured(vehicle), np.tile(goal, (6 - k, 1)))
         assert tick.plan is not None, tick.reason
-        position = position + speed * attitude[:, 0]
-        attitude = attitude @ exp(tick.command.body_rate)
-        speed = tick.command.speed_fraction
-    assert np.linalg.norm(position - goal) < 1e-6
-    after = controller.tick(odometry(tuple(position), attitude, speed), np.zeros((0, 2)))
+        vehicle = advance(model, vehicle, tick.command.speed_fraction, tick.command.body_rate)
+    assert np.linalg.norm(vehicle.position - goal) < 1e-6
+    after = controller.tick(measured(vehicle), np.zeros((0, 2)))
     assert after.command.speed_fraction == 0.0
     assert 'run out' in after.reason
     controller.reset()
@@ -198,17 +137,6 @@ def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
     tick = controller.tick(carried, np.tile([2.0, 0.5], (2, 1)))
     assert (tick.status, tick.fallback) == ('failed', 'soft arrival')
     assert 'a test wants it' in tick.reason
-
-
-def test_the_arrival_weight_brings_second_order_vehicles_to_rest():
-    problem = Problem(dimension=3, translation_order=2, horizon=8, arrival_weight=1e4)
-    state = State.at([0.0, 0.0, 0.0], np.eye(3), velocity=[0.5, 0.2, 0.0])
-    goals = np.tile([1.5, 0.8, 0.4], (8, 1))
-    plan = Solver(problem).solve(state, goals)
-    assert plan.status == 'optimal'
-    assert violations(problem, state, goals, plan) == []
-    assert np.linalg.norm(plan.positions[-1] - goals[-1]) < 0.01
-    assert np.linalg.norm(plan.velocities[-1]) < 0.01
 
 
 def test_another_controller_goes_on_from_what_this_one_remembers():

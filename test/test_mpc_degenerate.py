@@ -2,7 +2,7 @@
 """Random and degenerate problems: whatever is asked, only what was checked is commanded.
 
 Six hundred in ``make test``; ``ORBIMPC_LONG=1 pytest test/test_mpc_degenerate.py``
-asks 5,000.
+(``make questions``) asks 5,000.
 """
 
 import os
@@ -14,13 +14,13 @@ from stepping import Stepped
 
 from orbimpc_ros.loop.fallback import may_stop
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import flaw
+from orbimpc_ros.mpc.check import flaw, violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem, Weights
 
 PROBLEMS, QUESTIONS = (500, 10) if os.environ.get('ORBIMPC_LONG') else (60, 10)
 SIZES = (0.0, 1e-300, 1e-9, 1.0, 1e3, 1e7)
+ROUNDING = 1e-6  # relative
 NODES = 30  # after which a search is told that time is up
 
 
@@ -74,6 +74,18 @@ def answered(controller, rng):
     return controller.tick(odometry, goals, lambda: next(polls, None) is None)
 
 
+def beyond(problem, command, *, stopping):
+    """Which limits a command breaks, by the numbers of the problem alone."""
+    least = 0.0 if stopping or not problem.floor.exists else problem.floor.fraction
+    most = problem.max_rate or np.pi / problem.step
+    if not np.isfinite([command.speed_fraction, *command.body_rate]).all():
+        yield 'not finite'
+    if not least * (1.0 - ROUNDING) <= command.speed_fraction <= 1.0 + ROUNDING:
+        yield 'below the floor or above full speed'
+    if np.linalg.norm(command.body_rate) > most * (1.0 + ROUNDING):
+        yield 'beyond the rate'
+
+
 @pytest.mark.parametrize('part', range(4))
 def test_only_what_was_checked_is_commanded(part):
     rng = np.random.default_rng(part)
@@ -87,6 +99,7 @@ def test_only_what_was_checked_is_commanded(part):
             tick = answered(controller, rng)
             stopping = tick.plan is None and may_stop('auto', controller.problem)
             assert flaw(controller.problem, tick.command, stopping=stopping) == '', tick
+            assert list(beyond(controller.problem, tick.command, stopping=stopping)) == []
             if tick.plan is None:
                 assert tick.fallback == 'safe command'
                 assert tick.reason

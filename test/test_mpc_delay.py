@@ -7,8 +7,8 @@ from problems import ORDERS, rotation
 
 from orbimpc_ros.loop.compensation import CommandHistory, Interval, advanced
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem
 
 
@@ -124,11 +124,7 @@ def test_intervals_are_what_was_in_force():
     assert told(4.0, 4.25) == [(0.25, C, B)]
     assert told(0.5, 1.25) == [(0.5, None, None), (0.25, A, None)]
     assert told(0.0, 0.5) == [(0.5, None, None)]
-
-
-@pytest.mark.parametrize(('begin', 'end'), [(2.5, 2.5), (2.5, 2.0)])
-def test_no_time_has_no_intervals(begin, end):
-    assert told(begin, end) == []
+    assert told(2.5, 2.5) == told(2.5, 2.0) == []
 
 
 def test_forgotten_commands_are_not_in_force():

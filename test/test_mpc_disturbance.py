@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous import Craft, at_rest, flown, turned
+from continuous import Craft, at_rest, flown
 from stepping import measured
 
 from orbimpc_ros.loop.compensation import (
@@ -17,14 +17,10 @@ from orbimpc_ros.loop.compensation import (
     CommandHistory,
     Estimator,
     NoiseModel,
-    Response,
 )
-from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.mpc.problem.scaling import weighed
 
 STEP = 0.1  # [s]
 
@@ -243,40 +239,3 @@ def test_an_estimate_that_runs_away_is_limited_and_told():
     assert told[0] == ''
     assert told[-1].startswith('the disturbance is estimated to be 8.')
     assert told[-1].endswith('m/s, taken as 8 m/s')
-
-
-def flight(estimated, *, inertial, time=60.0):
-    """The mean distance from where a vehicle should be, over the last part of a flight [m]."""
-    n, full = (3, 15.0) if inertial else (2, 15.0)
-    given = np.array([0.0, 0.0, -9.81]) if inertial else np.zeros(2)
-    more = np.array([1.0, 0.5, -0.7]) if inertial else np.array([0.0, 4.0])
-    lags = (0.1, 0.1) if inertial else (0.8, 0.3)
-    plant = Craft(full, inertial, *lags, blown=given + more)
-    motion = at_rest(n, 0.0, 0.65 if inertial else 0.9, plant)
-    if inertial:
-        motion = replace(motion, attitude=turned(np.array([0.0, -0.5 * np.pi, 0.0])))
-        problem = Problem(3, 1, 2, horizon=30, step=0.2, forward=full, discretisation='exact')
-    else:
-        problem = Problem(horizon=12, step=0.5, forward=full, floor=Floor('circle', 4, 2.0 / 3.0))
-    problem = weighed(problem, 'time')
-    kept = {'disturbance': given, 'response': Response(*lags), 'gap_tolerance': 1e-2}
-    controller = Planner(problem, estimated=estimated, **kept)
-    speed, ahead = np.zeros(n), np.zeros(n)
-    speed[0] = 0.0 if inertial else 12.5
-    ahead[0] = 1.0 if inertial else 30.0
-    misses = []
-    for k in range(round(time / problem.step)):
-        at = k * problem.step
-        odometry = measured(at, motion)
-        goals = np.outer(controller.ends(at + controller.lead), speed) + ahead
-        command = controller.step(Snapshot(odometry, goals)).command
-        controller.sent(command, at)
-        motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step, 0.02)
-        misses.append(motion.position - (at + problem.step) * speed - ahead)
-    return float(np.linalg.norm(np.mean(misses[len(misses) * 3 // 4 :], axis=0)))
-
-
-@pytest.mark.skipif(not COMPILED, reason='flies for minutes in plain Python: pip install numba')
-@pytest.mark.parametrize('inertial', [False, True], ids=['fixed wing in wind', 'hover'])
-def test_a_steady_disturbance_leaves_no_offset(inertial):
-    assert flight(True, inertial=inertial) < 0.02 * flight(False, inertial=inertial)

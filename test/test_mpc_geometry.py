@@ -150,15 +150,6 @@ def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, f
     assert covered.min() <= limit + 0.02
 
 
-@pytest.mark.parametrize('faces', [4, 6, 7])
-def test_a_polygon_has_its_corners_and_edges(faces):
-    lines = np.array(Floor('polygon', faces, 0.5).outline(2))
-    assert lines.shape == (faces, 2, 3)
-    assert np.allclose(np.linalg.norm(lines, axis=2), 0.5 / np.cos(np.pi / faces))
-    reached = (lines[:, :, :2] @ normals(2, faces).T).max(axis=2)
-    assert np.allclose(reached, 0.5)
-
-
 @pytest.mark.parametrize(('faces', 'edges'), [(6, 12), (12, 30), (20, 30)])
 def test_a_solid_has_its_edges(faces, edges):
     lines = np.array(Floor('polygon', faces, 0.5).outline(3))

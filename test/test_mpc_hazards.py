@@ -1,16 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Obstacles that are round and that move: what they are, and what plans make of them."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import needs_machine_code
-from stepping import Stepped
+from problems import needs_machine_code, polled
+from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import achieved_clearance, with_clearance
 from orbimpc_ros.mpc.check import violations
@@ -89,9 +87,8 @@ def test_plans_stay_clear_at_all_times(model):
     for _ in range(3):
         hazards = crossing(rng, n, 2)
         start = State.at(np.zeros(n), 0.6 * np.eye(n), hazards=hazards)
-        polls = itertools.count()
         try:
-            plan = planner.solve(start, goals, None, lambda p=polls: next(p) > 400)
+            plan = planner.solve(start, goals, None, polled(400))
         except (Infeasible, SolverFailure):
             continue
         plans += 1
@@ -174,8 +171,7 @@ def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
     controller = Stepped(Problem(horizon=3), gap_tolerance=0.05)
     around = MovingObstacle.drifting(Ball([4.0, 0.0], 1.0), velocity)
     controller.hazards = (MovingObstacle.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
-    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
-    tick = controller.tick(odometry, np.tile([4.5, 0.0], (3, 1)))
+    tick = controller.tick(odometry(speed=0.0), np.tile([4.5, 0.0], (3, 1)))
     assert tick.plan is not None
     assert tick.reason == told
 
@@ -214,12 +210,10 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
     ]
     controller.hazards = tuple(still)
     goals = np.tile([2.5, 0.0], (6, 1))
-    rest, attitude = np.zeros(2), np.eye(2)
-    tick = controller.tick(Odometry(0.0, np.zeros(2), attitude, rest, np.zeros(1)), goals)
+    tick = controller.tick(odometry(speed=0.0), goals)
     assert tick.status == 'optimal'
     assert [each.reserve for each in tick.state.hazards] == [0.0, 0.0]
-    moved = Odometry(0.5, tick.plan.positions[1], attitude, rest, np.zeros(1))
-    tick = controller.tick(moved, goals)
+    tick = controller.tick(odometry(tick.plan.positions[1], 0.0, 0.0, 0.5), goals)
     assert tick.status == 'optimal'
     assert [each.reserve for each in tick.state.hazards] == pytest.approx([0.4 / 3.0] * 2)
 
@@ -285,15 +279,14 @@ def test_the_clearest_way_is_flown_where_none_is_clear():
     """Shut in by a disc that is too large to leave within the horizon."""
     controller = Stepped(BOAT)
     controller.hazards = (MovingObstacle.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
-    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
-    tick = controller.tick(odometry, FAR)
+    tick = controller.tick(odometry(), FAR)
     assert tick.status in ('infeasible', 'failed')
     assert tick.fallback == 'clearest way'
     assert 'm inside of a hazard' in tick.reason
     assert violations(BOAT, replace(tick.state, hazards=()), FAR, tick.plan) == []
     away = np.linalg.norm(tick.plan.positions - [9.0, 1.0], axis=1)
     assert away[-1] > away[0] + 2.0  # backwards, out of it
-    assert controller.tick(replace(odometry, time=0.5), FAR).command.body_rate != 0.0
+    assert controller.tick(odometry(time=0.5), FAR).command.body_rate != 0.0
 
 
 # --- from inside
@@ -308,8 +301,7 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
         [-0.6, 0.4], 0.6 * np.eye(2), hazards=(MovingObstacle.drifting(hull, [0.0, 0.0]),)
     )
     goals = np.tile([6.0, 0.0], (8, 1))
-    polls = itertools.count()
-    plan = Solver(problem).solve(start, goals, None, lambda: next(polls) > 600)
+    plan = Solver(problem).solve(start, goals, None, polled(600))
     assert violations(problem, start, goals, plan) == []
     depth = hull.depth(plan.positions)
     assert depth[0] > 0.5
@@ -318,7 +310,7 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     assert (depth[gone:] <= 1e-6).all()  # and stays out
     still = replace(start, hazards=(MovingObstacle.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
     with pytest.raises((Infeasible, SolverFailure)):  # shut in, not just inside of a margin
-        Solver(problem).solve(still, goals, None, lambda: next(polls) > 1200)
+        Solver(problem).solve(still, goals, None, polled(600))
 
 
 @needs_machine_code

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
-from problems import floor, rotation
-from stepping import Stepped
+from problems import floor, needs_machine_code, rotation
+from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
@@ -27,12 +27,11 @@ from orbimpc_ros.loop.intercept import (
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Solvers, Task
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp, log
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import drift, trajectory_of
+from orbimpc_ros.mpc.plan import command_of
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,
@@ -50,16 +49,10 @@ RADIUS = 3.0
 WING = Problem(
     horizon=8, step=0.5, forward=15.0, floor=floor('circle', 2.0 / 3.0), max_rate=np.radians(25.0)
 )
-needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
 
 
 def farthest(problem):
     return Interception(problem, 2.0, Solvers(problem)).farthest
-
-
-def measured(position, heading, speed, time=0.0):
-    attitude = exp(np.array([heading]))
-    return Odometry(time, np.array(position), attitude, np.array([speed, 0.0]), np.zeros(1))
 
 
 def still(goal):
@@ -81,7 +74,7 @@ def turned_at_random(rng, problem, start):
     return sizes[:, None] * np.column_stack([np.cos(begin + angles), np.sin(begin + angles)])
 
 
-@needs_speed
+@needs_machine_code
 def test_no_trajectory_catches_before_the_bound_and_the_plan_does_at_its_step():
     rng = np.random.default_rng(7)
     controller, found = Stepped(WING, capture_radius=RADIUS), 0
@@ -89,7 +82,7 @@ def test_no_trajectory_catches_before_the_bound_and_the_plan_does_at_its_step():
         controller.reset()
         place, course = rng.uniform(-40.0, 40.0, 2), rng.uniform(-3.0, 3.0, 2)
         goals = place + 0.5 * np.arange(1, 9)[:, None] * course
-        tick = controller.tick(measured([0.0, 0.0], 0.3, 12.0), goals)
+        tick = controller.tick(odometry([0.0, 0.0], 0.3, 12.0), goals)
         catch = tick.catch
         if not np.isnan(catch.time):
             found += 1
@@ -133,7 +126,7 @@ def test_what_has_to_arrive_in_time_does_not_intercept():
 def test_without_a_catch_the_weights_say_what_is_flown():
     problem = Problem(weights=Weights(1.0, 0.05, 0.0, 10.0))
     goals = np.tile([0.3, 40.0], (5, 1))
-    here = measured([0.0, 0.0], 0.0, 1.0)
+    here = odometry([0.0, 0.0], 0.0, 1.0)
     tracked = Stepped(problem).tick(here, goals)
     missed = Stepped(problem, capture_radius=0.5).tick(here, goals)
     assert np.isnan(missed.catch.time)
@@ -142,7 +135,7 @@ def test_without_a_catch_the_weights_say_what_is_flown():
     assert tracked.catch is None
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('bearing', [0.5, 1.6, 2.8, -0.7, -1.2, -2.4])
 def test_a_goal_within_the_smallest_circle_is_caught_by_who_looks_beyond_the_horizon(bearing):
     goal = 15.0 * np.array([np.cos(bearing), np.sin(bearing)])  # the smallest circle: 23 m
@@ -157,7 +150,7 @@ def circles_until_caught(goal, beyond):
     ahead = (lambda times: np.tile(goal, (len(times), 1))) if beyond else None
     position, heading, course = np.zeros(2), 0.0, np.array([12.0, 0.0])
     for k in range(50):
-        here = measured(position, heading, np.linalg.norm(course), 0.5 * k)
+        here = odometry(position, heading, np.linalg.norm(course), 0.5 * k)
         tick = controller.tick(here, np.tile(goal, (8, 1)), ahead=ahead)
         assert tick.plan is not None
         heading += 0.5 * tick.command.body_rate[0]
@@ -171,13 +164,13 @@ def circles_until_caught(goal, beyond):
     return False
 
 
-@needs_speed
+@needs_machine_code
 def test_who_means_to_catch_a_goal_does_not_put_it_off():
     goal = np.array([-10.0, 5.0])
     controller = Stepped(replace(WING, discretisation='exact'), capture_radius=2.0)
     position, heading, course, meant = np.zeros(2), 0.0, np.array([12.0, 0.0]), []
     for k in range(16):
-        here = measured(position, heading, np.linalg.norm(course), 0.5 * k)
+        here = odometry(position, heading, np.linalg.norm(course), 0.5 * k)
         tick = controller.tick(here, *still(goal))
         meant.append(0.5 * k + tick.catch.time)
         heading += 0.5 * tick.command.body_rate[0]
@@ -187,7 +180,7 @@ def test_who_means_to_catch_a_goal_does_not_put_it_off():
     assert meant[-1] <= meant[0] + 1.0
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('place', [(35.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
 def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
     """A fifth of a step later, and again; a goal that has moved on too far is not flown at."""
@@ -195,13 +188,13 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
 
     for moved, caught in (0.5, True), (20.0, False):
         controller = Stepped(wing, capture_radius=RADIUS)
-        here = measured([0.0, 0.0], 0.0, 15.0)
+        here = odometry([0.0, 0.0], 0.0, 15.0)
         tick = controller.tick(here, *still(place))
         meant = tick.catch.time
         for k in (1, 2):
             turn, ahead = 0.1 * tick.command.body_rate[0], 1.5 * here.attitude[:, 0]
             heading = np.arctan2(*here.attitude[::-1, 0]) + turn
-            here = measured(here.position + ahead, heading, 15.0, 0.1 * k)
+            here = odometry(here.position + ahead, heading, 15.0, 0.1 * k)
             goals, _, ahead = still(np.array(place) - [moved, 0.0])
             tick = controller.tick(here, goals, lambda: True, ahead)
             assert not violations(tick.problem, tick.state, tick.goals, tick.plan)
@@ -219,11 +212,11 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     assert farthest(replace(WING, rotation_order=2, floor=Floor())) == 8
 
 
-@needs_speed
+@needs_machine_code
 def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
     """At full speed ahead it is 7.5 m a step: 1.5 m before the goal is a quarter into the third."""
     problem = replace(WING, discretisation='exact')
-    goal, here = np.array([18.0 + 0.3, 0.0]), measured([0.0, 0.0], 0.0, 15.0)
+    goal, here = np.array([18.0 + 0.3, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
     known = {'ahead': lambda times: np.tile(goal, (len(times), 1))}
 
     def caught(pause, **options):
@@ -244,7 +237,7 @@ def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
     assert tick.problem.step * tick.plan.horizon == pytest.approx(1.125)
 
 
-@needs_speed
+@needs_machine_code
 def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     boat = Problem(horizon=12, step=0.5, forward=3.0, max_rate=0.7)
     goals = np.tile([9.0, 0.0], (12, 1))
@@ -252,7 +245,7 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     def ticked(*hazards):
         controller = Stepped(boat, capture_radius=0.5, gap_tolerance=1e-3)
         controller.hazards = hazards
-        return controller.tick(measured([0.0, 0.0], 0.0, 3.0), goals)
+        return controller.tick(odometry([0.0, 0.0], 0.0, 3.0), goals)
 
     def disc(x, y, velocity):
         return MovingObstacle.drifting(Ball([x, y], 1.0), velocity)
@@ -274,11 +267,11 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     assert violations(alone.problem, blocked.state, alone.goals, alone.plan)
 
 
-@needs_speed
+@needs_machine_code
 def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps():
     """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
     bird = replace(WING, floor=floor('circle', 1.0))
-    goal, here = np.array([11.0, 0.0]), measured([0.0, 0.0], 0.0, 15.0)
+    goal, here = np.array([11.0, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
     tick = Stepped(bird, capture_radius=RADIUS).tick(here, *still(goal))
     assert 0.5 < tick.catch.time < 1.0
     assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
@@ -286,14 +279,14 @@ def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps
     assert not blind.catch.time < 1.0  # where the goal is in between is not known
 
 
-@needs_speed
+@needs_machine_code
 def test_a_catch_that_is_lost_by_little_is_still_flown_at():
-    here, later = measured([0.0, 0.0], 0.0, 15.0), measured([7.5, 0.0], 0.0, 15.0, time=0.5)
+    here, later = odometry([0.0, 0.0], 0.0, 15.0), odometry([7.5, 0.0], 0.0, 15.0, time=0.5)
 
     def ticked(goal, *before):
         controller = Stepped(WING, capture_radius=RADIUS)
-        for odometry, place in (*before, (later, goal)):
-            tick = controller.tick(odometry, *still(place))
+        for seen, place in (*before, (later, goal)):
+            tick = controller.tick(seen, *still(place))
         miss = np.linalg.norm(tick.plan.positions[-1] - place)
         return tick, miss
 
@@ -308,7 +301,7 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     assert tick.catch.time > 4.0
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('cone', [0.0, 0.6])
 def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
     """The earliest one turns as fast as it may: that gains centimetres. Turns are 11 deg a step."""
@@ -317,7 +310,7 @@ def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
 
     def caught(centred):
         options = {'capture_radius': RADIUS, 'approach': approach, 'centred': centred}
-        tick = Stepped(wing, **options).tick(measured([0.0, 0.0], 0.0, 15.0), *still(goal))
+        tick = Stepped(wing, **options).tick(odometry([0.0, 0.0], 0.0, 15.0), *still(goal))
         attitudes = tick.plan.projected
         turns = np.abs([log(a.T @ b) for a, b in pairwise(attitudes)])
         gap, way = goal - tick.plan.positions[-1], np.diff(tick.plan.positions[-2:], axis=0)[0]
@@ -332,7 +325,7 @@ def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
     assert miss <= RADIUS
 
 
-@needs_speed
+@needs_machine_code
 def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     """A vehicle that turns by a wide angle within a step ends elsewhere than the plan's chords."""
     rope = Problem(horizon=5, step=1.0, forward=1.0, floor=floor('circle', 1.0))
@@ -342,7 +335,7 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     for _ in range(20):
         goal = rng.uniform(1.0, 2.5) * exp(rng.uniform(-3.1, 3.1, 1))[:, 0]
         known = np.tile(goal, (5, 1)), None, lambda times, at=goal: np.tile(at, (len(times), 1))
-        tick = Stepped(rope, capture_radius=radius).tick(measured([0, 0], 0.0, 1.0), *known)
+        tick = Stepped(rope, capture_radius=radius).tick(odometry([0, 0], 0.0, 1.0), *known)
         flown = Vehicle(0.0, np.zeros(2), np.array([1.0, 0.0]), np.eye(2), np.zeros(1), 1.0)
         for step in range(tick.plan.horizon):
             told = command_of(tick.problem, tick.state, tick.plan, step)
@@ -358,7 +351,7 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     assert far > 5
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('away', [30.0, 33.0, 36.0])
 def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_help(
     monkeypatch, away
@@ -386,7 +379,7 @@ def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_he
     assert max(asked.values()) == 2  # the defect is that of full speed at once
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('bearing', [[-1.0, 0.0, 0.0], [-0.9, 0.3, 0.3], [-0.2, 0.0, 1.0]])
 def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
     """Right behind, behind, and above; the searches end after so many polls, on any machine."""

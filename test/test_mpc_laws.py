@@ -13,23 +13,21 @@ from typing import NamedTuple
 import adversary
 import numpy as np
 import pytest
-from plans import assembled
-from problems import FAMILIES, HELD_OUT, OPEN, case, needs_machine_code, rotation, seeds
+from plans import assembled, judged
+from problems import FAMILIES, HELD_OUT, OPEN, case, needs_machine_code, polled, rotation, seeds
 
 from orbimpc_ros.mpc.check import holds, margins, violations
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
-from orbimpc_ros.mpc.proof.reading import Refused, parsed
-from orbimpc_ros.mpc.proof.refute import refutation_of
+from orbimpc_ros.mpc.proof.prove import certificate_of
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 ROUNDING = 1e-7  # relative: what plans may miss constraints by saves as much
@@ -42,12 +40,6 @@ class Solved(NamedTuple):
     case: Case
     solver: Solver
     plan: Plan
-
-
-def polled(limit):
-    """A clock that says that time is up after so many looks at it."""
-    left = iter(range(limit))
-    return lambda: next(left, None) is None
 
 
 def drawn():
@@ -226,13 +218,6 @@ def with_another_horizon(known):
 CHANGES = (raised, near, moved, not_a_number, without_a_leaf, shorter, with_another_horizon)
 
 
-def judged(text):
-    try:
-        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
-    except Refused as error:
-        return str(error)
-
-
 def cut(text):
     """Yield a text that ends too soon, and one with a name twice."""
     yield from (text[: len(text) * share // 8] for share in range(8))
@@ -268,18 +253,3 @@ def test_a_proof_beside_a_body_depends_on_it(body):
     assert judged(json.dumps(known)) == 'does not hold'
     known['limits']['bodies'] = []
     assert judged(json.dumps(known)) != 'holds'
-
-
-def test_what_has_a_plan_is_not_refuted(solved):
-    if solved.family not in OPEN:
-        with pytest.raises(Unproved, match='no refutation'):
-            refutation_of(Sought(*solved.case))
-
-
-def test_a_far_arrival_is_infeasible_at_once(solved):
-    """Even if there is no time, and whatever else limits the vehicle."""
-    (problem, state, goals), count = solved.case, solved.case.problem.horizon
-    there = replace(problem, terminal='constraint', arrival_weight=0.0)
-    far = goals + 100.0 * count**2 * problem.length_unit
-    with pytest.raises(Infeasible, match=f'beyond what {count} steps can reach'):
-        Solver(there, coasting=state.coasted is not None).solve(state, far, None, lambda: True)

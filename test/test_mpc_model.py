@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import ORDERS, disturbed, goals, weights
+from problems import CASES, ORDERS, disturbed, goals, weights
 
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model import dynamics
@@ -71,20 +71,6 @@ def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
     np.testing.assert_allclose(flown.inputs[: len(inputs)], inputs, atol=1e-9)
 
 
-@pytest.mark.parametrize('model', [each for each in MODELS if each['dimension'] == 2])
-def test_the_condensed_quadratic_is_the_objective(model):
-    rng = np.random.default_rng([*map(ord, str(model))])
-    drawn = replace(weights(rng), length=0.0, attitude=4.0)
-    problem = Problem(**model, horizon=5, step=0.4, forward=1.7, weights=drawn)
-    start, targets = replace(disturbed(rng, problem), coasted=None), goals(rng, problem)
-    z, condensed = rng.normal(size=(5, 2)), Condensed(problem)
-    if problem.rotation_order == 2:
-        z[0] = (start.rotation + problem.step * start.rotation_rate)[:, 0]
-    q, c = condensed.affine(start, targets)
-    cost = 0.5 * np.sum(z * (condensed.hessian @ z)) + np.sum(q * z) + c
-    assert cost == pytest.approx(trajectory_of(problem, start, targets, z).cost)
-
-
 @pytest.mark.parametrize('order', [1, 2])
 def test_exact_steps_follow_a_vehicle_that_turns_evenly(order):
     """A fine integration of constant thrust on an axis that turns evenly, 0.3 rad in each step."""
@@ -130,10 +116,6 @@ def test_the_paper_means_sums_and_the_weight_of_the_attitude_has_no_unit():
 
 
 def test_a_case_may_state_what_its_weights_mean():
-    plain = {
-        'dimension': 2, 'rotation_order': 1, 'translation_order': 1, 'horizon': 5, 'step': 0.5,
-        'forward': 2.0, 'weights': {'position': 1.0, 'input': 0.05, 'terminal': 10.0},
-        'state': {'position': [0.0, 0.0], 'rotation': np.eye(2).tolist()}, 'goal': [3.0, 1.0],
-    }  # fmt: skip
+    plain = {**CASES['uav_hull_1'], 'step': 0.5, 'forward': 2.0}
     timed = {**plain, 'weights': {**plain['weights'], 'scaling': 'time'}}
     assert case_of(timed).problem == weighed(case_of(plain).problem, 'time')

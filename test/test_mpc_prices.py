@@ -175,10 +175,3 @@ def test_a_plan_that_could_be_better_is_not_explained():
     plan = Solver(problem).solve(start, near)
     assert explained(problem, start, near, plan).unexplained < 1e-3
     assert explained(problem, start, far, plan).unexplained > 0.1
-
-
-def test_the_dearest_constraint_comes_first():
-    problem, start, targets = Problem(), at(1.0), np.tile([9.0, 0.0], (5, 1))
-    told = explained(problem, start, targets, Solver(problem).solve(start, targets))
-    assert [str(each) for each in told.binding] == ['hull@1', 'hull@2', 'hull@3', 'hull@4']
-    assert sorted(told.binding, key=lambda each: -each.price) == list(told.binding)

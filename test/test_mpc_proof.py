@@ -15,7 +15,6 @@ import pytest
 from problems import floor, seeds
 from toy_floor import Eastward
 
-from orbimpc_ros.mpc.geometry.cells import icosahedron
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -285,24 +284,6 @@ def test_the_least_beyond_a_polygon(seed):
         assert held_against(least, points, g, length, 0.0) < (1e-3 if tight else 10.0)
 
 
-@pytest.mark.parametrize('seed', range(25))
-def test_the_least_over_a_patch_of_a_shell(seed):
-    rng = np.random.default_rng([9, seed])
-    corners = icosahedron()[rng.integers(20)] * rng.uniform(0.5, 2.0, size=(3, 1))
-    for _ in range(rng.integers(4)):
-        a, b, c = corners
-        corners = np.array([[a, a + b, c + a], [a + b, b + c, c + a]][rng.integers(2)])
-    shares = rng.dirichlet(np.full(3, 0.5), size=4000)
-    units = shares @ corners
-    units /= np.linalg.norm(units, axis=1, keepdims=True)
-    slow, g, curve = rng.uniform(), rng.normal(size=3), rng.normal()
-    points = np.concatenate([speed * units for speed in np.linspace(slow, 1.0, 21)])
-    known = np.array([0, -1]), np.array([[0.0, 0.0], [slow, 1.0]]), 1
-    made = stated_sets(faces=np.zeros((0, 3)), cones=np.zeros((0, 7)), least=slow)
-    least = sets.over_stage(made, known, corners, 0, g, 0.2, curve, 3)
-    assert held_against(least, points, g, 0.2, curve) < 0.05
-
-
 @pytest.mark.parametrize('seed', range(15))
 def test_the_least_beyond_a_face_and_within_a_cone(seed):
     rng = np.random.default_rng([10, seed])
@@ -320,23 +301,6 @@ def test_the_least_beyond_a_face_and_within_a_cone(seed):
     within = units[units @ axis >= math.cos(angle)]
     least = sets.in_cone(g, np.array([*axis, math.cos(angle), math.sin(angle)]), 3)
     assert held_against(least, within, g, 0.0, 0.0) < 0.2
-
-
-@pytest.mark.parametrize('seed', range(25))
-def test_the_least_over_a_patch_within_a_cone(seed):
-    """Neither alone says as much."""
-    rng = np.random.default_rng([12, seed])
-    corners, angle = icosahedron()[rng.integers(20)], rng.uniform(0.3, 1.2)
-    units = rng.dirichlet(np.ones(3), size=40000) @ corners
-    units /= np.linalg.norm(units, axis=1, keepdims=True)
-    axis = rng.dirichlet(np.ones(3)) @ corners  # of a cone that holds a part of the patch
-    axis /= np.linalg.norm(axis)
-    cone = np.array([*axis, math.cos(angle), math.sin(angle)])
-    within = units[units @ axis >= math.cos(angle)]
-    g = rng.normal(size=3)
-    alone = max(sets.in_patch(g, corners), sets.in_cone(g, cone, 3))
-    least = max(alone, sets.in_both(g, cone, corners))
-    assert held_against(least, within, g, 0.0, 0.0) < 0.05
 
 
 @pytest.mark.parametrize('seed', range(15))

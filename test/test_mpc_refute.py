@@ -3,7 +3,6 @@
 
 import copy
 import functools
-import itertools
 import json
 import sys
 from dataclasses import replace
@@ -13,7 +12,8 @@ import numpy as np
 import pytest
 import refutable
 from oracles import enumerated
-from problems import rotation, seeds
+from plans import judged
+from problems import polled, rotation, seeds
 
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
@@ -21,21 +21,13 @@ from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, 
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import Unproved, held, held_in_time
-from orbimpc_ros.mpc.proof.reading import Refused, parsed
+from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.mpc.proof.tree import EMPTY, SIDES, one
 from orbimpc_ros.mpc.solve.solver import Solver
 
 WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
 RADIUS = 0.15
-
-
-def judged(text):
-    """Return whether a certificate holds, or why it is none."""
-    try:
-        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
-    except Refused as error:
-        return str(error)
 
 
 def sought_of(kind, seed=0):
@@ -64,10 +56,9 @@ def test_what_nothing_satisfies_is_refuted(kind):
 def test_what_is_refuted_has_no_plan(kind, seed):
     sought = sought_of(kind, seed)
     made = held(lambda: refutation_of(sought))
-    polls = itertools.count()
     if made is not None:
         with pytest.raises((Infeasible, SolverFailure)):
-            Solver(sought.problem).solve(sought.state, sought.goals, None, lambda: next(polls) > 99)
+            Solver(sought.problem).solve(sought.state, sought.goals, None, polled(100))
 
 
 @pytest.mark.parametrize('seed', seeds(30))
@@ -84,9 +75,8 @@ def test_what_somebody_has_flown_is_not_refuted(seed):
         problem, state, _ = drawn.case
         if problem.translation.degree == 1 or not (problem.obstacles or state.hazards):
             flown += 1
-            polls = itertools.count()
             with pytest.raises(Unproved, match='no refutation'):
-                refutation_of(Sought(*drawn.case), lambda polls=polls: next(polls) > 99)
+                refutation_of(Sought(*drawn.case), polled(100))
     assert flown > 10
 
 
@@ -149,9 +139,8 @@ def test_refutations_are_given_up_when_it_is_late():
     state = State.at(np.zeros(2), np.eye(2))
     sought = Sought(WING, state, np.tile([4.0, 1.0], (6, 1)), RADIUS)
     assert judged(catches_refuted(sought, 3).text()) == 'holds'
-    polls = itertools.count()
     with pytest.raises(Unproved, match='in time'):
-        catches_refuted(sought, 3, lambda: next(polls) >= 2)
+        catches_refuted(sought, 3, polled(2))
 
 
 @pytest.mark.parametrize(('end', 'known'), [(11.0, True), (9.0, False)])
@@ -226,9 +215,6 @@ def test_speeds_that_change_slowly_refute_a_catch():
     assert known['limits']['speeds'] == {'entry': 0.1, 'change': 0.1}
     del known['limits']['speeds']
     assert judged(json.dumps(known)) == 'does not hold'
-
-
-# --- what is refuted, as the verifier reads it
 
 
 # --- mutants

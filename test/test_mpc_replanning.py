@@ -1,8 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Planning more often than every step: what is left of a plan, of a horizon, and of a job."""
 
-import math
-
 import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
@@ -11,10 +9,8 @@ from stepping import Stepped, measured
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -82,28 +78,3 @@ def test_a_plan_of_long_steps_stands_in_for_two_ticks_however_short_they_are(mon
             np.testing.assert_allclose(tick.plan.rotations[-1], first.plan.rotations[-1])
             assert tick.command.speed_fraction == pytest.approx(1.0, abs=0.02)
     assert fallbacks == ['shifted plan', 'shifted plan', 'safe command']
-
-
-@pytest.mark.parametrize('shape', ['none', 'polygon', 'circle'])
-def test_planned_ten_times_a_step_a_swinging_goal_is_caught(shape):
-    if shape != 'none' and not COMPILED:
-        pytest.skip('takes minutes in plain Python: pip install numba')
-    speed, fraction = 2.0, math.sqrt(0.3)
-    problem = weighed(
-        Problem(horizon=8, step=1.0, forward=speed, floor=floor(shape, fraction)), 'time'
-    )
-    controller, plant, time = Stepped(problem), Craft(speed), 0.0
-    motion, nearest = at_rest(2, 2.0, 1.0, plant), math.inf
-
-    def goal(times):
-        swing = np.sin(0.6 * np.asarray(times)[..., None] + np.array([0.0, 1.0]))
-        return np.array([10.0, 2.0]) + swing
-
-    for _ in range(150):
-        tick = controller.tick(measured(time, motion), goal(controller.ends(time)))
-        assert tick.fallback == ''
-        command = tick.command
-        motion = flown(plant, motion, command.speed_fraction, command.body_rate, 0.1)
-        time += 0.1
-        nearest = min(nearest, float(np.linalg.norm(motion.position - goal(time))))
-    assert nearest < 0.4

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.goal.route import Paced, Route
+from orbimpc_ros.loop.goal.motion import Paced, Route
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.errors import BadInput

@@ -4,15 +4,16 @@
 import numpy as np
 import pytest
 from oracles import descended, enumerated
+from problems import CASES
 from toy_floor import Eastward
 from toy_model import DRAG, KEPT, Drag
 
 from orbimpc_ros.loop.fallback import safe_command
-from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import Command, flaw
+from orbimpc_ros.mpc.check import flaw, violations
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.floor import SHAPES
@@ -76,20 +77,7 @@ def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
     problem = Problem(floor=east())
     assert safe_command('auto', problem, exp(np.array([2.0])), 0.0).speed_fraction == 1.0
     assert safe_command('hold_rate_zero', problem, np.eye(2), 0.1).speed_fraction == 0.5
-    case = case_of(
-        {
-            'dimension': 2,
-            'rotation_order': 1,
-            'translation_order': 1,
-            'horizon': 5,
-            'step': 1.0,
-            'forward': 1.0,
-            'weights': {'position': 1.0},
-            'floor': {'shape': 'eastward', 'fraction': 0.5},
-            'state': {'position': [0, 0], 'rotation': [[1, 0], [0, 1]]},
-            'goal': [1, 1],
-        }
-    )
+    case = case_of({**CASES['uav_hull_1'], 'floor': {'shape': 'eastward', 'fraction': 0.5}})
     assert case.problem.floor == east()
     assert east().outline(2) == ()
     assert east(0.7).least(np.array([0.6, 0.8])) == pytest.approx(0.7 / 0.6)

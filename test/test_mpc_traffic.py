@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from stepping import odometry
 
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.traffic import (
     FORGOTTEN,
     AgentTrajectory,
@@ -20,7 +20,6 @@ from orbimpc_ros.loop.traffic import (
     nearest,
     silence,
 )
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 
 FASTEST = 50.0
@@ -73,38 +72,6 @@ def test_an_even_motion_is_found_whatever_the_stamps(seed):
     expected = start + (stamps[-1] + 3.7) * velocity
     np.testing.assert_allclose(at(hazard, 3.0) - [0.0, 0.5, 1.0], expected, atol=1e-9)
     np.testing.assert_allclose(hazard.body.maximum - hazard.body.minimum, [2.0, 3.0, 4.0])
-
-
-def test_a_body_is_gone_when_its_lifetime_is_over_and_not_before():
-    bodies = Bodies()
-    bodies.see(seen(1.0, disc(0.0, 0.0), lifetime=0.5), FASTEST)
-    bodies.see(seen(1.0, disc(9.0, 0.0), 'b/0'), FASTEST)
-    assert len(moved(bodies, 1.5)) == 2
-    assert len(moved(bodies, 1.51)) == 1
-    bodies.current(1e6)
-    assert len(bodies) == 1
-
-
-def test_a_jump_makes_a_new_body_without_velocity():
-    bodies = Bodies()
-    bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
-    bodies.see(seen(2.0, disc(1.0, 0.0)), FASTEST)
-    assert 'jumped' in bodies.see(seen(2.1, disc(9.0, 0.0)), FASTEST)
-    (hazard,) = moved(bodies, 3.1)
-    np.testing.assert_allclose(at(hazard, 1.0), [9.0, 0.0])
-    assert bodies.see(seen(3.1, disc(10.0, 0.0)), FASTEST) == ''
-    np.testing.assert_allclose(at(moved(bodies, 3.1)[0], 1.0), [11.0, 0.0])
-
-
-def test_what_comes_again_changes_nothing_and_what_contradicts_is_refused():
-    bodies = Bodies()
-    bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
-    assert bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST) == ''
-    with pytest.raises(BadInput, match='duplicate id'):
-        bodies.see(seen(1.0, disc(1.0, 0.0)), FASTEST)
-    with pytest.raises(BadInput, match='reordered stamp'):
-        bodies.see(seen(0.5, disc(1.0, 0.0)), FASTEST)
-    np.testing.assert_allclose(at(moved(bodies, 1.0)[0], 1.0), [0.0, 0.0])
 
 
 # --- tracks
@@ -175,20 +142,12 @@ def test_a_silent_vehicle_is_forgotten_in_the_end_and_one_never_heard_is_told_of
 # --- which of them matter
 
 
-def odometry(position=(0.0, 0.0), speed=1.0):
-    forward = np.array([speed, 0.0])
-    return Odometry(0.0, np.array(position), np.eye(2), forward, np.zeros(1))
-
-
 def brute(problem, hazard, speed, blown):
     """Return whether a body and the reach of a vehicle meet, by looking often."""
-    for time in np.linspace(0.0, problem.horizon * problem.step, 2001):
-        fastest = problem.forward + blown
-        order = problem.translation_order
-        reach = fastest * time if order == 1 else speed * time + 0.5 * fastest * time**2
-        if hazard.body.depth(-hazard.moved(np.array([time])))[0] >= -reach:
-            return True
-    return False
+    times = np.linspace(0.0, problem.horizon * problem.step, 2001)
+    fastest, order = problem.forward + blown, problem.translation_order
+    reach = fastest * times if order == 1 else speed * times + 0.5 * fastest * times**2
+    return bool((hazard.body.depth(-hazard.moved(times)) >= -reach).any())
 
 
 @pytest.mark.parametrize('order', [1, 2])

@@ -1,26 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Laws of the loop in wind and under gravity: measurements, delays, safe commands, flights."""
+"""Laws of the loop in wind and under gravity: measurements, delays, safe commands."""
 
 from dataclasses import replace
 
 import numpy as np
 import problems
 import pytest
-from flying import fly
-from scenarios import model_of
 from stepping import Stepped
 
 from orbimpc_ros.loop.compensation import Compensator, Interval, advanced
 from orbimpc_ros.loop.fallback import safe_command
-from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.plan import Command
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.sim.vehicle import Model, launched, measured
-from orbimpc_ros.sim.world import Rope, Scenario
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
 WEIGHT = np.array([0.0, 0.0, -9.81])
@@ -46,7 +42,7 @@ def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
     model, vehicle = windy(rng, n, velocity_source=source)
     problem, wind = Problem(n, forward=2.0), model.blown
     compensator, seen = known(problem, wind, source), measured(vehicle, source)
-    state = compensator.state(seen)
+    state = State.at(**compensator.state(seen))
     np.testing.assert_allclose(state.rotation, vehicle.fraction * vehicle.attitude, atol=1e-12)
     np.testing.assert_allclose(state.disturbance, wind)
     assert compensator.odd_speed(seen) == ''
@@ -60,7 +56,7 @@ def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
         still = np.zeros(1 if n == 2 else 3)
         seen = Odometry(0.0, np.zeros(n), attitude, 20.0 * rng.normal(size=n), still)
         for source in ('ground', 'air'):
-            state = known(Problem(n, forward=5.0), wind, source).state(seen)
+            state = State.at(**known(Problem(n, forward=5.0), wind, source).state(seen))
             share = float(np.linalg.norm(state.rotation[:, 0]))
             assert 0.0 <= share <= 1.0 + 1e-12
             np.testing.assert_allclose(state.rotation, share * attitude, atol=1e-12)
@@ -139,57 +135,6 @@ def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
     free = Stepped(replace(problem, floor=Floor()), safe='hover', disturbance=WEIGHT)
     command = free.safe(UP, Reason(Cause.ODOMETRY, 'lost')).command
     assert command.speed_fraction == pytest.approx(9.81 / 20.0)
-
-
-# --- flights
-
-
-def at_goal(model, goal, start, ticks=25):
-    """A flight of so many ticks towards a goal that does not move."""
-    still = np.zeros(len(goal))
-    return Scenario(model, start, Rope(goal, still, 0.0, still), 1.0, ticks, finish='arrival')
-
-
-def last_distances(problem, told, model):
-    start = launched(model, np.zeros(2), np.eye(2), fraction=0.5)
-    scenario = at_goal(model, np.array([3.0, 2.0]), start)
-    log = fly(Stepped(problem, disturbance=told), scenario, Hold())
-    return [flight.distance for flight in log.flights[-5:]]
-
-
-@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-def test_a_goal_is_held_in_a_wind_that_is_told(discretisation):
-    problem = Problem(discretisation=discretisation, step=0.5)
-    wind = np.array([0.3, -0.4])
-    model = replace(model_of(problem), disturbance=tuple(wind))
-    assert max(last_distances(problem, wind, model)) < 0.01
-    assert min(last_distances(problem, None, model)) > 0.1
-
-
-def test_a_hover_is_held_where_gravity_is_told():
-    problem = Problem(3, 1, 2, horizon=8, step=0.2, forward=20.0)
-    model = replace(model_of(problem), disturbance=tuple(WEIGHT))
-    start = launched(model, np.zeros(3), UP, fraction=9.81 / 20.0)
-    told = Stepped(problem, disturbance=WEIGHT)
-    told.sent(Command(start.fraction, np.zeros(3), UP), 0.0)  # odometry shows no thrust
-    log = fly(told, at_goal(model, np.zeros(3), start), Hold())
-    assert max(flight.distance for flight in log.flights) < 1e-4
-    fallen = fly(Stepped(problem), at_goal(model, np.zeros(3), start), Hold())
-    assert fallen.flights[-1].distance > 1.0
-
-
-@pytest.mark.parametrize('source', ['ground', 'air'])
-def test_no_wind_drives_an_airspeed_below_the_floor(source):
-    """The floor is about the air: in a headwind the ground speed may well fall below it."""
-    problem = Problem(step=0.5, floor=Floor('circle', fraction=0.6))
-    wind = np.array([-0.5, 0.1])
-    model = replace(model_of(problem), disturbance=tuple(wind), velocity_source=source)
-    start = launched(model, np.zeros(2), np.eye(2), fraction=0.8)
-    controller = Stepped(problem, disturbance=wind, velocity_source=source)
-    log = fly(controller, at_goal(model, np.array([4.0, 0.0]), start), Hold())
-    assert all(tick.status == 'optimal' for tick in log.ticks)
-    assert min(flight.vehicle.fraction for flight in log.flights) >= 0.6 - 1e-9
-    assert min(flight.speed for flight in log.flights) < 0.6
 
 
 def test_a_wind_of_another_dimension_is_refused():

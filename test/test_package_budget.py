@@ -1,20 +1,18 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Size budget: lines of Python in each folder, words of Markdown."""
 
-from pathlib import Path
-
 import pytest
+from harness import ROOT
 
-ROOT = Path(__file__).parents[1]
 LINES = {
-    'orbimpc_ros': 37_339,
-    'orbimpc_ros/mpc': 19_577,
-    'orbimpc_ros/loop': 4_062,
-    'orbimpc_ros/ros': 5_015,
-    'orbimpc_ros/sim': 3_146,
-    'orbimpc_ros/tool': 5_372,
-    'benchmarks': 4_123,
-    'test': 22_920,
+    'orbimpc_ros': 37_258,
+    'orbimpc_ros/mpc': 19_554,
+    'orbimpc_ros/loop': 4_050,
+    'orbimpc_ros/ros': 4_993,
+    'orbimpc_ros/sim': 3_122,
+    'orbimpc_ros/tool': 5_357,
+    'benchmarks': 3_909,
+    'test': 21_457,
 }
 WORDS = {'docs': 23_560, 'README.md': 900}
 

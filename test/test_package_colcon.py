@@ -9,23 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import PATIENCE
+from harness import PATIENCE, ROOT, run
 
-ROOT = Path(__file__).parents[1]
 NAME = 'orbimpc_ros'
 NOT_SOURCES = ('.*', 'build', 'dist', 'install', 'log', 'out', '__pycache__', '*.egg-info')
-
-
-def run(*words, cwd, **environment):
-    """Run a command to its end and return it finished."""
-    return subprocess.run(
-        [str(word) for word in words],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
 
 
 def copied(folder):
@@ -37,7 +24,16 @@ def colcon(*words, cwd):
     script = 'import sys; from colcon_core.command import main; sys.exit(main())'
     # Packages are built with the python3 that is found first.
     path = f'{Path(sys.executable).parent}{os.pathsep}{os.environ["PATH"]}'
-    return run(sys.executable, '-c', script, *words, '--packages-select', NAME, cwd=cwd, PATH=path)
+    return run(
+        sys.executable,
+        '-c',
+        script,
+        *words,
+        '--packages-select',
+        NAME,
+        cwd=cwd,
+        env={**os.environ, 'PATH': path},
+    )
 
 
 @pytest.fixture(scope='module')
@@ -144,7 +140,9 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
         'from orbimpc_ros.tool import settings; print(settings.config("retrieval.yaml"))\n'
         'from orbimpc_ros.tool import cli; cli.main(["--version"])'
     )
-    done = run(sys.executable, '-c', script, cwd=tmp_path, PYTHONPATH=str(site))
+    done = run(
+        sys.executable, '-c', script, cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(site)}
+    )
     path, version = done.stdout.splitlines()
     assert path == str(site / 'share' / NAME / 'config' / 'retrieval.yaml')
     assert version == 'orbimpc_ros 0.1.0'

@@ -1,15 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What contributors meet: workflows and forms that are valid, a declaration that is true."""
 
-import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 import yaml
+from harness import ROOT, run
 
-ROOT = Path(__file__).parents[1]
 GITHUB = ROOT / '.github'
 SCHEMAS = {
     'vendor.github-workflows': sorted((GITHUB / 'workflows').glob('*.yml')),
@@ -21,8 +19,7 @@ SCHEMAS = {
 
 
 def checked(schema, files):
-    words = ['-m', 'check_jsonschema', '--builtin-schema', schema, *map(str, files)]
-    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    return run(sys.executable, '-m', 'check_jsonschema', '--builtin-schema', schema, *files)
 
 
 @pytest.mark.skipif(not find_spec('check_jsonschema'), reason="pip install '.[test]' brings it")

@@ -4,24 +4,17 @@
 import importlib.util
 import re
 import runpy
-from pathlib import Path
 
 import pages
 import pytest
+from harness import ROOT
 
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.cli import _parser
 
-ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'
 PAGES = [*sorted(DOCS.glob('*.md')), ROOT / 'README.md', ROOT / 'CONTRIBUTING.md']
-BLOCK = re.compile(r'^```(\w+)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
 LINK = re.compile(r'\]\((?!https?:)([^)#]*)(#[^)]+)?\)|(?:src|srcset)="([^"]+)"')
-
-
-def blocks(page, language):
-    """Return the code blocks of a page in a language."""
-    return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
 
 
 def test_the_parameters_are_those_of_the_nodes():
@@ -47,7 +40,8 @@ def anchors(page):
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_commands_of_the_tool_exist(page):
-    joined = (text.replace('\\\n', ' ') for text in blocks(page, 'sh'))
+    found = pages.blocks_of(page.read_text())
+    joined = (each.text.replace('\\\n', ' ') for each in found if each.language == 'sh')
     for line in (line for text in joined for line in text.splitlines()):
         words = line.partition('#')[0].removeprefix('ros2 run orbimpc_ros ').split()
         if words[:1] == ['orbimpc']:
@@ -78,7 +72,6 @@ def test_every_command_of_the_pages_is_followed_or_left_out_for_a_reason():
 
 
 CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
-# That have been believed: each is false, or holds of something else only.
 
 
 @pytest.mark.parametrize('file', CONFIGURATIONS, ids=lambda file: file.name)

@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Hints at what to install: packages that an index has, and none that breaks ROS's NumPy 1."""
 
-import ast
 import re
 import shlex
 import sys
@@ -9,20 +8,14 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from harness import ROOT
+from test_package_manifest import setup_keyword
 
 from orbimpc_ros import install
 
-ROOT = Path(__file__).parents[1]
-
 
 def declared(extra):
-    tree = ast.parse((ROOT / 'setup.py').read_text())
-    pairs = next(n.value for n in ast.walk(tree) if getattr(n, 'arg', '') == 'extras_require')
-    return next(
-        ast.literal_eval(v)
-        for k, v in zip(pairs.keys, pairs.values, strict=True)
-        if k.value == extra
-    )
+    return setup_keyword('extras_require')[extra]
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,10 @@ The simulator's engines import nothing of the rest.
 """
 
 import ast
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from harness import python
 
 PACKAGE = Path(__file__).parents[1] / 'orbimpc_ros'
 MOVABLE = PACKAGE / 'mpc' / 'proof' / 'verifier'
@@ -95,10 +94,7 @@ def test_a_pure_layer_imports_without_ros(layer):
         f'for name in {modules!r}: importlib.import_module(name)\n'
         f'print([name for name in {ROS!r} if name in sys.modules])'
     )
-    done = subprocess.run(
-        [sys.executable, '-c', script], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == '[]'
+    assert python(script).stdout.strip() == '[]'
 
 
 # What a node's process must not load, but for the packages that lie above its own.
@@ -109,10 +105,8 @@ FOREIGN = {'ros.planner': ('sim', 'tool'), 'sim': ('ros.planner', 'tool')}
 def test_a_node_loads_nothing_of_the_other_nor_of_the_tool(node):
     pytest.importorskip('rclpy')
     script = f'import sys, orbimpc_ros.{node}.node; print(*sys.modules)'
-    done = subprocess.run(
-        [sys.executable, '-c', script], capture_output=True, text=True, check=True
-    )
-    loaded = done.stdout.split()
+    loaded = python(script).stdout.split()
+    assert loaded
     for name in FOREIGN[node]:
         above = f'orbimpc_ros.{name}'
         assert not [each for each in loaded if each == above or each.startswith(f'{above}.')]

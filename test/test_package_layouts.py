@@ -96,17 +96,3 @@ def test_plotjuggler_shows_what_there_is():
         topic = max((each for each in TYPES if curve.startswith(f'/{each}/')), key=len)
         assert require(topic, curve.removeprefix(f'/{topic}/').split('/')) == 'double'
     assert {'/cmd_thrust/wrench/force/x', *(f'/planner/{n}/data' for n in NUMBERS)} <= set(curves)
-
-
-def test_the_nodes_have_the_topics_that_layouts_show(launch, observer):
-    launch('planner', {}, 'spacecraft')
-    launch('sim', {'wait_subscribers': 9}, 'spacecraft')
-    shown = {topic for topic, _ in of_rviz()} | {'tick', 'cmd_vel', 'cmd_thrust', 'diagnostics'}
-    shown |= {f'planner/{name}' for name in NUMBERS}
-    wanted = {(f'/{topic}', TYPES[topic]) for topic in shown}
-
-    def there():
-        found = observer.node.get_topic_names_and_types()
-        return wanted <= {(name, kind) for name, kinds in found for kind in kinds}
-
-    observer.until(there, f'topics {sorted(wanted)}')

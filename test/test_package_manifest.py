@@ -4,14 +4,13 @@
 import ast
 import os
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pytest
+from harness import ROOT, python, run
+from test_package_layers import imports_of
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
 STANDARD = sys.stdlib_module_names
 
@@ -51,13 +50,8 @@ def setup_keyword(name):
 
 def imported():
     """Return the top-level modules that the package imports, its own and Python's aside."""
-    found = set()
-    for file in (ROOT / 'orbimpc_ros').rglob('*.py'):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Import):
-                found.update(alias.name.split('.')[0] for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.split('.')[0])
+    files = (ROOT / 'orbimpc_ros').rglob('*.py')
+    found = {name.split('.')[0] for file in files for name in imports_of(file)}
     return {name for name in found if name not in STANDARD and name != 'orbimpc_ros'}
 
 
@@ -82,9 +76,7 @@ def test_the_interface_is_there_and_costs_nothing_until_it_is_used():
         'print(all(getattr(o, name) is not None for name in o.__all__));'
         'print(set(dir(o)) >= set(o.__all__))'
     )
-    words = [sys.executable, '-c', script]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ['False', 'True', 'True']
+    assert python(script).stdout.split() == ['False', 'True', 'True']
 
 
 def optional():
@@ -138,10 +130,7 @@ def test_make_keeps_the_numpy_that_ros_is_compiled_for(tmp_path, numpy, kept):
     words = ('make', '-n', '-B', 'demo', f'VENV={tmp_path}/venv', f'PYTHON={python}')
     # Not with what the make that runs these tests was given.
     alone = {k: v for k, v in os.environ.items() if k not in ('MAKEFLAGS', 'MAKEOVERRIDES', 'PINS')}
-    done = subprocess.run(
-        [*words, 'ROS_DISTRO=jazzy'],
-        cwd=ROOT, env=alone, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    done = run(*words, 'ROS_DISTRO=jazzy', cwd=ROOT, env=alone)
     (install,) = (line for line in done.stdout.splitlines() if 'pip install' in line)
     assert ('--constraint requirements-jazzy.txt' in install) == kept
 
@@ -153,8 +142,7 @@ def test_a_node_says_in_one_line_that_ros_is_missing(node):
         'sys.modules.update(dict.fromkeys(entry.ROS));'
         f'sys.exit(entry.{node}())'
     )
-    words = [sys.executable, '-c', script]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = python(script)
     assert (done.returncode, done.stdout) == (2, '')
     assert done.stderr.count('\n') == 1
     assert done.stderr.startswith(f'{node}: ')

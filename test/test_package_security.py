@@ -3,15 +3,12 @@
 
 import os
 import signal
-import subprocess
 import sys
-import time
 from importlib.util import find_spec
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from harness import recording
+from harness import ROOT, recording, run, wait_for
 
 from orbimpc_ros.ros.entry import PACKAGES
 
@@ -19,7 +16,6 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
 
-ROOT = Path(__file__).parents[1]
 POLICY = ROOT / 'config' / 'security' / 'policy.xml'
 # The schema's structure: elements in each, and the attributes that each must and may have.
 KINDS = {
@@ -140,10 +136,7 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
         'ROS_SECURITY_STRATEGY': 'Enforce',
         'ROS_SECURITY_KEYSTORE': str(prepare(tmp_path / 'keystore')),
     }
-    words = [sys.executable, '-m', PACKAGES[node]]
-    done = subprocess.run(
-        words, env=environment, capture_output=True, text=True, check=False, timeout=60
-    )
+    done = run(sys.executable, '-m', PACKAGES[node], env=environment)
     lines = [line for line in done.stderr.splitlines() if not line.startswith('[INFO]')]
     assert done.returncode not in (0, None)
     assert len([line for line in lines if 'ROS_SECURITY_ENABLE=true' in line]) == 1, done.stderr
@@ -158,22 +151,9 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
     ('place', 'peers', 'warnings'),
     [('SUBNET', '10.0.0.7', 2), ('LOCALHOST', '', 0)],
 )
-def test_a_node_warns_where_other_machines_may_join(domain, tmp_path, place, peers, warnings):
-    environment = {
-        **os.environ,
-        'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': place,
-        'ROS_STATIC_PEERS': peers,
-    }
-    log = tmp_path / 'log'
-    with log.open('wb') as stream:
-        words = [sys.executable, '-m', 'orbimpc_ros.ros.planner']
-        node = subprocess.Popen(words, env=environment, stdout=stream, stderr=stream)
-        try:
-            while 'waits for' not in log.read_text():
-                assert node.poll() is None
-                time.sleep(0.05)
-        finally:
-            node.kill()
-            node.wait()
-    assert log.read_text().count('open to') == warnings
+def test_a_node_warns_where_other_machines_may_join(launch, monkeypatch, place, peers, warnings):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', place)
+    monkeypatch.setenv('ROS_STATIC_PEERS', peers)
+    node = launch('planner')
+    wait_for(lambda: 'waits for' in node.output)
+    assert node.output.count('open to') == warnings

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT
+from harness import ROOT
 
 pytest.importorskip('rclpy')
 

@@ -6,39 +6,34 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from planners import FRAMES, settings
+from planners import settings
 from stepping import targets
 
 from orbimpc_ros.loop.goal.forecast import FORECASTS
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
-from orbimpc_ros.ros.planner.core import Core, planner_of
-
-START = 1_700_000_000  # [s]
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.planner.outputs import values
+from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 
 
 class Watched:
-    """A planner without its node, that watches a goal at 10 Hz."""
+    """A planner without its node, at rest, that watches a goal at 10 Hz."""
 
     def __init__(self, **changes):
         given = settings(step=0.1, horizon=5, **changes)
-        self.core, self.steps = Core(*planner_of(given)), 0
-        self.inputs = self.core.inputs
+        self.planner, self.steps = OfflinePlanner(given), 0
+        self.inputs = self.planner.inputs
 
     def watch(self, goal, ticks):
         """Watch a goal, shape (2,) [m] as a function of time [s]; return the last report."""
+        still = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
         for _ in range(ticks):
             self.steps += 1
             now = 0.1 * self.steps
-            stamp = Stamp(round((START + now) * SECOND), FRAMES)
-            still = Odometry(START + now, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
-            for topic, message in (
-                ('goal', messages.goal_message(stamp, goal(now))),
-                ('odom', messages.odometry_message(stamp, still)),
-            ):
-                assert self.inputs.update(topic, message, now, RosTime(stamp.nanoseconds)) == ''
-        return self.core.decide(now, RosTime(stamp.nanoseconds))
+            self.planner.sense(now, GoalObservation(now, np.array(goal(now))))
+            self.planner.sense(now, still, now)
+        return self.planner.report(now)
 
     def ahead(self):
         """The times of the targets of the last tick [s]."""
@@ -53,16 +48,17 @@ def test_a_swing_on_a_moving_carrier_is_planned_for_and_named():
     watched = Watched(goal_prediction='auto')
     report = watched.watch(carried, 100)
     targets = np.array([carried(time) for time in watched.ahead()])
-    np.testing.assert_allclose(report.decision.goals, targets, atol=1e-3)
-    assert report.values['goal_model'] == 'carrier'
+    np.testing.assert_allclose(report.goals, targets, atol=1e-3)
+    assert values(report)['goal_model'] == 'carrier'
 
 
 def test_the_name_changes_when_the_goal_does():
     watched = Watched(goal_prediction='auto')
-    assert watched.watch(lambda time: np.array([time, 0.0]), 60).values['goal_model'] == 'velocity'
+    report = watched.watch(lambda time: np.array([time, 0.0]), 60)
+    assert values(report)['goal_model'] == 'velocity'
     report = watched.watch(lambda time: np.array([6.0, 0.0]), 20)
-    assert report.values['goal_model'] == 'still'
-    np.testing.assert_allclose(report.decision.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
+    assert values(report)['goal_model'] == 'still'
+    np.testing.assert_allclose(report.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
 
 
 def test_another_forecast_begins_with_the_last_goal():
@@ -71,7 +67,7 @@ def test_another_forecast_begins_with_the_last_goal():
     watched.inputs.adopt(settings(step=0.1, goal_prediction='auto'))
     assert watched.inputs.heard['goal_model'] != ''
     held = np.tile(carried(1.0), (5, 1))
-    np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
+    np.testing.assert_allclose(targets(watched.inputs, EPOCH / SECOND + watched.ahead(), 1.0), held)
     watched.inputs.forget()
     assert 'goal_model' not in watched.inputs.heard
 
@@ -93,4 +89,4 @@ def test_a_forecast_of_ones_own_takes_a_class_and_a_line(monkeypatch):
     monkeypatch.setitem(FORECASTS, 'away', Away)
     watched = Watched(goal_prediction='away')
     report = watched.watch(lambda time: np.array([5.0, 0.0]), 3)
-    np.testing.assert_allclose(report.decision.goals[:, 0], 5.0 + 0.1 * np.arange(1, 6), atol=1e-6)
+    np.testing.assert_allclose(report.goals[:, 0], 5.0 + 0.1 * np.arange(1, 6), atol=1e-6)

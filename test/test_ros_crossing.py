@@ -11,8 +11,7 @@ import pytest
 from problems import seeds
 
 pytest.importorskip('rclpy')
-
-from orbimpc_ros.mpc.command import stop
+from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp

@@ -26,21 +26,23 @@ def seen(events, *places, goal=(0.0, 0.0), step=0.5, **given):
     return events.caught, events.arrived
 
 
-def test_what_is_passed_in_between_is_caught_and_not_reached():
-    assert seen(Events(), -1.0, 1.0) == (True, False)
-    assert seen(Events(), -1.0, -0.3) == (False, False)
+STAYS = round(STAY / 0.5) * (0.1,)
 
 
-def test_nothing_is_known_between_measurements_that_are_far_apart():
-    assert seen(Events(), -1.0, 1.0, step=2.0 * PATIENCE) == (False, False)
-    assert seen(Events(), 0.1, 0.1, step=2.0 * PATIENCE) == (True, False)
-
-
-def test_it_is_reached_by_who_stays_as_long_as_they_stay():
-    steps = round(STAY / 0.5)
-    assert seen(Events(), *(0.1 for _ in range(steps))) == (True, False)
-    assert seen(Events(), *(0.1 for _ in range(steps + 1))) == (True, True)
-    assert seen(Events(), *(0.1 for _ in range(steps + 1)), 0.3) == (True, False)
+@pytest.mark.parametrize(
+    ('places', 'step', 'events'),
+    [
+        ((-1.0, 1.0), 0.5, (True, False)),  # passed in between
+        ((-1.0, -0.3), 0.5, (False, False)),
+        ((-1.0, 1.0), 2.0 * PATIENCE, (False, False)),  # measured too seldom to know
+        ((0.1, 0.1), 2.0 * PATIENCE, (True, False)),
+        (STAYS, 0.5, (True, False)),
+        ((*STAYS, 0.1), 0.5, (True, True)),  # it stays
+        ((*STAYS, 0.1, 0.3), 0.5, (True, False)),
+    ],
+)
+def test_what_is_passed_is_caught_and_where_it_stays_is_reached(places, step, events):
+    assert seen(Events(), *places, step=step) == events
 
 
 @pytest.mark.parametrize(('turned', 'caught'), [(0.0, True), (0.5, True), (0.7, False)])

@@ -8,8 +8,8 @@ import pytest
 
 from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.state import Odometry, WindReport
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion, to_quaternion
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.firmware import Setpoint

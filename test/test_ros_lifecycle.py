@@ -8,12 +8,10 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from nav_msgs.msg import Odometry
-from planners import QUICK, goal, moving, odometry, told
+from planners import QUICK, Bench, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -22,27 +20,20 @@ from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.lifecycle import Managed
-from orbimpc_ros.ros.process import initialised, qos
+from orbimpc_ros.ros.process import initialised
 
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
 
 
-class Manager:
+class Manager(Bench):
     """A planner, its inputs, and who manages it: by numbers, as Nav2's manager does."""
 
     def __init__(self, launch, observer, parameters):
-        self.observer = observer
-        self.commands = observer.listen(TwistStamped, 'cmd_vel')
-        self.health = observer.listen(DiagnosticArray, '/diagnostics')
-        self.senders = [
-            (observer.node.create_publisher(PoseStamped, 'goal', qos()), goal),
-            (observer.node.create_publisher(Odometry, 'odom', qos()), odometry),
-        ]
         self.times = (0.1 * k for k in itertools.count(1))
         # However long a busy machine takes: only who manages it may stop it.
         patient = {'odom_timeout': 60.0, 'goal_timeout': 60.0}
-        self.process = launch('planner', QUICK | patient | parameters)
+        super().__init__(launch, observer, QUICK | patient | parameters)
 
     def change(self, number):
         request = ChangeState.Request(transition=Transition(id=number))
@@ -53,23 +44,20 @@ class Manager:
         response = self.observer.call(GetState, '/planner/get_state', GetState.Request())
         return response.current_state.label
 
-    def feed(self):
-        now = next(self.times)
-        for sender, message in self.senders:
-            sender.publish(message(now))
-
     def feed_until(self, happened, what):
         """Send fresh inputs again and again, though not so fast that nothing else gets its turn."""
         seen = itertools.count()
 
         def fed():
             if next(seen) % 3 == 0:
-                self.feed()
+                now = next(self.times)
+                self.goal.publish(goal(now))
+                self.odometry.publish(odometry(now))
             return happened()
 
-        self.observer.until(fed, what)
+        self.until(fed, what)
 
-    def fly(self):
+    def move(self):
         before = len(self.commands)
         self.feed_until(lambda: any(map(moving, self.commands[before:])), 'a command to move')
 
@@ -79,19 +67,18 @@ class Manager:
         sent = itertools.count()
         self.feed_until(lambda: next(sent) > messages, 'the inputs taken in')
         heard = len(self.health)
-        self.observer.until(lambda: len(self.health) >= heard + 2, 'later diagnostics')
+        self.until(lambda: len(self.health) >= heard + 2, 'later diagnostics')
         return self.commands[before:]
 
     def says(self, words):
-        self.observer.until(
-            lambda: self.health and words in self.health[-1].status[0].message, words
-        )
+        """Wait until the latest of the planner's diagnostics says something."""
+        self.until(lambda: self.health and words in self.health[-1].status[0].message, words)
 
 
 @pytest.fixture(scope='module')
 def manager(shared):
     managed = Manager(*shared, {})
-    managed.fly()
+    managed.move()
     return managed
 
 
@@ -116,7 +103,7 @@ def test_it_starts_itself(active):
 
 
 def test_deactivated_in_flight_it_commands_what_is_safe_once_and_is_silent(active):
-    active.fly()
+    active.move()
     assert active.change(DEACTIVATE)
     active.says('inactive')
     active.observer.until(lambda: not moving(active.commands[-1]), 'the safe command')
@@ -132,18 +119,18 @@ def test_deactivated_in_flight_it_commands_what_is_safe_once_and_is_silent(activ
 
 
 def test_activated_again_it_starts_afresh(active):
-    active.fly()
+    active.move()
     assert active.change(DEACTIVATE)
     active.commands_of(5)
     before = len(active.commands)
     assert active.change(ACTIVATE)
     active.says('waits for odometry on /odom and a goal on /goal or /goal_path')
     assert active.commands[before:] == []
-    active.fly()
+    active.move()
 
 
 def test_cleaned_up_it_has_no_topics_and_takes_on_what_has_changed(active):
-    active.fly()
+    active.move()
     assert active.change(DEACTIVATE)
     assert active.change(CLEANUP)
     node = active.observer.node
@@ -160,9 +147,9 @@ def test_cleaned_up_it_has_no_topics_and_takes_on_what_has_changed(active):
     assert [each.successful for each in answer.results] == [True, False]
     assert active.change(CONFIGURE)
     assert active.change(ACTIVATE)
-    active.fly()
+    active.move()
     assert 0.0 < active.commands[-1].twist.linear.x <= 0.25 + 1e-9
-    assert 'from now on 0.25 m/s' in active.process.output
+    assert 'from now on 0.25 m/s' in active.planner.output
 
 
 @pytest.mark.parametrize(
@@ -178,9 +165,9 @@ def test_a_transition_that_is_not_possible_is_refused_in_a_line_and_it_flies_on(
     request = ChangeState.Request(transition=Transition(**asked))
     for _ in range(6):  # as often as a callback may not fail
         assert not active.observer.call(ChangeState, '/planner/change_state', request).success
-    assert said in active.process.output
+    assert said in active.planner.output
     assert active.state == 'active'
-    active.fly()
+    active.move()
 
 
 @pytest.mark.parametrize('executor', ['wait_set', 'events'])
@@ -197,13 +184,13 @@ def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
     assert manager.state == 'inactive'
     assert manager.commands_of(10) == []
     assert manager.change(ACTIVATE)
-    manager.fly()
+    manager.move()
     assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     observer.until(lambda: not moving(manager.commands[-1]), 'the safe command')
     assert manager.state == 'finalized'
     observer.until(lambda: not observer.node.count_publishers('cmd_vel'), 'silence')
-    assert manager.process.running
-    assert manager.process.stop() == 0, manager.process.output
+    assert manager.planner.running
+    assert manager.planner.stop() == 0, manager.planner.output
 
 
 @pytest.mark.parametrize('again', ['reset', 'activated'])

@@ -161,7 +161,9 @@ def test_a_jump_is_told_and_counted(inputs):
     told = inputs.update('obstacles', array(marker(1.1, place=(9.0, 0.0, 0.0))), 0.0)
     assert told == 'obstacles: a/0 jumped at 90 m/s: taken for a new body at rest'
     assert inputs.refused == {'obstacles: jump': 1}
-    assert len(hazards(inputs)) == 1
+    (hazard,) = hazards(inputs, 2.1)
+    np.testing.assert_array_equal(centre(hazard.body), [9.0, 0.0])
+    assert not hazard.moved(np.ones(1)).any()
 
 
 def test_ten_thousand_markers_are_too_many_and_those_known_stay(inputs):

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT
+from harness import ROOT
 
 pytest.importorskip('rclpy')
 
@@ -16,16 +16,16 @@ from planners import told as values_of
 from scenarios import retrieval
 from stepping import Stepped
 
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message
 from orbimpc_ros.ros.planner.outputs import (
-    Report,
     command_messages,
     outputs,
     prices,
     tick_message,
+    values,
 )
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
@@ -88,14 +88,14 @@ def test_a_status_is_named_as_diagnostic_updater_names_it(node, name, vehicle):
 
 
 def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():
-    report = Report(tick(Stepped(FLOORED), [4.0, 1.0]))
-    told = values_of(tick_message(0, '/planner', report))
+    decision = tick(Stepped(FLOORED), [4.0, 1.0])
+    told = values_of(tick_message(0, '/planner', decision))
     margins = json.loads(told['margins'])
-    fractions = report.decision.plan.speed_fraction[1:]
+    fractions = decision.plan.speed_fraction[1:]
     assert margins['floor'] == pytest.approx(fractions.min() - 0.5)
     assert margins['hull'] == pytest.approx(1.0 - fractions.max(), abs=1e-6)
     safe = Stepped(FLOORED).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
-    assert Report(safe).values['margins'] == {}
+    assert values(safe)['margins'] == {}
 
 
 def test_the_aggregators_configuration_finds_every_status():
@@ -118,8 +118,7 @@ FAR = [99.0, 0.0]
 def test_full_speed_binds_on_the_way_to_a_far_goal_and_is_on_tick_as_json():
     decision = tick(Stepped(Problem()), FAR)
     assert list(prices(decision)) == ['hull@1', 'hull@2', 'hull@3', 'hull@4']
-    report = Report(decision, binding=prices(decision))
-    told = values_of(tick_message(0, 'planner', report))
+    told = values_of(tick_message(0, 'planner', decision))
     assert json.loads(told['binding']) == pytest.approx(prices(decision))
 
 

@@ -7,27 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from problems import needs_machine_code
 
 pytest.importorskip('rclpy')
 
 from bags import messages_of
 
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.offline import aboard, tell
+from orbimpc_ros.tool.offline import aboard
 from orbimpc_ros.tool.settings import config
 
 DEFAULTS = {row.name: row.default for row in SIM}
-NEARER = 'rope.center=[350.0, 60.0, 0.0]'  # a short flight
 DYING = Path(__file__).with_name('dying_engine.py')
-needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
 
 
 def test_parameters_make_the_aircraft_that_they_say():
@@ -49,7 +47,7 @@ def test_a_planner_is_told_nothing_of_wind_and_swing(name):
     assert values['wind'] == (0.0, 0.0, 0.0)
 
 
-@needs_speed
+@needs_machine_code
 @pytest.mark.parametrize('believed', [True, False])
 def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""
@@ -59,14 +57,15 @@ def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     velocity = turned.T @ [45.0, 0.0]
     for k in range(5):
         place = np.array([0.5 * k * 45.0, 0.0])
-        planner.goal(0.5 * k, place + np.array([300.0 - 5.0 * k, 0.0]))
-        planner.odometry(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
+        ahead = place + np.array([300.0 - 5.0 * k, 0.0])
+        planner.sense(0.5 * k, GoalObservation(0.5 * k, ahead))
+        planner.sense(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
         report = planner.report(0.5 * k)
-    heading = math.atan2(*report.decision.state.attitude[::-1, 0])
+    heading = math.atan2(*report.state.attitude[::-1, 0])
     assert heading == pytest.approx(0.0 if believed else slip, abs=1e-6)
     if believed:
-        np.testing.assert_allclose(report.decision.disturbance, 0.0, atol=1e-3)
-        assert abs(report.decision.command.body_rate[0]) < 1e-3
+        np.testing.assert_allclose(report.disturbance, 0.0, atol=1e-3)
+        assert abs(report.command.body_rate[0]) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -76,40 +75,6 @@ def test_how_a_goal_moves_is_not_said_where_the_engine_moves_it(change):
     name = change.partition('=')[0]
     with pytest.raises(BadInput, match=f'{name} is .*; allowed: 0 with vehicle: hummingbird'):
         settings.resolve(config('rope.yaml'), [change])
-
-
-@needs_speed
-def test_the_cessna_meets_the_line():
-    """No clock runs while its planner thinks: how busy the machine is makes no difference."""
-    pytest.importorskip('jsbsim')
-    values = settings.resolve(config('cessna.yaml'), [NEARER])
-    planner = aboard(values, clock=lambda: 0.0)
-    flight = departure(sim_settings(settings.of_sim(values)).scenario)
-    while not flight.over:
-        tell(planner, flight, 0)
-        command = planner.report(flight.vehicle.time).decision.command
-        flight = flight.after(command.speed_fraction, command.body_rate)
-    assert flight.captured
-    assert flight.miss < 5.0
-
-
-def test_the_cessna_flies_over_dds(capfd, tmp_path):
-    """A planner that starves may miss the line. The bag tells of the flight as the engine does."""
-    pytest.importorskip('jsbsim')
-    changes = (NEARER, 'odom_timeout=60.0', 'goal_timeout=60.0')
-    words = [word for each in changes for word in ('--set', each)]
-    failed = cli.main(['demo', 'cessna', *words, '--out', str(tmp_path)])
-    out, _ = capfd.readouterr()
-    assert re.search(r'captured +(?:no|t = \d+\.\d+ s, [0-4]\.\d+ m from the rope)\n', out)
-    assert failed == bool(re.search('captured +no', out))
-    found = messages_of(tmp_path / 'cessna')
-    truths = [fields(each) for each in found['truth'].values()]
-    assert min(each['airspeed'] for each in truths) > 1.1 * 27.6
-    assert max(abs(each['bank']) for each in truths) < 0.55
-    assert max(abs(each['height']) for each in truths) < 30.0
-    commands = [each.twist for each in found['cmd_vel'].values()]
-    assert min(each.linear.x for each in commands) >= 40.0 - 1e-6
-    assert max(abs(each.angular.z) for each in commands) <= 0.09 + 1e-9
 
 
 def test_the_spacecraft_arrives(capfd, tmp_path):
@@ -185,15 +150,6 @@ def test_parameters_make_the_plant_that_they_say():
     assert plant.velocity_source == 'air'
     np.testing.assert_array_equal(plant.blown, [1.0, -2.0])
     assert told.command_timeout == 0.75  # of the planner's steps, not of the odometry
-
-
-def test_at_order_2_there_are_drag_and_gravity():
-    told = plant_settings(
-        vehicle='continuous', dimension=3, translation_order=2, drag=0.2, gravity=9.81, mass=2.0
-    )
-    plant = told.scenario.model
-    assert (plant.drag, plant.mass, plant.step) == (0.2, 2.0, 1.0)
-    np.testing.assert_array_equal(plant.blown, [0.0, 0.0, -9.81])
 
 
 def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():

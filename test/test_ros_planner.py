@@ -1,8 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner as a process: what it says while it waits, what it publishes, how it begins again."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Odometry
 from planners import QUICK, Bench, goal, moving, odometry, told
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt8MultiArray
@@ -125,30 +123,6 @@ def test_a_timer_may_be_quicker_than_a_step(launch, observer):
     bench.until(lambda: sum(map(moving, bench.commands)) >= 4, 'commands by the timer')
     bench.report(bench.commands[-1])
     assert {told(tick)['fallback'] for tick in bench.ticks} == {''}
-
-
-@pytest.mark.parametrize('order', [1, 2])
-def test_a_dry_run_plans_and_reports_and_commands_nothing(launch, observer, order):
-    node, ticks = observer.node, observer.listen(DiagnosticArray, 'tick')
-    plans = observer.listen(Path, 'plan')
-    senders = [node.create_publisher(Odometry, 'odom', qos())]
-    senders.append(node.create_publisher(PoseStamped, 'goal', qos()))
-    planner = launch('planner', QUICK | {'dry_run': True, 'translation_order': order})
-    observer.until_connected('tick', 'plan')
-    stamps = (0.1 * k for k in itertools.count(1))
-
-    def reported():
-        now = next(stamps)
-        for sender, message in zip(senders, (odometry(now), goal(now)), strict=True):
-            sender.publish(message)
-        return len(plans) >= 3 and len(ticks) >= 3
-
-    observer.until(reported, 'plans')
-    assert told(ticks[-1])['status'] == 'optimal'
-    for topic in ('cmd_vel', 'cmd_thrust', 'rotation'):
-        assert node.count_publishers(topic) == 0
-    assert planner.stop() == 0
-    assert 'commands nothing: a dry run' in planner.output
 
 
 def test_a_flight_without_capture_ends_with_code_1(launch):

@@ -56,19 +56,24 @@ def test_halves_of_one_stamp_belong_together_in_any_order(order):
     assert joined(*sent) == [(1000 + 20 * k,) * 2 for k in range(3)]
 
 
-def test_where_stamps_differ_a_pose_goes_with_the_last_twist():
-    sent = [twist(995), pose(1000), twist(1005), pose(1020), pose(1030)]
-    assert joined(*sent) == [(1000, 995), (1020, 1005), (1030, 1005)]
-    assert joined(pose(1000), twist(1005), pose(1020)) == [(1000, 1005), (1020, 1005)]
-
-
-def test_a_pose_without_its_twin_is_left_out():
-    sent = [twist(1000), pose(1000), pose(1020), pose(1040), twist(1040)]
-    assert joined(*sent) == [(1000, 1000), (1040, 1040)]
-
-
-def test_a_pose_that_comes_twice_is_one_measurement():
-    assert joined(twist(1000), pose(1000), pose(1000), twist(1000)) == [(1000, 1000)]
+@pytest.mark.parametrize(
+    ('sent', 'made'),
+    [
+        (
+            [twist(995), pose(1000), twist(1005), pose(1020), pose(1030)],
+            [(1000, 995), (1020, 1005), (1030, 1005)],
+        ),
+        ([pose(1000), twist(1005), pose(1020)], [(1000, 1005), (1020, 1005)]),
+        # A pose without its twin is left out, and one that comes twice is one measurement.
+        (
+            [twist(1000), pose(1000), pose(1020), pose(1040), twist(1040)],
+            [(1000, 1000), (1040, 1040)],
+        ),
+        ([twist(1000), pose(1000), pose(1000), twist(1000)], [(1000, 1000)]),
+    ],
+)
+def test_where_stamps_differ_a_pose_goes_with_the_last_twist(sent, made):
+    assert joined(*sent) == made
 
 
 def test_halves_too_far_apart_are_refused():

@@ -13,6 +13,7 @@ from orbimpc_ros.ros.entry import PACKAGES
 
 pytest.importorskip('rclpy')
 
+from harness import python, run
 from planners import QUICK, Bench, moving, told
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -39,14 +40,9 @@ COLLECTING = """
 """
 
 
-def test_a_start_loads_little_and_no_collection_looks_through_it(tmp_path):
+def test_a_start_loads_little_and_no_collection_looks_through_it():
     """What plots, records, replays and simulates stays out; CVXPY waits for its first problem."""
-    script = tmp_path / 'counting.py'
-    script.write_text(textwrap.dedent(COLLECTING))
-    done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True
-    )
-    made, frozen, *modules = done.stdout.split()
+    made, frozen, *modules = python(COLLECTING).stdout.split()
     assert int(frozen) > 0.9 * int(made) > 50_000
     rare = {'cvxpy', 'clarabel', 'scipy.optimize', 'scipy.sparse', 'matplotlib', 'PIL', 'mcap'}
     rare |= {'rosbags', 'orbimpc_ros.sim', 'orbimpc_ros.tool', 'launch'}
@@ -116,12 +112,9 @@ HALF_MADE = """
 """
 
 
-def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path):
+def test_a_start_broken_off_is_cleared_away_and_says_why():
     """Whatever else goes wrong meanwhile, and before the context is shut down."""
-    script = tmp_path / 'half_made.py'
-    script.write_text(textwrap.dedent(HALF_MADE))
-    words = [sys.executable, str(script)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    done = python(HALF_MADE)
     expected = (2, 'destroyed True\n', 'mass is 0; allowed: 1\n')
     assert (done.returncode, done.stdout, done.stderr) == expected
 
@@ -136,8 +129,7 @@ def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path):
     ],
 )
 def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):
-    command = [sys.executable, '-m', PACKAGES[node], *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = run(sys.executable, '-m', PACKAGES[node], *words)
     assert done.returncode == 2
     assert done.stderr.count('\n') == 1, done.stderr
     assert re.search(said, done.stderr), done.stderr
@@ -145,9 +137,7 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
 
 @pytest.mark.parametrize(('node', 'rows'), [('planner', PLANNER), ('sim', SIM)])
 def test_help_has_every_parameter_and_the_exit_codes_within_80_columns(node, rows):
-    command = [sys.executable, '-m', PACKAGES[node], '--help']
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    lines = done.stdout.splitlines()
+    lines = run(sys.executable, '-m', PACKAGES[node], '--help').stdout.splitlines()
     assert max(map(len, lines)) <= 80
     assert {row.name for row in rows} <= {line.split()[0] for line in lines if line.strip()}
     assert lines[-1].startswith('exit codes: 0 ')

@@ -4,23 +4,20 @@
 import contextlib
 import math
 import re
-from dataclasses import replace
 from functools import reduce
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import Observer, new_domain
+from harness import Observer, new_domain
 
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from flying import fly_disturbed
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, WrenchStamped
 from lifecycle_msgs.msg import TransitionEvent
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
-from scenarios import retrieval
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
@@ -29,7 +26,6 @@ from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim import simulation
 from orbimpc_ros.sim.commands import Orders
-from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.pacing import LockStep
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.vehicle import Model
@@ -76,16 +72,6 @@ def complaints(diagnostics, word):
         and status.name == 'sim: flight'
         and word in status.message
     ]
-
-
-def test_a_flight_through_faults_is_the_one_without_ros(launch):
-    """Noise, a fifth of all messages lost: the same seed, the same flight, and no standstill."""
-    scenario = replace(retrieval(), capture_radius=0.3)
-    view = View(Faults(0.05, 0.035, 0.2), 3, scenario.model.step)
-    end = fly_disturbed(LOCKSTEP, scenario, view)
-    assert end.captured
-    told = f'{end.miss:.3f} m from the goal, after {end.ticks} ticks'
-    assert any(told in flown_through(launch, DISTURBED, new_domain()) for _ in range(3))
 
 
 def flown_through(launch, parameters, domain):

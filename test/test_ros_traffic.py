@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from conftest import PATIENCE
+from harness import PATIENCE
 from nav_msgs.msg import Path
 from planners import QUICK, Bench, told
 from rclpy.executors import SingleThreadedExecutor

@@ -2,7 +2,6 @@
 """The vehicles that the documentation sets up, flown with lags, wind and faults."""
 
 import math
-import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,25 +10,24 @@ import numpy as np
 import pytest
 import yaml
 from continuous import Craft, at_rest, flown, turned
-from stepping import Stepped
+from pages import blocks_of
+from problems import needs_machine_code
 
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
-BLOCK = re.compile(r'^```yaml\n(.*?)^```', re.DOTALL | re.MULTILINE)
-needs_machine_code = pytest.mark.skipif(not COMPILED, reason='takes minutes without numba')
 
 
 def recipe(name):
     """The parameters that the page gives under a heading that begins so."""
     (section,) = (each for each in PAGE.read_text().split('\n## ') if name in each.splitlines()[0])
-    (text,) = BLOCK.findall(section)
-    return yaml.safe_load(text)['/**/planner']['ros__parameters']
+    (block,) = (each for each in blocks_of(section) if each.language == 'yaml')
+    return yaml.safe_load(block.text)['/**/planner']['ros__parameters']
 
 
 def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
@@ -46,11 +44,11 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0, wind=None):
         if parameters.get('velocity_source') == 'air':
             velocity = velocity - craft.blown
         seen = motion.attitude.T @ velocity
-        planner.goal(now, goal(now))
-        planner.odometry(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
+        planner.sense(now, GoalObservation(now, np.array(goal(now))))
+        planner.sense(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
         report = planner.report(now)
-        command = report.decision.command
-        log.append((now, motion, command, report.decision))
+        command = report.command
+        log.append((now, motion, command, report))
         wanted = command.speed_fraction
         held = wanted if wanted * craft.forward >= band else 0.0
         dragged = 0.0 if wind is None else 0.2 * (next(wind) - motion.velocity)
@@ -90,16 +88,8 @@ def test_a_fixed_wing_meets_what_drifts_and_never_flies_too_slowly(course):
     assert max(abs(command.body_rate[0]) for *_, command, _ in log) <= 0.4363 * (1.0 + 1e-9)
 
 
-@needs_machine_code
-def test_a_multirotor_hovers_at_its_goal_in_an_unknown_push():
-    craft = Craft(19.6, True, 0.05, 0.05, 0.96, np.array([0.6, -0.4, -9.81]))
-    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
-    start = at_rest(3, fraction=0.5)
-    start = type(start)(start.position, start.velocity, upright, start.rate, 0.5)
-    place = np.array([3.0, -2.0, 4.0])
-    log = flight(recipe('multirotor'), craft, start, lambda now: place, 14.0)
-    late = [motion.position for now, motion, *_ in log if now > 10.0]
-    assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.1
+UPRIGHT = turned(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
+HOVERING = replace(at_rest(3, fraction=0.5), attitude=UPRIGHT)
 
 
 @needs_machine_code
@@ -116,9 +106,7 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
     wide = [float(x) for low, high in around for x in (*(low - margin), *(high + margin))]
     parameters |= {'obstacles': tuple(wide), 'no_corner_cutting': boxes}
     craft = Craft(19.6, True, 0.1, 0.1, 1.0 / 1.2, np.array([0.6, -0.4, -9.81]), turns=3.84)
-    start = at_rest(3, fraction=0.6)
-    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))
-    start = type(start)(start.position, start.velocity, upright, start.rate, 0.6)
+    start = replace(HOVERING, fraction=0.6)
     log = flight(parameters, craft, start, lambda now: place, 11.0)
     away = [np.linalg.norm(motion.position - place) for _, motion, *_ in log]
     assert max(away[80:]) < 0.05
@@ -132,9 +120,7 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
 def test_a_multirotor_stops_above_and_below_at_twice_its_lags(place):
     """To brake there is to turn over, which takes longer than plans know."""
     craft = Craft(19.6, True, 0.1, 0.1, 1.0, np.array([0.0, 0.0, -9.81]), turns=3.84)
-    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))
-    start = replace(at_rest(3, fraction=0.5), attitude=upright)
-    log = flight(recipe('multirotor'), craft, start, lambda now: place, 20.0)
+    log = flight(recipe('multirotor'), craft, HOVERING, lambda now: place, 20.0)
     late = [motion.position for now, motion, *_ in log if now > 12.0]
     assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.05
 
@@ -153,35 +139,27 @@ def test_a_multirotor_holds_its_place_in_gusts(number):
     """In 6 m/s with gusts of 1 m/s, which last for two seconds."""
     rng = np.random.default_rng([2901, number])
     craft = Craft(19.6, True, 0.05, 0.05, 1.0, np.array([0.0, 0.0, -9.81]), turns=3.84)
-    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))
-    start = replace(at_rest(3, fraction=0.5), attitude=upright)
     way, place = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-6.0, 6.0, 3)
     wind = gusts(rng, 6.0 * np.array([np.cos(way), np.sin(way), 0.0]), 1.0, 2.0, 0.1)
-    log = flight(recipe('multirotor'), craft, start, lambda now: place, 20.0, wind=wind)
+    log = flight(recipe('multirotor'), craft, HOVERING, lambda now: place, 20.0, wind=wind)
     late = [motion.position for now, motion, *_ in log if now > 10.0]
     assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.05
 
 
 def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
-    from orbimpc_ros.ros.parameters import planner_settings
     from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool import settings
+    from orbimpc_ros.tool.offline import aboard
 
     values = settings.resolve(settings.config('lander.yaml'))
-    chosen, flight = planner_settings(values), departure(sim_settings(values).scenario)
-    controller = Stepped(
-        chosen.problem,
-        shrinking=True,
-        gap_tolerance=chosen.gap_tolerance,
-        disturbance=chosen.disturbance,
-        response=chosen.response,
-    )
+    planner, flight = aboard(values, clock=None), departure(sim_settings(values).scenario)
     ticks, vehicles = [], []
     while not flight.over:
-        odometry = measured(flight.vehicle)
-        goals = np.tile(flight.goal, (len(controller.ends(odometry.time)), 1))
-        ticks.append(controller.tick(odometry, goals))
+        now = flight.vehicle.time
+        planner.sense(now, GoalObservation(now, flight.goal))
+        planner.sense(now, measured(flight.vehicle))
+        ticks.append(planner.report(now))
         command = ticks[-1].command
         flight = flight.after(command.speed_fraction, command.body_rate)
         vehicles += flight.trail

@@ -5,14 +5,13 @@ import itertools
 import shutil
 import signal
 import subprocess
-import sys
 from collections import defaultdict
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bags import check_pictures, check_rollout
-from harness import TOOL, alive, children_of, orbimpc, wait_for
+from bags import check_pictures, check_rollout, messages_of
+from harness import TOOL, alive, children_of, orbimpc, python, run, wait_for
 from rosbags.rosbag2 import Reader
 
 pytest.importorskip('rclpy')
@@ -82,6 +81,41 @@ def test_the_bag_holds_every_topic_complete(flown):
         assert {f'/{name}' for name in LISTED} <= set(reader.topics)
 
 
+TICK = {
+    'status', 'reason', 'objective', 'lower_bound', 'gap', 'bound_checked', 'infeasible_checked',
+    'nodes', 'solve_time_ms', 'speed_fraction', 'projection_distance', 'fallback', 'cause',
+    'binding', 'advanced', 'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
+    'earliest_catch', 'catch_bound', 'catch_checked', 'obstacles', 'obstacles_left_out',
+    'clearance', 'traffic_stamps', 'margins',
+}  # fmt: skip
+
+
+def test_frames_stamps_and_values_are_as_documented(flown):
+    _, folder = flown
+    found = messages_of(folder)
+    for topic, frame in (('goal', 'odom'), ('rotation', 'odom'), ('plan', 'odom')):
+        assert {each.header.frame_id for each in found[topic].values()} == {frame}
+    assert {each.header.frame_id for each in found['cmd_vel'].values()} == {'base_link'}
+    assert {each.child_frame_id for each in found['odom'].values()} == {'base_link'}
+    for stamp, plan in found['plan'].items():
+        times = [each.header.stamp.sec * SECOND for each in plan.poses]
+        assert times == [stamp + k * SECOND for k in range(6)]
+        assert plan.poses[0].pose.position == found['odom'][stamp].pose.pose.position
+    for stamp, told in ((stamp, bags.fields(each)) for stamp, each in found['tick'].items()):
+        assert set(told) == TICK
+        assert told['goal_stamps'] == {'goal': stamp}
+        assert (told['status'], told['fallback']) == ('optimal', '')
+        assert told['lower_bound'] <= told['objective']
+        assert told['gap'] <= 1e-4
+        assert told['solve_time_ms'] > 0.0
+        assert len(told['speed_fraction']) == 6
+        assert min(told['speed_fraction'][1:]) >= np.sqrt(0.3) - 1e-6
+        assert set(told['margins']) == {'hull', 'floor'}
+        assert min(told['margins'].values()) >= -1e-6
+    caught = [each.content.data for each in bags.read(folder / 'bag') if each.topic == '/caught']
+    assert caught[-1:] == [True]  # before, it may have said that it is not
+
+
 def test_every_plan_is_what_is_flown(flown):
     _, folder = flown
     check_rollout(folder)
@@ -122,8 +156,7 @@ def test_a_node_that_fails_is_shown(tmp_path):
         'p.Process.__init__ = lambda self, module, *a, **k: start(self, module + "x", *a, **k);'
         'from orbimpc_ros.tool import cli; sys.exit(cli.main(sys.argv[1:]))'
     )
-    words = [sys.executable, '-c', script, 'demo', '--out', str(tmp_path)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = python(script, 'demo', '--out', tmp_path)
     assert done.returncode == 1
     assert 'No module named' in done.stderr
     assert 'orbimpc: ' in done.stderr
@@ -133,12 +166,7 @@ def test_a_node_that_fails_is_shown(tmp_path):
 @pytest.mark.skipif(shutil.which('prlimit') is None, reason='no prlimit: apt install util-linux')
 def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
     """A limit on the size of files stands for the disk: the bag is larger than that."""
-    done = subprocess.run(
-        ['prlimit', '--fsize=40000', *TOOL, 'demo', 'retrieval', '--out', str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run('prlimit', '--fsize=40000', *TOOL, 'demo', 'retrieval', '--out', tmp_path)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: file too large'
     assert 'Traceback' not in done.stderr

@@ -139,16 +139,6 @@ def told(recorder, observer, tmp_path):
     return count
 
 
-def test_after_sigterm_the_bag_is_closed_and_whole(recorder, told, tmp_path, capsys):
-    recorder.send_signal(signal.SIGTERM)
-    assert recorder.wait(PATIENCE) == 0
-    stamps = [message.stamp for message in bags.read(tmp_path / 'bag')]
-    assert capsys.readouterr().err == ''
-    assert stamps == sorted(stamps)
-    assert told // 2 < len(stamps) <= told
-    assert bags.notes(tmp_path / 'bag') == {'parameters': '{}'}
-
-
 def test_after_sigkill_the_bag_is_read_up_to_its_last_chunk(recorder, told, tmp_path, capsys):
     recorder.kill()
     recorder.wait(PATIENCE)

@@ -5,17 +5,14 @@ import copy
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import TOOL, orbimpc
+from harness import TOOL, orbimpc, python, run
+from problems import ANSWERS, CASES
 
 from orbimpc_ros.tool import cli
 
-REFERENCE = Path(__file__).parent / 'reference'
-CASES = json.loads((REFERENCE / 'cases.json').read_text())
-ANSWERS = json.loads((REFERENCE / 'answers.json').read_text())
 PLANAR = ['uav_square_0', 'uav_hexagon_0', 'dubins_hull']
 FIELDS = {
     *('status', 'objective', 'lower_bound', 'gap', 'nodes', 'solve_time_ms', 'positions'),
@@ -122,46 +119,41 @@ def test_yaml_reads_like_json(solve):
     )
 
 
-NAN = float('nan')
-# What files may have beside values that are out of range: those are refused like anybody's.
+BALL, BOX = {'centre': [2.0, 0.0], 'radius': 0.5}, {'min': [0, 3], 'max': [1, 4]}
+SPACE = {'centre': [2, 0, 0], 'radius': 1}
+# What files alone may have: values that are out of range are refused like anybody's.
 BAD = {
     'missing horizon': ({'horizon': ...}, 'horizon'),
-    'missing weights': ({'weights': ...}, 'weights'),
-    'missing goal': ({'goal': ...}, 'goal'),
     'missing state': ({'state': ...}, 'state'),
     'missing position': ({'state.position': ...}, 'position'),
-    'missing rotation': ({'state.rotation': ...}, 'rotation'),
     'missing faces': ({'floor.faces': ...}, 'faces'),
-    'missing fraction': ({'floor.fraction': ...}, 'fraction'),
     'unknown field': ({'horizont': 5}, 'horizont'),
     'unknown weight': ({'weights.inputs': 1.0}, 'inputs'),
-    'unknown model': ({'model': 'hovercraft'}, 'model'),
     'unknown floor': ({'floor.shape': 'triangle'}, 'none | polygon | circle'),
     'floor is a list': ({'floor.shape': ['none']}, 'floor.shape'),
-    'unknown terminal': ({'terminal': 'soft'}, 'penalty | constraint'),
     'terminal is a list': ({'terminal': []}, 'penalty | constraint'),
-    'horizon is a word': ({'horizon': 'five'}, 'horizon'),
-    'NaN weight': ({'weights.input': NAN}, 'weights.input'),
     'weight is null': ({'weights.input': None}, 'weights.input'),
-    'infinite position': ({'state.position': [float('inf'), 0.0]}, 'state.position'),
-    'absurd position': ({'state.position': [1e300, 0.0]}, 'state.position'),
-    'absurd whole number': ({'state.position': [10**400, 0]}, 'state.position'),
-    'position in words': ({'state.position': ['0', '0']}, 'state.position'),
     'position ragged': ({'state.position': [0.0, [0.0]]}, 'state.position'),
     'position a mapping': ({'state.position': {'x': 0}}, 'state.position'),
-    'NaN goal': ({'goal': [NAN, 0.0]}, 'goal'),
     'goal empty': ({'goal': []}, 'goal'),
-    'goals too few': ({'goal': [[0.0, 0.0]] * 4}, 'goal'),
     'goals ragged': ({'goal': [[0.0, 0.0]] * 4 + [[0.0]]}, 'goal'),
-    'NaN rotation': ({'state.rotation': [[NAN, 0.0], [0.0, 1.0]]}, 'state.rotation'),
     'rotation a number': ({'state.rotation': 1.0}, 'state.rotation'),
     'velocity at order 1': ({'state.velocity': [0.0, 0.0]}, 'velocity'),
-    'floor above the triangle': (
-        {'floor': {'shape': 'polygon', 'faces': 3, 'fraction': 0.51}},
-        '0.5',
-    ),
     'obstacles not a list': ({'obstacles': {'min': [0, 0], 'max': [1, 1]}}, 'obstacles'),
     'obstacle without max': ({'obstacles': [{'min': [0.0, 0.0]}]}, 'max'),
+    'ball without radius': ({'obstacles': [{'centre': [2.0, 0.0]}]}, 'obstacles'),
+    'hazards not a list': ({'hazards': {}}, 'hazards is {}'),
+    'hazard a number': ({'hazards': [5]}, 'hazards[0] is 5'),
+    'hazard without velocity': ({'hazards': [BALL]}, 'hazards[0] field velocity'),
+    'hazard without shifts': ({'hazards': [{**BOX, 'times': [0, 1]}]}, 'hazards[0] field shifts'),
+    'velocity too short': ({'hazards': [{**BALL, 'velocity': [1.0]}]}, 'hazards[0].velocity'),
+    'hazard in space': ({'hazards': [{**SPACE, 'velocity': [1, 0, 0]}]}, 'hazards is 3'),
+    'approach without cone': ({'approach': {'direction': [0.0, 1.0]}}, 'approach'),
+    'cone a word': ({'approach': {'cone': 'x'}}, 'approach'),
+    'direction a word': ({'approach': {'cone': 0.3, 'direction': 'north'}}, 'approach'),
+    'attitude too small': ({'goal_attitude': [[1.0, 0.0]]}, 'goal_attitude'),
+    'attitude no rotation': ({'goal_attitude': [[2.0, 0.0], [0.0, 2.0]]}, 'state.wanted'),
+    'attitude a word': ({'goal_attitude': 'north'}, 'goal_attitude'),
     'corner cutting a word': ({'no_corner_cutting': 'yes'}, 'no_corner_cutting'),
 }
 
@@ -184,12 +176,8 @@ BAD_TEXT = {
     'empty': ('', 'case'),
     'a list': ('[1, 2]', 'case'),
     'a word': ('hello', 'case'),
-    'cut off': (json.dumps(case())[:-20], 'malformed'),
-    'tabs': ('a:\n\t- b', 'malformed'),
-    'given twice': ('{"dimension": 2, "dimension": 3}', 'twice'),
     'a tag': ('!!python/object/apply:os.system [ls]', 'malformed'),
     'a date': ('dimension: 2020-01-01', 'dimension'),
-    'a key that is a list': ('? [1, 2]\n: 3', 'malformed'),
     'a key that is a number': ('1: 2', 'not a name'),
     'a key with a line break': ('{"a\\nb": 1}', 'a b'),
     'control characters': ('{"a\\u001b[31m": 1}', 'case'),
@@ -209,32 +197,11 @@ def test_unreadable_file_is_refused_in_one_line(tmp_path, tool, content):
     assert_one_line(tool('solve', file), str(file))
 
 
-OUT_OF_REACH = {'terminal': 'constraint', 'goal': [50.0, 0.0]}
-INFEASIBLE = {
-    'terminal': (
-        {**OUT_OF_REACH, 'floor': {'shape': 'none'}},
-        'terminal: constraint',
-    ),
-    'terminal, not the floor': (OUT_OF_REACH, 'terminal: constraint'),
-    'rate': (
-        {
-            'max_rate': 0.1,
-            'terminal': 'constraint',
-            'floor': {'shape': 'none'},
-            'state': {'position': [0.0, 0.0], 'rotation': [[1.0, 0.0], [0.0, 1.0]]},
-            'goal': [-2.0, 0.0],
-        },
-        'max_rate 0.1',
-    ),
-}
-
-
-@pytest.mark.parametrize(('changes', 'blamed'), INFEASIBLE.values(), ids=INFEASIBLE)
-def test_infeasible_names_the_constraint(solve, changes, blamed):
-    code, out, err = solve(case(**changes))
+def test_infeasible_names_the_constraint(solve):
+    code, out, err = solve(case(terminal='constraint', goal=[50.0, 0.0]))
     assert (code, out) == (cli.INFEASIBLE, '')
     assert err.count('\n') == 1
-    assert blamed in err
+    assert 'terminal: constraint' in err
 
 
 def test_process_reads_standard_input():
@@ -292,15 +259,14 @@ def test_the_tool_can_be_interrupted_before_it_has_imported_what_takes_long():
     words = (
         'import sys, orbimpc_ros.tool.cli; print({"numpy", "scipy", "rclpy"} & set(sys.modules))'
     )
-    done = subprocess.run([sys.executable, '-c', words], capture_output=True, text=True, check=True)
-    assert done.stdout == 'set()\n'
+    assert python(words).stdout == 'set()\n'
 
 
 def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
     (tmp_path / 'problem').write_text(json.dumps(case()))
     words = [*TOOL, 'solve', str(tmp_path / 'problem')]
     with open('/dev/full', 'w') as full:
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        done = run(*words, capture_output=False, stdout=full, stderr=subprocess.PIPE)
     assert done.returncode == cli.FAILED
     assert done.stderr == 'orbimpc: output: no space left on device\n'
 

@@ -5,14 +5,12 @@ import json
 import os
 import signal
 import subprocess
-import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 from dying_engine import FAILURES
-from harness import TOOL, orbimpc
+from harness import PATIENCE, ROOT, TOOL, orbimpc, wait_for
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
@@ -26,10 +24,8 @@ from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import OURS, Job, flown
 from orbimpc_ros.tool.study.report import report
 
-ROOT = Path(__file__).parents[1]
 STUDIES = sorted(file.stem for file in (ROOT / 'config' / 'studies').glob('*.yaml'))
 CONFIGS = [str(file) for file in sorted((ROOT / 'config').glob('*.yaml'))]
-PATIENCE = 300.0  # [s] on a busy machine
 
 
 @pytest.mark.parametrize('name', [*STUDIES, *CONFIGS])
@@ -43,8 +39,8 @@ def test_flights_draw_what_is_allowed_and_one_parameter_does_not_change_another(
 
 
 def test_draws_fill_their_ranges():
-    drawn = [draws_of('retrieval').of(5, k) for k in range(400)]
-    found = np.array([each['rope.frequency'] for each in drawn])
+    draws = draws_of('retrieval')
+    found = np.array([draws.of(5, k)['rope.frequency'] for k in range(400)])
     assert 0.02 <= found.min() < 0.03 < 0.29 < found.max() <= 0.3
 
 
@@ -66,7 +62,8 @@ def test_a_parameter_file_is_studied_with_goals_all_around_as_far_away_as_its_ow
 
 
 def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
-    drawn = [draws_of('servicer').of(0, k)['start.orientation'] for k in range(50)]
+    draws = draws_of('servicer')
+    drawn = [draws.of(0, k)['start.orientation'] for k in range(50)]
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0)
     np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.3)
 
@@ -117,6 +114,15 @@ def test_a_row_adds_up():
     lost = flown(job('retrieval', 'pursuit', 0, 'max_ticks=3', 'rope.center=[50.0, 0.0, 0.0]'))
     assert (lost['caught'], lost['time'], lost['ticks']) == (False, None, 3)
     assert lost['closest'] > 30.0
+
+
+def test_faults_of_the_parameter_file_are_flown():
+    noise = 'faults.position_noise=0.1', 'faults.clock_jump=-3.0', 'faults.clock_jump_tick=2'
+    noisy, plain = (flown(job('retrieval', OURS, 0, *faults)) for faults in (noise, ()))
+    assert noisy['closest'] != plain['closest'] < noisy['closest'] + 0.5
+    lost = flown(job('retrieval', 'lead', 0, 'faults.dropout=1.0', 'max_ticks=3'))
+    assert (lost['ticks'], lost['caught']) == (0, False)
+    assert '| 0.0% |' in report(draws_of('retrieval'), {'lead': [lost]})
 
 
 def test_the_end_of_an_arrival_is_reported():
@@ -205,9 +211,8 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
         cwd=ROOT,
         start_new_session=True,
     )
-    file, end = folder / 'flights.jsonl', time.monotonic() + PATIENCE
-    while not (file.exists() and file.read_text().count('\n') > 2) and time.monotonic() < end:
-        time.sleep(0.02)
+    file = folder / 'flights.jsonl'
+    wait_for(lambda: file.exists() and file.read_text().count('\n') > 2)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, err

@@ -11,8 +11,9 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from drawing import GOLDEN, INSTALL, Drawing, needs_rerun
-from harness import TOOL
+from bags import GOLDEN
+from drawing import INSTALL, Drawing, needs_rerun
+from harness import TOOL, wait_for
 
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -229,10 +230,7 @@ def test_it_leaves_nothing_when_it_is_killed():
     assert all(reachable('127.0.0.1', port) for port in serving.ports)
     serving.process.kill()
     serving.process.communicate()
-    end = time.monotonic() + 20.0
-    while any(reachable('127.0.0.1', port) for port in serving.ports):
-        assert time.monotonic() < end
-        time.sleep(0.1)
+    wait_for(lambda: not any(reachable('127.0.0.1', port) for port in serving.ports))
 
 
 # --- live
@@ -251,11 +249,14 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
         launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500})
         found = drawing.drawn
         wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
-        spin_until(watcher, lambda: all(len(found[each]) > 3 for each in wanted))
+
+        def drawn(happened):
+            wait_for(lambda: watcher.spin() or happened())
+
+        drawn(lambda: all(len(found[each]) > 3 for each in wanted))
         # The floor is empty until the planner has answered what its parameters are.
         square = (4, 2, 3)
-        spin_until(
-            watcher,
+        drawn(
             lambda: (
                 found['thrust/floor']
                 and drawing.numbers('thrust/floor', -1, 'strips').shape == square
@@ -265,10 +266,3 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
         watcher.close()
     at, _ = found['world/vehicle'][-1]
     assert abs(at['timestamp'] - time.time()) < 60.0, at
-
-
-def spin_until(watcher, happened):
-    end = time.monotonic() + 40.0
-    while not happened():
-        assert time.monotonic() < end
-        watcher.spin()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from benchmarks.baselines.baseline import Baseline
 from benchmarks.baselines.guidance import Lead, Proportional, PurePursuit, Waypoint
+from orbimpc_ros.install import shared
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.tool.files import read
@@ -19,14 +20,6 @@ BASELINES: dict[str, type[Baseline]] = {
     'waypoint': Waypoint,  # of an engine that has guidance of its own
 }
 TUNED = Path(__file__).with_name('tuned.yaml')
-# Studies whose baselines were tuned on another one, as far as they have no entry of their own.
-LIKE = {
-    'fixed_wing_cone': 'fixed_wing',
-    'fixed_wing_near': 'fixed_wing',
-    'gates': 'crossing',
-    'retrieval_constant': 'retrieval',
-    'retrieval_small': 'retrieval',
-}
 
 
 def baseline_named(
@@ -50,6 +43,7 @@ def baseline_named(
 
 
 def tuned_of(study: str) -> dict[str, dict[str, float]]:
-    """Return the numbers found for a study, by baseline."""
-    known = read(str(TUNED))
-    return {**known.get(LIKE.get(study, study), {}), **known.get(study, {})}
+    """Return the numbers found for a study, by baseline; else for the one that it is like."""
+    known, file = read(str(TUNED)), shared(f'config/studies/{study}.yaml')
+    base = study if file is None else read(str(file)).get('like', study)
+    return {**known.get(base, {}), **known.get(study, {})}

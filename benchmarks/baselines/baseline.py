@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -15,9 +14,9 @@ from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.planner import Decision, Snapshot
 from orbimpc_ros.loop.task import Late
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import MovingObstacle, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
@@ -58,7 +57,7 @@ class Baseline(ABC):
         problem: that the planner would solve.
     """
 
-    TUNABLE: ClassVar[Mapping[str, float]] = {}
+    TUNABLE: ClassVar[dict[str, float]] = {}
 
     def __init__(self, settings: PlannerSettings, tuned: Mapping[str, float]) -> None:
         self.problem = settings.problem
@@ -88,7 +87,7 @@ class Baseline(ABC):
         start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
         time, wind = start.odometry.time, start.disturbance
         hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
-        state = replace(self._compensator.state(start.odometry), hazards=hazards)
+        state = State.at(**start.state, hazards=hazards)
         goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))
         sight = Sight(time, state, goals, ahead.at, np.zeros(2) if wind is None else wind)
         command = self._limited(state, *self.steered(self._led(sight)))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -28,11 +27,7 @@ SLOWER = (1.0, 0.6, 0.2)  # times the wanted speed; each of it lost counts as ha
 class _Guided(Baseline):
     """Steers to where a law wants to point, or aside of what is in the way there."""
 
-    TUNABLE: ClassVar[Mapping[str, float]] = {
-        **BEHIND,
-        'margin': 0.2,
-        'look': 8.0,
-    }
+    TUNABLE: ClassVar[dict[str, float]] = {**BEHIND, 'margin': 0.2, 'look': 8.0}
 
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return the speed and the turn that the law wants, or those of a sidestep."""
@@ -50,11 +45,7 @@ class _Guided(Baseline):
 class PurePursuit(_Guided):
     """Pure pursuit: flies over ground along the line of sight, crabbed into the wind."""
 
-    TUNABLE: ClassVar[Mapping[str, float]] = {
-        **_Guided.TUNABLE,
-        'gain': 1.0,
-        'fraction': 1.0,
-    }
+    TUNABLE = _Guided.TUNABLE | {'gain': 1.0, 'fraction': 1.0}
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
         """Return a part of the turn to the line of sight, and full speed."""
@@ -71,12 +62,7 @@ class Lead(_Guided):
     ``turn`` is the share of the time for the first turn that is taken off the flight.
     """
 
-    TUNABLE: ClassVar[Mapping[str, float]] = {
-        **_Guided.TUNABLE,
-        'gain': 1.0,
-        'fraction': 1.0,
-        'turn': 0.3,
-    }
+    TUNABLE = _Guided.TUNABLE | {'gain': 1.0, 'fraction': 1.0, 'turn': 0.3}
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
         """Return a part of the turn to the point of meeting, and the speed."""
@@ -112,11 +98,7 @@ class Proportional(_Guided):
     Far off the line of sight it turns to it first.
     """
 
-    TUNABLE: ClassVar[Mapping[str, float]] = {
-        **_Guided.TUNABLE,
-        'constant': 3.0,
-        'fraction': 1.0,
-    }
+    TUNABLE = _Guided.TUNABLE | {'constant': 3.0, 'fraction': 1.0}
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
         """Return what the rate of the law makes of a step, and full speed."""

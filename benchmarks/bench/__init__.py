@@ -7,15 +7,13 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 
 from benchmarks.bench.interleaved import OURS, interleaved_run
 from benchmarks.bench.problems import CAP, COMPARISONS, PACKAGES, QUICK_CAP, Comparison
 from benchmarks.bench.results import HULLS, BenchRow, Result, growth, rows_of, table
 from benchmarks.bench.solvers import Solver
-from benchmarks.machine import require_writable
+from benchmarks.machine import require_known, writable
 from orbimpc_ros.install import command
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.run.progress import ProgressLine
 
 WARM_UP = 3  # instances solved before the clock counts
@@ -46,12 +44,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         KeyboardInterrupt: the run was interrupted; the rows so far are kept.
     """
-    for name in args.only or ():
-        if name not in names():
-            raise BadInput('--only', name, ' | '.join(names()))
-    file = Path(args.json).resolve() if args.json else None
-    if file is not None:
-        require_writable(file)
+    require_known(args.only, names())
+    file = writable(args.json)
     result = Result(file)
     try:
         for title, measure in _measurements(args.only or names(), args.quick, result.rows):
@@ -86,7 +80,13 @@ def _measurements(
 def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
     """Return the rows of one comparison; solvers that are not installed are listed as absent."""
     cap, count = QUICK_CAP if quick else CAP, comparison.counts[0 if quick else 1]
-    solvers, absent = _solvers(comparison, cap)
+    solvers, absent = dict[str, Solver](), list[BenchRow]()
+    for name in (OURS, *comparison.rivals):
+        if name == OURS or find_spec(PACKAGES[name]) is not None:
+            solvers[name] = comparison.solver(name, cap)
+        else:
+            required, note = comparison.required.get(name), f'absent: {command(PACKAGES[name])}'
+            absent.append(BenchRow(comparison.title, name, required=required, note=note))
     instances = comparison.instances(comparison.problem, count)
     progress = ProgressLine(len(instances))
     samples = interleaved_run(
@@ -99,28 +99,3 @@ def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
     )
     progress.close()
     return [*rows_of(comparison.title, samples, comparison.required, comparison.gap), *absent]
-
-
-def _solvers(comparison: Comparison, cap: float) -> tuple[dict[str, Solver], list[BenchRow]]:
-    """Return the solvers that take part, and rows of those that are not installed."""
-    made = {name: _installed(comparison, name, cap) for name in (OURS, *comparison.rivals)}
-    absent = [
-        BenchRow(
-            comparison.title,
-            name,
-            required=comparison.required.get(name),
-            note=f'absent: {command(PACKAGES[name])}',
-        )
-        for name, solver in made.items()
-        if solver is None
-    ]
-    return {name: solver for name, solver in made.items() if solver is not None}, absent
-
-
-def _installed(comparison: Comparison, name: str, cap: float) -> Solver | None:
-    try:
-        return comparison.solver(name, cap)
-    except ImportError:
-        if name not in PACKAGES:  # one of our own: that is no absence but a defect
-            raise
-        return None

@@ -20,8 +20,8 @@ from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.vehicle import Vehicle, launched, measured

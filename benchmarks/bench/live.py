@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import Observer
@@ -30,6 +29,7 @@ from benchmarks.bench.instances import around
 from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.results import LATE, BenchRow, percentiles
 from benchmarks.machine import busy, resident
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
@@ -39,7 +39,7 @@ from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.replay.recording import stamp_of
 from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process
+from orbimpc_ros.tool.run.processes import Process, Processes
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
@@ -49,7 +49,6 @@ FAST, FASTEST, SLOW = 50.0, 200.0, 5.0  # [Hz]
 SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
-LEAVE = 5.0  # [s] in which a planner ends
 TRAILING = 10.0  # [s] in which the last answers come, or are lost
 BARE = 'a node that only answers'
 PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'benchmarks.bench.echo'
@@ -63,54 +62,58 @@ PARAMETERS = {
 START, AT_ONCE = 'node: start to first command', 'planners at 5 Hz'
 
 
-@dataclass
-class RoundTrip:
-    """One odometry message and its answer."""
-
-    sent: float  # time of publishing [s]
-    latency: float = math.inf  # until the command has arrived [s]; infinite before
-    solve_ms: float = math.nan  # solve time that the planner reports [ms]; NaN before
-
-
-class Driver:
+class Driver(Observer):
     """Publishes odometry and goals in each namespace, in turns within a period.
 
     Args:
         namespaces: of the planners.
-        executor: of the driver's own node.
+        executor: of this node.
 
     Attributes:
-        ticks: round trips by the stamp of their odometry [ns], for each namespace.
+        sent: when odometry was published [s], by its stamp [ns], for each namespace.
     """
 
     def __init__(self, namespaces: Sequence[str], executor: str) -> None:
-        self._observer = Observer(executor=executor)
-        self.ticks = [dict[int, RoundTrip]() for _ in namespaces]
-        self._answered = [False] * len(namespaces)
-        self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
+        super().__init__(executor=executor)
+        self.sent = [dict[int, float]() for _ in namespaces]
+        # When the command that answers a stamp came [s], and the solve time reported then [ms].
+        self._came, self._solved = dict[int, float](), dict[int, float]()
+        create, self._publishers = self.node.create_publisher, list[tuple[Any, Any]]()
+        for name in namespaces:
+            self.subscribe(TwistStamped, f'{name}/cmd_vel', self._on_command, qos(100))
+            self.subscribe(DiagnosticArray, f'{name}/tick', self._on_tick, qos(100))
+            outputs = (
+                create(Odometry, f'{name}/odom', qos()),
+                create(PoseStamped, f'{name}/goal', qos()),
+            )
+            self._publishers.append(outputs)
         self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
         self._count, self._stamp = 0, 0
 
-    def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
-        subscribe = self._observer.subscribe
-        subscribe(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
-        subscribe(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
-        publish = self._observer.node.create_publisher
-        return (
-            publish(Odometry, f'{namespace}/odom', qos()),
-            publish(PoseStamped, f'{namespace}/goal', qos()),
-        )
+    def _on_command(self, message: TwistStamped) -> None:
+        self._came.setdefault(stamp_of(message), time.monotonic())
 
-    def _on_command(self, i: int, message: TwistStamped) -> None:
-        now = time.monotonic()
-        tick = self.ticks[i].get(stamp_of(message))
-        if tick is not None and tick.latency == math.inf:
-            tick.latency, self._answered[i] = now - tick.sent, True
+    def _on_tick(self, message: DiagnosticArray) -> None:
+        self._solved[stamp_of(message)] = float(fields(message)['solve_time_ms'])
 
-    def _on_tick(self, i: int, message: DiagnosticArray) -> None:
-        tick = self.ticks[i].get(stamp_of(message))
-        if tick is not None:
-            tick.solve_ms = float(fields(message)['solve_time_ms'])
+    def trips(self, i: int) -> Array:
+        """Return latencies and solve times of a planner's ticks, shape (M, 2) [ms].
+
+        The latency is that of the command, infinite without one; an unknown solve time is NaN.
+        """
+        known = [
+            (1e3 * (self._came.get(at, math.inf) - sent), self._solved.get(at, math.nan))
+            for at, sent in self.sent[i].items()
+        ]
+        return np.reshape(known, (-1, 2))
+
+    @property
+    def _answered(self) -> bool:
+        """Return whether all commands came, and all reports of a node that makes any."""
+        came, solved = self._came.keys(), self._solved.keys()
+        asked = [each.keys() for each in self.sent]
+        reported = (each <= solved or each.isdisjoint(solved) for each in asked)
+        return all(each <= came for each in asked) and all(reported)
 
     def drive(self, rate: float, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Publish odometry at a rate [Hz] for a while, or until ``done``."""
@@ -119,7 +122,7 @@ class Driver:
         while sent * gap < seconds and not done():
             self._publish(sent % len(self._publishers))
             sent += 1
-            self._observer.spin(begin + sent * gap - time.monotonic(), done)
+            self.spin(begin + sent * gap - time.monotonic(), done)
 
     def until_answered(self, rate: float) -> None:
         """Drive until every planner has answered.
@@ -127,17 +130,21 @@ class Driver:
         Raises:
             OrbimpcError: one has not.
         """
-        self.drive(rate, MEETING, lambda: all(self._answered))
-        if not all(self._answered):
-            raise OrbimpcError(f'{self._answered.count(False)} planners have not answered')
+
+        def silent() -> int:
+            return sum(self._came.keys().isdisjoint(each) for each in self.sent)
+
+        self.drive(rate, MEETING, lambda: not silent())
+        if silent():
+            raise OrbimpcError(f'{silent()} planners have not answered')
 
     def measure(self, rate: float, seconds: float, warm_up: float) -> None:
         """Drive for a while after a warm-up [s], and wait for the last answers."""
         self.drive(rate, warm_up)
-        for ticks in self.ticks:
-            ticks.clear()
+        for each in self.sent:
+            each.clear()
         self.drive(rate, seconds)
-        self._observer.spin(TRAILING, lambda: all(answered(each.values()) for each in self.ticks))
+        self.spin(TRAILING, lambda: self._answered)
 
     def _publish(self, i: int) -> None:
         odometry, goal = self._publishers[i]
@@ -146,19 +153,8 @@ class Driver:
         self._stamp = max(self._stamp + 1, time.time_ns())
         goal.publish(messages.goal_message(Stamp(self._stamp - AHEAD, FRAMES), flight.goal))
         message = messages.odometry_message(Stamp(self._stamp, FRAMES), measured(flight.vehicle))
-        self.ticks[i][self._stamp] = RoundTrip(time.monotonic())
+        self.sent[i][self._stamp] = time.monotonic()
         odometry.publish(message)
-
-    def close(self) -> None:
-        """Take the node down."""
-        self._observer.close()
-
-
-def answered(ticks: Any) -> bool:
-    """Return whether every command has arrived, and every report of a node that makes any."""
-    commanded = all(tick.latency < math.inf for tick in ticks)
-    reports = [not math.isnan(tick.solve_ms) for tick in ticks]
-    return commanded and (all(reports) or not any(reports))
 
 
 def measurements(
@@ -188,25 +184,16 @@ def _driven(
         nodes: their modules by namespace.
         executor: of all.
     """
-    processes = list[Process]()
     # The environment will name the folder, which goes away: it is restored.
     with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
         folder = Path(name)
         discovery.isolate(folder)
         file = folder / 'planner.yaml'
-        settings.write(file, PARAMETERS, executor=executor)
-        with closing(Driver([*nodes], executor)) as driver:
-            try:
-                for i, (namespace, module) in enumerate(nodes.items()):
-                    log = folder / f'node-{i}.log'
-                    processes.append(Process(module, file, log, namespace=namespace))
-                yield driver, processes
-            finally:
-                for process in processes:  # all at once, so that none waits for another to end
-                    process.tell(signal.SIGINT)
-                for process in processes:
-                    process.wait(LEAVE)
-                    process.stop()
+        file.write_text(settings.text(PARAMETERS | {'executor': executor}))
+        with closing(Driver([*nodes], executor)) as driver, Processes() as processes:
+            for i, (namespace, module) in enumerate(nodes.items()):
+                processes.start(module, file, folder / f'node-{i}.log', namespace=namespace)
+            yield driver, processes
 
 
 def _start(count: int) -> list[BenchRow]:
@@ -235,22 +222,19 @@ def latency(title: str, rate: float, executor: str, seconds: float) -> list[Benc
         before = [busy(process.pid) for process in processes]
         driver.measure(rate, seconds, SETTLED / rate)
         taken = [busy(each.pid) - begun for each, begun in zip(processes, before, strict=True)]
-        ours, bare = ([*ticks.values()] for ticks in driver.ticks)
-    done = [t for t in ours if t.latency < math.inf and not math.isnan(t.solve_ms)]
-    whole = [1e3 * t.latency for t in done]
-    beside = percentiles([1e3 * t.latency - t.solve_ms for t in done])
-    echoed = [1e3 * t.latency for t in bare if t.latency < math.inf]
+        ours, bare = driver.trips(0), driver.trips(1)[:, 0]
+    done = ours[np.isfinite(ours).all(axis=1)]
+    beside, floor = percentiles(done[:, 0] - done[:, 1]), percentiles(bare[np.isfinite(bare)])
     # Where one is quicker by chance, what it adds is too little to be seen, and not negative.
-    floor = percentiles(echoed)
     added = max(0.0, beside[0] - floor[0]), max(0.0, beside[1] - floor[1])
     limits = {'p50_ms': 0.6, 'p99_ms': 2.0} if rate == FAST else None
-    lost = float(sum(t.latency == math.inf for t in ours))
-    count, ticks = len(done), SETTLED + len(ours)
+    lost, ticks = float(np.isinf(ours[:, 0]).sum()), SETTLED + len(ours)
+    count, echoed = len(done), int(np.isfinite(bare).sum())
     return [
-        BenchRow(title, OURS, count, *percentiles(whole)),
-        BenchRow(title, 'the solve alone', count, *percentiles([t.solve_ms for t in done])),
+        BenchRow(title, OURS, count, *percentiles(done[:, 0])),
+        BenchRow(title, 'the solve alone', count, *percentiles(done[:, 1])),
         BenchRow(title, 'without the solve', count, *beside),
-        BenchRow(title, BARE, len(echoed), *floor),
+        BenchRow(title, BARE, echoed, *floor),
         BenchRow(title, 'difference of the two', count, *added, required=limits),
         BenchRow(f'{title}: lost', OURS, len(ours), objective=lost, required={'objective': 0.0}),
         *(
@@ -268,9 +252,8 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
     with _driven({f'/p{i}': PLANNER for i in range(count)}) as (driver, _):
         driver.until_answered(SLOW)
         driver.measure(SLOW, seconds, WARM_UP)
-        times = [1e3 * tick.latency for ticks in driver.ticks for tick in ticks.values()]
-    late = float(sum(time > 1e3 / SLOW for time in times))
-    reached = percentiles([time for time in times if time < math.inf])
+        times = np.concatenate([driver.trips(i)[:, 0] for i in range(count)])
+    late, reached = float((times > 1e3 / SLOW).sum()), percentiles(times[np.isfinite(times)])
     title = f'{AT_ONCE}, {count} at once: {LATE}'
     required = {'objective': 0.0} if count == PLANNERS[-1] else None
     return [BenchRow(title, OURS, len(times), *reached, objective=late, required=required)]

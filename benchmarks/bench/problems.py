@@ -36,7 +36,6 @@ GUROBI, SCIP, IPOPT, CVXPY = 'Gurobi', 'SCIP', 'IPOPT (local)', 'CVXPY + Clarabe
 PACKAGES = {GUROBI: 'gurobipy', SCIP: 'pyscipopt', IPOPT: 'casadi', CVXPY: 'cvxpy'}
 CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
 DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
-LOCAL = 1e-6  # a local solver's own tolerance, at most: looser ones leave limits violated
 SEVERAL = 5  # time limits that a rival may use up, where it meets few of the instances
 FULL, RATE = 15.0, 0.4363  # [m/s], [rad/s] of the wing in config/fixed_wing.yaml
 ROUND, OCTAGON = Floor('circle', fraction=2.0 / 3.0), Floor('polygon', 8, 2.0 / 3.0)
@@ -80,14 +79,11 @@ class Comparison:
             from benchmarks.bench.solvers.conic import Conic
 
             return Conic(self.problem)
-        if name == IPOPT:
-            from benchmarks.bench.solvers.ipopt import Ipopt
+        from benchmarks.bench.solvers.mixed import gurobi, ipopt, scip
 
-            return Ipopt(self.problem, min(self.gap, LOCAL))
-        from benchmarks.bench.solvers.mixed import gurobi, scip
-
-        kind = gurobi() if name == GUROBI else scip(fast=self.key != DEFAULTS)
-        return kind(self.problem, self.gap, cap, closed_loop=follows)
+        fast = self.key != DEFAULTS
+        kind = scip(fast) if name == SCIP else {GUROBI: gurobi, IPOPT: ipopt}[name]()
+        return kind(self.problem, self.gap, cap, closed_loop=follows and name != IPOPT)
 
 
 def _times(p50: float, p99: float, **more: float) -> Mapping[str, float]:

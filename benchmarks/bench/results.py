@@ -68,7 +68,7 @@ class BenchRow:
         return bool(value >= limit if name.startswith('ratio') else value <= limit)
 
 
-def percentiles(times: Sequence[float]) -> tuple[float, float]:
+def percentiles(times: Sequence[float] | Array) -> tuple[float, float]:
     """Return median and 99th percentile."""
     p50, p99 = np.percentile(times, [50, 99])
     return float(p50), float(p99)

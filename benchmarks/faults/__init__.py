@@ -14,12 +14,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks.machine import machine, require_writable
+from benchmarks.machine import machine, require_known, writable
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
 if TYPE_CHECKING:
-    from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.matrix import FaultCase, MatrixRow
 
 
@@ -39,35 +38,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
-    if args.json:
-        require_writable(Path(args.json).resolve())
+    file = writable(args.json)
     if find_spec('rclpy') is None:
         hint = f'install ROS 2, or {command_for_extra("ros")}'
         raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)
-    cases = _wanted(args.only)
+    from benchmarks.faults import inputs, processes
+
+    matrix = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
+    require_known(args.only, [case.name for case in matrix])
+    cases = [case for case in matrix if not args.only or case.name in args.only]
     if args.list:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
     rows = tried(cases, args.long, args.executor)
-    if args.json:
+    if file is not None:
         result = {'machine': machine(), 'rows': [row.as_json() for row in rows]}
-        Path(args.json).write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
+        file.write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
     return 0 if all(row.ok for row in rows) else 1
-
-
-def _wanted(only: Sequence[str] | None) -> list[FaultCase]:
-    from benchmarks.faults import inputs, processes
-
-    matrix = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
-    names = [case.name for case in matrix]
-    for name in only or ():
-        if name not in names:
-            raise BadInput('--only', name, ' | '.join(names))
-    return [case for case in matrix if not only or case.name in only]
 
 
 def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixRow]:
     """Return the rows of fault cases and print them; all processes are gone at the end.
+
+    A planner that never recovers ends its row alone.
 
     Args:
         cases: to try.
@@ -75,7 +68,7 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixR
         executor: of the nodes.
     """
     from benchmarks.faults.harness import Fixtures
-    from benchmarks.faults.matrix import MatrixRow, table
+    from benchmarks.faults.matrix import MatrixRow, Outcome, table
     from orbimpc_ros.tool.run.progress import ProgressLine
 
     rows, progress = [MatrixRow(case) for case in cases], ProgressLine(len(cases))
@@ -86,27 +79,20 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixR
             Fixtures(Path(name), executor) as fixtures,
         ):
             for number, row in enumerate(rows):
-                for count in _tried(row, fixtures, long):
-                    progress.show(number, f'{row.case.title}: {count} cases')
+                begin = time.monotonic()
+                try:
+                    for outcome in row.case.cases(fixtures, long):
+                        row.outcomes.append(outcome)
+                        row.seconds = time.monotonic() - begin
+                        count = len(row.outcomes)
+                        progress.show(number, f'{row.case.title}: {count} cases')
+                except OrbimpcError as error:
+                    row.outcomes.append(Outcome('then', failure=str(error)))
+                    fixtures.clear()
             progress.close()
     finally:
         print(table([row for row in rows if row.outcomes]))
     return rows
-
-
-def _tried(row: MatrixRow, fixtures: Fixtures, long: bool) -> Iterator[int]:
-    """Try a row, yielding its cases so far; a planner that never recovers ends the row alone."""
-    from benchmarks.faults.matrix import Outcome
-
-    begin = time.monotonic()
-    try:
-        for outcome in row.case.cases(fixtures, long):
-            row.outcomes.append(outcome)
-            row.seconds = time.monotonic() - begin
-            yield len(row.outcomes)
-    except OrbimpcError as error:
-        row.outcomes.append(Outcome('then', failure=str(error)))
-        fixtures.clear()
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -27,7 +27,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process
+from orbimpc_ros.tool.run.processes import Process, Processes
 
 Some = TypeVar('Some', bound='Session')
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
@@ -45,19 +45,11 @@ PLANNER: dict[str, Any] = {
 }  # [s], [m], [rad/s]
 
 
-class Place(NamedTuple):
-    """A folder for parameters and logs, a ROS domain, and the executor of nodes."""
-
-    folder: Path
-    domain: int
-    executor: str
-
-
 class Session(Observer):
-    """Processes that are stopped, the last one first, when the session ends.
+    """Processes that are stopped when the session ends.
 
     Args:
-        place: of the processes.
+        fixtures: give it a folder, a DDS domain and the executor of nodes.
         limits: of commands.
 
     Attributes:
@@ -65,22 +57,21 @@ class Session(Observer):
         monitor: of commands, ticks and diagnostics.
     """
 
-    def __init__(self, place: Place, limits: Limits) -> None:
-        super().__init__(place.domain)
-        self.folder, self._place, self.monitor = place.folder, place, Monitor(limits)
+    def __init__(self, fixtures: Fixtures, limits: Limits) -> None:
+        self.folder, self.executor = fixtures.folder(), fixtures.executor
+        self.monitor = Monitor(limits)
+        super().__init__(discovery.isolate(self.folder))
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
         self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
-        self._processes: list[Process] = []
+        self._processes = Processes()
 
     def launch(self, module: str, values: Mapping[str, Any]) -> Process:
         """Return a new process of a node's module with parameters."""
         name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
-        settings.write(file, {**values, 'executor': self._place.executor})
-        process = Process(module, file, file.with_suffix('.log'), self.domain)
-        self._processes.append(process)
-        return process
+        file.write_text(settings.text({**values, 'executor': self.executor}))
+        return self._processes.start(module, file, file.with_suffix('.log'), self.domain)
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:
         """Spin until ``done``.
@@ -102,8 +93,7 @@ class Session(Observer):
         return self
 
     def __exit__(self, *_error: object) -> None:
-        for process in reversed(self._processes):
-            process.stop()
+        self._processes.__exit__()
         self.close()
 
 
@@ -111,7 +101,7 @@ class Harness(Session):
     """Feeds a planner at a steady rate and records all that it publishes, until closed.
 
     Args:
-        place: of the planner.
+        fixtures: of the session.
         parameters: of the planner, beside those of all harnesses.
         simulated: whether to be the planner's clock as well.
         seed: of all draws.
@@ -120,13 +110,13 @@ class Harness(Session):
     Attributes:
         planner: its process.
         draw: generator of all draws.
-        spoiled: fault of the stimulus.
+        spoiled: changes of ``odometry`` and ``goal`` on their way; what is not in it is healthy.
         jump: error of the clock [s]; only where that is simulated.
     """
 
     def __init__(
         self,
-        place: Place,
+        fixtures: Fixtures,
         parameters: Mapping[str, Any] | None = None,
         *,
         simulated: bool = False,
@@ -134,9 +124,9 @@ class Harness(Session):
         module: str = NODE,
     ) -> None:
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
-        super().__init__(place, Limits(1.0, self._values['max_rate']))
+        super().__init__(fixtures, Limits(1.0, self._values['max_rate']))
         self._simulated, self._module = simulated, module
-        self.draw, self.spoiled = random.Random(seed), stimulus.HEALTHY
+        self.draw, self.spoiled = random.Random(seed), dict[str, stimulus.Spoiler]()
         self.jump, self._frozen_at = 0.0, math.nan
         self._begun = self._due = time.monotonic()
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
@@ -183,12 +173,13 @@ class Harness(Session):
         if self._simulated:
             self._clock.publish(Clock(clock=messages.time_message(self.now)))
         goal = stimulus.goal_at(time.monotonic() - self._begun, self.now)
-        self._publish(self.goal, goal, self.spoiled.goal)
+        self._publish(self.goal, goal, 'goal')
         if self.odometry is not None:
             odometry = stimulus.odometry_at(time.monotonic() - self._begun, self.now)
-            self._publish(self.odometry, odometry, self.spoiled.odometry)
+            self._publish(self.odometry, odometry, 'odometry')
 
-    def _publish(self, publisher: Any, message: Any, spoil: stimulus.Spoiler | None) -> None:
+    def _publish(self, publisher: Any, message: Any, name: str) -> None:
+        spoil = self.spoiled.get(name)
         for each in [message] if spoil is None else spoil(message, self.draw):
             publisher.publish(each)
 
@@ -226,22 +217,22 @@ class Fixtures(AbstractContextManager['Fixtures']):
     """
 
     def __init__(self, folder: Path, executor: str = 'wait_set') -> None:
-        self._folder, self._executor, self._count = folder, executor, 0
+        self._folder, self.executor, self._count = folder, executor, 0
         self._shared: dict[str, Harness] = {}
         self._stack = ExitStack()
         for part in PARTS:
             part()
 
-    def place(self) -> Place:
-        """Return a place with a folder and a DDS domain of its own."""
+    def folder(self) -> Path:
+        """Return a new folder."""
         self._count += 1
         folder = self._folder / f'{self._count:03}'
         folder.mkdir()
-        return Place(folder, discovery.isolate(folder), self._executor)
+        return folder
 
     def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
         """Return a new harness, to be closed."""
-        return Harness(self.place(), parameters, **more)
+        return Harness(self, parameters, **more)
 
     def shared(self, parameters: Mapping[str, Any], *, simulated: bool = False) -> Harness:
         """Return the shared harness of some parameters; its planner runs."""

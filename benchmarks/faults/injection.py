@@ -13,7 +13,6 @@ from typing import Any
 from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import Monitor, complaint
-from benchmarks.faults.stimulus import HEALTHY
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
 RUNNING = (MIDWAY, SOLVING)
@@ -21,6 +20,7 @@ TIMES = (START, *RUNNING)
 SEEDS = (1, 2, 3)
 AFTER = 3  # ticks that a fault lasts beyond the latest reaction
 INTO = 0.03  # [s] of a solve
+UNITS = {'ticks': STEP, 's': 1.0}  # of reactions [s]
 # A search that lasts until its deadline, with a plan at hand: nearly constant speed, limited turns,
 # and a gap that it cannot close.
 SLOW = {
@@ -35,7 +35,7 @@ SLOW = {
 
 
 def _healthy(harness: Harness) -> None:
-    harness.spoiled = HEALTHY
+    harness.spoiled = {}
 
 
 def _flawless(_harness: Harness, _since: float) -> str:
@@ -52,14 +52,11 @@ class Fault:
     # time after which no earlier plan may be flown: an input counts as stale, and the plan that
     # outlives it has had its ticks [s]
     wait: float = 0.0
-    allowed: float = 1.0  # ticks after that
     strict: bool = True  # whether the planner must be safe as long as the fault lasts
-    # returns when the reaction came, since a time [s]; None where none is due
-    event: Callable[[Monitor, float], float] | None = Monitor.first_safe
+    event: Callable[[Monitor, float], float] = Monitor.first_safe  # the reaction, since a time [s]
     # returns any other failure in words, since a time [s]
     flaw: Callable[[Harness, float], str] = _flawless
     times: Sequence[str] = TIMES  # moments of injection in the long form
-    unit: float = STEP  # of the reaction [s]
 
 
 def fault_case(
@@ -93,28 +90,28 @@ def fault_case(
         for seed in SEEDS if long else SEEDS[:1]:
             if own:
                 with fixtures.harness(seed=seed, **own) as harness:
-                    yield from (injected(harness, *pair) for pair in pairs)
+                    yield from (injected(harness, *pair, UNITS[unit]) for pair in pairs)
             else:
                 for fault, when in pairs:
                     slow = SLOW if when == SOLVING else {}
                     harness = fixtures.shared(slow, simulated=simulated)
                     harness.draw.seed(f'{fault.name} {when} {seed}')
-                    yield injected(harness, fault, when)
+                    yield injected(harness, fault, when, UNITS[unit])
 
     return FaultCase(name, title, allowed, run, unit)
 
 
-def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
-    """Return the outcome of a fault; the planner is healthy again at the end.
+def injected(harness: Harness, fault: Fault, when: str, unit: float) -> Outcome:
+    """Return the outcome of a fault, in units of time [s]; the planner is healthy again at the end.
 
     Raises:
         OrbimpcError: it does not recover.
     """
     begin, late = _begun(harness, fault, when), math.nan
     due = (time.monotonic() if when == START else begin) + fault.wait
-    harness.spin(due + fault.allowed * STEP - time.monotonic())
-    if when != START and fault.event is not None:
-        late = max(0.0, harness.until_first(fault.event, begin) - due) / fault.unit
+    harness.spin(due + STEP - time.monotonic())
+    if when != START:
+        late = max(0.0, harness.until_first(fault.event, begin) - due) / unit
     harness.spin(AFTER * STEP)
     unsafe = unsafe_commands(harness.monitor, fault, begin, due)
     if when == START and fault.strict:  # then there is nothing from before to be flown
@@ -135,7 +132,7 @@ def unsafe_commands(monitor: Monitor, fault: Fault, begin: float, due: float) ->
         begin: when it began [s].
         due: when nothing planned before may be flown any more [s].
     """
-    again = monitor.moving_again(due, due + fault.allowed * STEP)
+    again = monitor.moving_again(due, due + STEP)
     return monitor.broken(begin) + (again if fault.strict else 0)
 
 

@@ -17,7 +17,7 @@ from benchmarks.faults import stimulus
 from benchmarks.faults.harness import STEP, Harness
 from benchmarks.faults.injection import MIDWAY, RUNNING, SOLVING, START, Fault, fault_case
 from benchmarks.faults.monitor import Monitor, complaint
-from benchmarks.faults.stimulus import HUGE, Spoiled, Spoiler, shifted, with_field
+from benchmarks.faults.stimulus import HUGE, Spoiler, shifted, with_field
 from orbimpc_ros.loop.planner import FALLBACK_TICKS
 from orbimpc_ros.mpc.outcome import Fallback
 from orbimpc_ros.ros.process import qos
@@ -36,19 +36,19 @@ WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # everywhere is inside of this box
 ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
 
 
-def _spoils(spoiled: Spoiled) -> Callable[[Harness], None]:
+def _spoiled(name: str, topic: str, spoil: Spoiler, **more: Any) -> Fault:
     def begin(harness: Harness) -> None:
-        harness.spoiled = spoiled
+        harness.spoiled = {topic: spoil}
 
-    return begin
+    return Fault(name, begin, **more)
 
 
 def _odometry(name: str, spoil: Spoiler, **more: Any) -> Fault:
-    return Fault(name, _spoils(Spoiled(odometry=spoil)), wait=STALE, **more)
+    return _spoiled(name, 'odometry', spoil, wait=STALE, **more)
 
 
 def _goal(name: str, spoil: Spoiler, **more: Any) -> Fault:
-    return Fault(name, _spoils(Spoiled(goal=spoil)), wait=LOST, **more)
+    return _spoiled(name, 'goal', spoil, wait=LOST, **more)
 
 
 def _stamps() -> list[Fault]:
@@ -92,9 +92,9 @@ def _garbage() -> list[Fault]:
 
 def _velocities() -> list[Fault]:
     """Return velocities along the world's axes: doubted, and flown with."""
-    spoils = _spoils(Spoiled(odometry=stimulus.in_the_world))
-    doubted = complaint('see velocity_frame')
-    return [Fault('of the world', spoils, strict=False, event=doubted, times=(MIDWAY,), unit=1.0)]
+    known: Any = {'strict': False, 'event': complaint('see velocity_frame')}
+    turned = stimulus.in_the_world
+    return [_spoiled('of the world', 'odometry', turned, times=(MIDWAY,), **known)]
 
 
 def _frozen() -> list[Fault]:
@@ -154,7 +154,7 @@ def _mismatch() -> Sequence[Fault]:
 
     return [
         _endpoints('latched cmd_vel', subscribe, lambda h, it: h.node.destroy_subscription(it),
-                   strict=False, event=Monitor.first_error, times=(MIDWAY,), unit=1.0)
+                   strict=False, event=Monitor.first_error, times=(MIDWAY,))
     ]  # fmt: skip
 
 

@@ -25,14 +25,13 @@ from benchmarks.faults.harness import (
     STEP,
     Fixtures,
     Harness,
-    Place,
     Session,
 )
 from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
 from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
-from benchmarks.faults.stimulus import HEALTHY, SLIP, Spoiled, with_field
+from benchmarks.faults.stimulus import SLIP, with_field
 from benchmarks.machine import resident
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
@@ -126,7 +125,7 @@ def _soak(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """A controller that raises: one is survived, after five in a row the planner has to leave."""
-    slipping = Spoiled(odometry=with_field('twist.twist.linear.y', SLIP))
+    slipping = {'odometry': with_field('twist.twist.linear.y', SLIP)}
     for seed in SEEDS if long else SEEDS[:1]:
         with fixtures.harness(seed=seed, module=ALTERED) as harness:
             until_due(harness, MIDWAY)
@@ -134,7 +133,7 @@ def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
             harness.spin(2.5 * STEP)
             raised = begin + 1.0 / RATE + STEP  # at the latest: the next odometry, the next tick
             late = max(0.0, harness.monitor.first_safe(begin) - raised) / STEP
-            harness.spoiled = HEALTHY
+            harness.spoiled = {}
             harness.until_planned()
             yield Outcome('raises', harness.monitor.broken(), late)
             harness.spoiled, begin = slipping, time.monotonic()
@@ -189,7 +188,7 @@ class Flying(Session):
     """The retrieval in real time, faster than the paper's by a factor: planner and simulator.
 
     Args:
-        place: of the nodes.
+        fixtures: of the session.
         step: between ticks [s]; speed, swing and cost of turning are scaled with it.
         seed: of random moments.
 
@@ -198,8 +197,8 @@ class Flying(Session):
         captured: how the flight ended; None while it lasts.
     """
 
-    def __init__(self, place: Place, *, step: float, seed: int) -> None:
-        super().__init__(place, Limits(1.0 / step, math.pi / step))
+    def __init__(self, fixtures: Fixtures, *, step: float, seed: int) -> None:
+        super().__init__(fixtures, Limits(1.0 / step, math.pi / step))
         self.draw = random.Random(seed)
         self.usual = 16 * step  # [s] until the capture
         self.captured: bool | None = None
@@ -262,14 +261,14 @@ def _silenced(flying: Flying, number: int, case: str) -> Outcome:
 def _killed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """The planner is killed in flight: the vehicle stops."""
     for number in range(20 if long else 1):
-        with Flying(fixtures.place(), step=1.0 if number % 2 else 0.2, seed=number) as flying:
+        with Flying(fixtures, step=1.0 if number % 2 else 0.2, seed=number) as flying:
             yield _silenced(flying, signal.SIGKILL, f'killed {number + 1}')
 
 
 def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """The planner hangs for a while, or its link is cut: the vehicle stops, and then flies on."""
     for number in range(6 if long else 1):
-        with Flying(fixtures.place(), step=0.2, seed=number) as flying:
+        with Flying(fixtures, step=0.2, seed=number) as flying:
             outcome = _silenced(flying, signal.SIGSTOP, f'hung {number + 1}')
             flying.planner.tell(signal.SIGCONT)
             flying.until_over()
@@ -281,7 +280,7 @@ def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """The planner is killed at a random moment of the retrieval, and started again."""
     for number in range(20 if long else 1):
-        with Flying(fixtures.place(), step=0.2, seed=number) as flying:
+        with Flying(fixtures, step=0.2, seed=number) as flying:
             flying.until_moving()
             flying.spin(flying.draw.uniform(0.0, flying.usual))
             flying.planner.tell(signal.SIGKILL)

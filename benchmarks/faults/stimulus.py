@@ -7,7 +7,6 @@ import copy
 import math
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,17 +47,6 @@ def goal_at(seconds: float, stamp: int) -> PoseStamped:
     """Return a goal that swings in the middle of the circle."""
     swing = 0.3 * math.sin(0.5 * seconds)
     return messages.goal_message(Stamp(stamp, FRAMES), np.array([swing, RADIUS]))
-
-
-@dataclass(frozen=True)
-class Spoiled:
-    """Changes of odometry and goals on their way; None leaves them as they are."""
-
-    odometry: Spoiler | None = None
-    goal: Spoiler | None = None
-
-
-HEALTHY = Spoiled()
 
 
 def lost(_message: Any, _draw: random.Random) -> list[Any]:

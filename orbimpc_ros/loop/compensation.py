@@ -27,16 +27,15 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array, number
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
-from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import MovingObstacle, Problem, State
+from orbimpc_ros.mpc.plan import Command, Plan
+from orbimpc_ros.mpc.problem import Problem
 
 MEMORY = 32  # commands; whatever was sent before them is taken as measured
 NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
@@ -76,31 +75,27 @@ class CommandHistory:
 
     Attributes:
         last: the last command, sent or about to be; None before the first.
+        sent: commands of late and when they were, where that is known [s].
     """
 
     def __init__(self) -> None:
         self.last: Command | None = None
-        self._sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+        self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
 
     @property
     def fraction(self) -> float:
         """Return the share of full speed or thrust commanded last; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
-    @property
-    def is_empty(self) -> bool:
-        """Return whether it is unknown of every command when it was sent."""
-        return not self._sent
-
     def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
         """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
 
         Without times the last command counts as reached; ``begun`` is the share before the first.
         """
-        if not self._sent or lag == 0.0:
+        if not self.sent or lag == 0.0:
             return self.fraction
-        since, first = self._sent[0]
-        reached = begun if len(self._sent) < MEMORY else first.speed_fraction
+        since, first = self.sent[0]
+        reached = begun if len(self.sent) < MEMORY else first.speed_fraction
         for interval in self.intervals(since, time):
             assert interval.command is not None
             reached, _ = _followed(reached, interval.command, interval.duration, lag)
@@ -125,16 +120,16 @@ class CommandHistory:
         """Note a command sent at a time [s], if that is known; times do not decrease."""
         self.last = command
         if at is not None:
-            self._sent.append((at, command))
+            self.sent.append((at, command))
 
     def forget(self) -> None:
         """Forget since when commands are in force, for instance because the clock jumped."""
-        self._sent.clear()
+        self.sent.clear()
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
         found, before, command, since = [], None, None, begin
-        for at, following in self._sent:
+        for at, following in self.sent:
             if since < at < end:
                 found.append(Interval(at - since, command, before))
                 since = at
@@ -360,7 +355,7 @@ class Estimator:
         if last is not None and odometry.time <= last.time:
             return
         self._last = odometry
-        if history.is_empty and not self._problem.inertial:
+        if not history.sent and not self._problem.inertial:
             self._begin(odometry)
         moved = None if last is None else self._moved(last, odometry, history)
         if moved is None:
@@ -500,9 +495,10 @@ class Estimator:
 
 
 class Start(NamedTuple):
-    """Where a plan starts; the fields but the first and the last two are those of a decision."""
+    """Where a plan starts; ``advanced`` to ``innovation`` are fields of a decision, too."""
 
     odometry: Odometry  # what to plan from
+    state: dict[str, Any]  # the same as arguments of State.at
     advanced: float  # [s]
     led: float  # [s]
     disturbance: Array | None  # shape (n,)
@@ -595,7 +591,8 @@ class Compensator:
         moved = odometry.time - measured.time - led
         innovation = None if self._estimator is None else self._estimator.innovation
         odd = self.odd_speed(odometry)
-        return Start(odometry, moved, led, self.disturbance, innovation, limited, odd)
+        state = self.state(odometry)
+        return Start(odometry, state, moved, led, self.disturbance, innovation, limited, odd)
 
     def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""
@@ -639,26 +636,13 @@ class Compensator:
             return settled
         return replace(settled, body_rate=coming.body_rate)
 
-    def state(
-        self,
-        odometry: Odometry,
-        reached: float | None = None,
-        wanted: Array | None = None,
-        hazards: tuple[MovingObstacle, ...] = (),
-    ) -> State:
-        """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
+    def state(self, odometry: Odometry) -> dict[str, Any]:
+        """Return the state there, as arguments of State.at: R_0 = sigma_0 Q_0, in conv SO(n).
 
         At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate``
         the one that commands have led to: a gust is no change of speed that a plan has to make up
         for, and a vehicle in a dead band would never be told more than a step from the speed that
         it has.
-
-        Args:
-            odometry: there.
-            reached: the share of full speed that changes of speed count from, where they are
-                limited; None before the first command: from the measured one.
-            wanted: the rotation wanted at the end, shape (n, n); None for any.
-            hazards: what moves.
         """
         problem, coming, velocity = self._problem, self.coming, None
         applied = 0.0 if coming is None else coming.speed_fraction
@@ -675,17 +659,14 @@ class Compensator:
         coasted = None
         if problem.rotation_order == 2:
             coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
-        return State.at(
-            position=odometry.position,
-            rotation=fraction * odometry.attitude,
-            velocity=velocity,
-            attitude=odometry.attitude,
-            coasted=coasted,
-            disturbance=self.disturbance,
-            commanded=reached,
-            wanted=wanted,
-            hazards=hazards,
-        )
+        return {
+            'position': odometry.position,
+            'rotation': fraction * odometry.attitude,
+            'velocity': velocity,
+            'attitude': odometry.attitude,
+            'coasted': coasted,
+            'disturbance': self.disturbance,
+        }
 
     def odd_speed(self, odometry: Odometry) -> str:
         """Return that the measured speed is not one that the model knows, in words; else empty.

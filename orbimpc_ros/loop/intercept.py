@@ -557,9 +557,10 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
+    coasted = drift(problem, state)[-1]
     flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
     way = problem.step * problem.forward * flown
-    return np.asarray(drift(problem, state)[-1] + way - plan.positions[-1])
+    return np.asarray(coasted + way - plan.positions[-1])
 
 
 def _means(attitudes: Array) -> Array:

@@ -8,8 +8,9 @@ Nothing here reads a clock or a message: the node, replays, studies and tests ca
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,23 +25,16 @@ from orbimpc_ros.loop.fallback import (
     may_stop,
     safe_command,
 )
-from orbimpc_ros.loop.goal.motion import GoalMotion
-from orbimpc_ros.loop.goal.route import Paced, Route
-from orbimpc_ros.loop.intercept import (
-    FARTHEST,
-    Intercept,
-    Interception,
-    InterceptQuery,
-)
+from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
+from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
-from orbimpc_ros.mpc.check import command_violations, holds
-from orbimpc_ros.mpc.command import Command, command_of, flaw
+from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, assemble, command_of, later
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
@@ -104,6 +98,8 @@ class Decision(ByContent):
     disturbance: Array | None = None  # planned with, shape (n,) [m/s] or [m/s^2]; None for none
     innovation: float | None = None  # of odometry, in deviations, where w is estimated
     left_out: int = 0  # moving obstacles within reach that were too many to plan with
+    solve_time_ms: float = 0.0  # of all of it, check included; 0 if nothing was solved [ms]
+    heard: Mapping[str, Any] = field(default_factory=dict)  # see Inputs.heard: replays need it
 
     @property
     def case(self) -> Case | None:
@@ -221,13 +217,8 @@ class Planner:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
-            self._interception = Interception(
-                caught,
-                capture_radius,
-                self._solvers,
-                self._compensator.response.speed,
-                centred=centred,
-            )
+            known = caught, capture_radius, self._solvers, self._compensator.response.speed
+            self._interception = Interception(*known, centred=centred)
         by_its_axis = self._interception is not None and self._approach.is_the_goals
         self._wants_attitude = problem.wants_attitude or by_its_axis
         self._memory = self._fresh()
@@ -355,7 +346,8 @@ class Planner:
         if not lost:
             memory.wanted = snapshot.wanted
         wanted = memory.wanted if self._wants_attitude else None  # or it is not looked at
-        state = self._compensator.state(start.odometry, memory.reached, wanted, hazards)
+        reached = memory.reached  # where changes of speed are limited, they count from it
+        state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
         if lost:
             decision = self._hold(state, knots, lost)
         else:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan, shifted
@@ -21,6 +21,18 @@ from orbimpc_ros.mpc.solve.solver import Solver
 Answer = tuple[Plan | None, Status, str]  # a checked plan, the status of the solve, and the reason
 Late = Callable[[], bool]
 ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """The end of the time that there is for a decision; called, whether it is over."""
+
+    clock: Callable[[], float]  # [s]
+    end: float  # by that clock; infinite for none [s]
+
+    def __call__(self) -> bool:
+        """Return whether time is up."""
+        return self.clock() > self.end
 
 
 @dataclass(frozen=True)
@@ -55,7 +67,8 @@ class Task:
             each = self.knots[1] - self.knots[0]
             stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
             knots = self.knots[0] - each + each * stretched
-        goals = sealed(goals.copy())
+        goals = goals.copy()
+        goals.setflags(write=False)
         return replace(self, problem=problem, goals=goals, knots=knots, solver=solver)
 
     def solved(self, *, guessing: bool = False) -> Answer:

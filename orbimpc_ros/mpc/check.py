@@ -28,11 +28,11 @@ from orbimpc_ros.mpc.problem.cones import leaning, relief, strayed
 from orbimpc_ros.mpc.problem.pace import entry_speed, first_change_is_decided
 
 if TYPE_CHECKING:
-    from orbimpc_ros.mpc.command import Command
-    from orbimpc_ros.mpc.plan import Plan
+    from orbimpc_ros.mpc.plan import Command, Plan
 
 TOLERANCE = 1e-6  # on what constraints ask, of numbers of the order of one
 ORTHOGONAL = 1e-9
+RATE_TOLERANCE = 1e-6  # relative
 SUMMING = 1e-9  # relative: two ways to add up the same objective
 ROUNDING = 1e-15  # of the coordinates of places far from the origin
 
@@ -538,3 +538,37 @@ def _rotation_by(turn: Array) -> Array:
     angle = math.sqrt(x * x + y * y + z * z)
     half = np.sinc(0.5 * angle / math.pi)
     return np.eye(3) + np.sinc(angle / math.pi) * cross + 0.5 * half * half * cross @ cross
+
+
+def flaw(
+    problem: Problem, command: Command, *, stopping: bool = False, entry: float | None = None
+) -> str:
+    """Return why a command must not be sent, whatever it came from; empty if it may be.
+
+    The last look before a vehicle gets it: finite, a share of full speed and not below the floor,
+    a rate below the limit (without one, below half a turn in a step), a speed that is not changed
+    faster than it may be, and a rotation.
+
+    A stop that was asked for (``stopping``) is forbidden by no floor and no limit of the change of
+    speed, which counts from the ``entry`` share of full speed; None if that is not known.
+    """
+    fraction = command.speed_fraction
+    rate, rotation = command.body_rate.tolist(), command.rotation
+    if not (all(map(math.isfinite, (fraction, *rate))) and np.isfinite(rotation).all()):
+        return 'the command is not finite'
+    if not 0.0 <= fraction <= 1.0:
+        return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
+    floor = problem.least_speed
+    if not stopping and fraction < floor:
+        return f'a speed fraction of {fraction:.6g} is below the floor of {floor:.6g}'
+    changed = abs(fraction - entry) if entry is not None and not stopping else 0.0
+    if changed > problem.speed_change + TOLERANCE:
+        most = f'{problem.speed_change:.6g} in a step'
+        return f'a speed fraction changed by {changed:.6g} is beyond {most}'
+    largest = problem.max_rate or math.pi / problem.step
+    if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
+        return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
+    error = np.abs(rotation.T @ rotation - np.eye(len(rotation))).max()
+    if error > ORTHOGONAL or np.linalg.det(rotation) < 0.0:
+        return 'the commanded rotation is not a rotation'
+    return ''

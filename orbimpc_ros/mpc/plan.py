@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A plan: the trajectory found, and how good it is proved to be.
+"""A plan: the trajectory found, how good it is proved to be, and the command for its first step.
 
-Mathematics: docs/mathematics.md, 6.1 and 7.6.
+Mathematics: docs/mathematics.md, 6.1, 7.2 and 7.6.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import project_all
+from orbimpc_ros.mpc.geometry.rotations import exp, log, project_all
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.tree import ProofTree
 
 TINY = 1e-12  # a size that has no direction
@@ -129,7 +130,9 @@ class Plan(ByContent):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
+        sizes: Array = np.linalg.norm(self.rotations[:, :, 0], axis=1)
+        sizes.setflags(write=False)
+        return sizes
 
     @property
     def projection_distance(self) -> Array:
@@ -249,3 +252,61 @@ def _followed(problem: Problem, state: State, x: Array) -> Array:
         angle += min(max(wanted, -widest), widest)
         followed[k] = math.cos(angle), math.sin(angle)
     return followed * np.linalg.norm(x, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Command(ByContent):
+    """What the vehicle does next: turn at a rate during the step, take over a speed at its end.
+
+    Attributes:
+        speed_fraction: share of full speed (translation order 1) or thrust (order 2), in [0, 1].
+        body_rate: angular velocity in the body frame, shape (1,) or (3,) [rad/s].
+        rotation: attitude commanded for the end of the step, shape (n, n).
+    """
+
+    speed_fraction: float
+    body_rate: Array
+    rotation: Array
+
+    def __post_init__(self) -> None:
+        self.body_rate.setflags(write=False)
+        self.rotation.setflags(write=False)
+
+
+def stop(rotation: Array) -> Command:
+    """Return the safe command: no speed, no turning, the present attitude, shape (n, n)."""
+    return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
+
+
+def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Command:
+    """Return the command for a step of ``plan``, the first by default.
+
+    Rotation order 1: body rate log(Q_k^T Q_{k+1})/h. Order 2: the present body rate already carries
+    Q_k to Q_{k+1} in this step, so the rate taken over at its end is log(Q_{k+1}^T Q_{k+2})/h. The
+    rate never exceeds ``max_rate``. In the plane a floor makes sure that plans do not either; where
+    they do (without a floor by a wide angle of a short chord, in space by a roll) the rate is cut,
+    and the commanded rotation is the one then reached. Without a floor the vehicle then gets as
+    much of the planned speed or thrust as is along the axis reached: at full speed it would miss
+    the turn, and could circle its goal for ever. It is not slowed faster than it may be, though.
+
+    Args:
+        problem: gives step and limits.
+        state: the state that the plan starts from.
+        plan: a checked plan.
+        step: k, in 0..N-1.
+    """
+    floor = problem.least_speed
+    # What rounding leaves a plan short of its floor, no vehicle is told.
+    fraction = min(1.0, max(floor, float(plan.speed_fraction[step + 1])))
+    first = step + problem.rotation_order - 1
+    start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
+    rate = log(start.T @ end) / problem.step
+    size = math.sqrt(rate @ rate)
+    if problem.max_rate > 0.0 and size > problem.max_rate:
+        rate = rate * (problem.max_rate / size)
+        planned, end = end, start @ exp(rate * problem.step)
+        if problem.rotation_order == 1 and not problem.floor.exists:
+            along = fraction * min(1.0, max(0.0, float(planned[:, 0] @ end[:, 0])))
+            before = entry_speed(problem, state) if step == 0 else float(plan.speed_fraction[step])
+            fraction = max(along, min(fraction, before - problem.speed_change))
+    return Command(fraction, rate, np.array(end))

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.mpc.plan import Command
 
 AUTOPILOTS = ('px4', 'arduplane')
 # The topics of each, by the planner's. MAVROS is to have mav_frame BODY_NED for its setpoints.

@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.ros.messages import SECOND, RosTime
+from orbimpc_ros.ros.messages import SECOND
 
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
 HELD_UP = 0.05  # [s] between two looks at clocks, which then tell nothing of one another
@@ -265,11 +265,13 @@ class NodeClock:
 
     Attributes:
         simulated: whether time comes from ``/clock``; that cannot change while the node runs.
+        lag: how far it may trail [s].
     """
 
     def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
-        self._clock, self._step, self._on_jump = node.get_clock(), step, on_jump
+        self._clock, self._on_jump = node.get_clock(), on_jump
         self.simulated = bool(node.get_parameter('use_sim_time').value)
+        self.lag = step if self.simulated else 0.0
         self._offset: float | None = None  # from the steady clock to this one [s]
         self._stood: tuple[int, float] | None = None  # what was shown, and since when [ns], [s]
         threshold = JumpThreshold(
@@ -285,12 +287,6 @@ class NodeClock:
     def nanoseconds(self) -> int:
         """Return what the clock shows [ns]."""
         return self._clock.now().nanoseconds
-
-    @property
-    def now(self) -> RosTime:
-        """Return the time, and how exact it is; simulated time is zero until it starts."""
-        shown = self._clock.now().nanoseconds
-        return RosTime(shown or None, self._step) if self.simulated else RosTime(shown)
 
     def standstill(self, patience: float) -> str:
         """Return that simulated time has stood still for longer than ``patience`` [s], in words."""

@@ -38,15 +38,13 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from std_msgs.msg import Header
 
-from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
-from orbimpc_ros.loop.goal.route import Route
+from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.traffic import AgentTrajectory
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
-from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.plan import Command, Plan
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow

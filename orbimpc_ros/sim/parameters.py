@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from rclpy.exceptions import InvalidTopicNameException
@@ -34,13 +36,9 @@ from orbimpc_ros.sim.plant import Gusts, Plant
 from orbimpc_ros.sim.vehicle import Model, Vehicle, launched
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
+Made = TypeVar('Made')
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for reporting it
 ALONG_AXES = (0.0, 0.0, 0.0)
-OF_MODEL = (
-    *('dimension', 'rotation_order', 'translation_order', 'step', 'forward', 'mass'),
-    *('failsafe_fraction', 'failsafe_rate', 'discretisation', 'velocity_source'),
-)
-OF_PLANT = ('speed_lag', 'rate_lag', 'max_rate', 'max_acceleration', 'gain', 'drag')
 # What only a vehicle in continuous time has; of that, what one in an engine has, by its order of
 # translation; and what is unknown of a goal that an engine moves.
 CONTINUOUS = (
@@ -184,18 +182,14 @@ class SimSettings(VehicleParameters):
         """Return how the simulated vehicle moves: the discrete model, a plant, or an engine."""
         self._refuse_unused()
         known = self.disturbance.tolist()
-        common = {name: getattr(self, name) for name in OF_MODEL}
-        common['disturbance'] = tuple(known) if any(known) else ()
+        own: dict[str, Any] = {'disturbance': tuple(known) if any(known) else ()}
         if self.vehicle == 'discrete':
-            return Model(**common)
-        common['stall_speed'] = self.stall_speed
+            return self._made(Model, **own)
         if self.odom_rate:
-            common['step'] = 1.0 / self.odom_rate
+            own['step'] = 1.0 / self.odom_rate
         if self.vehicle in ENGINES:
-            common |= {'turbulence': self.gust, 'seed': self.seed, 'rope': self.rope}
-            return EnginePlant(**common, engine=self.vehicle)
-        own = {name: getattr(self, name) for name in OF_PLANT}
-        return Plant(**common, **own, gusts=Gusts(self.gust, self.gust_time, self.seed))
+            return self._made(EnginePlant, engine=self.vehicle, turbulence=self.gust, **own)
+        return self._made(Plant, gusts=Gusts(self.gust, self.gust_time, self.seed), **own)
 
     @cached_property
     def start(self) -> Vehicle:
@@ -213,17 +207,14 @@ class SimSettings(VehicleParameters):
     @cached_property
     def scenario(self) -> Scenario:
         """Return what to simulate."""
-        ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
-        return Scenario(
-            self.model,
-            self.start,
-            self.rope,
-            **{name: getattr(self, name) for name in ending},
-            obstacles=self.boxes,
-            traffic=self._traffic(),
-            approach=self._approach(),
-            rope_length=self.rope_length,
+        return self._made(
+            Scenario, obstacles=self.boxes, traffic=self._traffic(), approach=self._approach()
         )
+
+    def _made(self, kind: Callable[..., Made], **own: Any) -> Made:
+        """Return a dataclass of the settings that its fields are named after, and of others."""
+        names = [each.name for each in fields(kind) if each.name not in own]  # type: ignore[arg-type]
+        return kind(**{name: getattr(self, name) for name in names if hasattr(self, name)}, **own)
 
     def _along(self, name: str, numbers: tuple[float, ...]) -> Array:
         return vector(numbers, name, self.dimension)

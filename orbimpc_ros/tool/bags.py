@@ -241,17 +241,6 @@ def _mcap(file: Path, closed: bool) -> Iterator[NonSeekingReader]:
 # --- writing
 
 
-def serialised(message: Any, kind: str) -> bytes:
-    """Return a ROS message in CDR, the same bytes every time.
-
-    The middleware leaves in the padding whatever was in memory.
-    """
-    from rclpy.serialization import serialize_message
-
-    raw = serialize_message(message)
-    return bytes(store().serialize_cdr(store().deserialize_cdr(raw, kind), kind))
-
-
 class BagWriter:
     """Writes a new MCAP bag, which ``ros2 bag`` reads.
 

@@ -92,14 +92,8 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def boxes(history: History) -> Array:
-    """Return the lower and the upper corner of every obstacle, shape (M, 2, n) [m]."""
-    values = settings.of_sim(history.values)
-    return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
-
-
 def _draw_boxes(axes: Any, history: History) -> None:
-    for low, high in boxes(history):
+    for low, high in history.boxes:
         if len(low) == 3:
             axes.bar3d(*low, *(high - low), color=FAINT, alpha=0.35)
         else:

@@ -73,6 +73,12 @@ class History:
         return float(settings.of_sim(self.values)[name])
 
     @property
+    def boxes(self) -> Array:
+        """Return the lower and the upper corner of every obstacle, shape (M, 2, n) [m]."""
+        values = settings.of_sim(self.values)
+        return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
+
+    @property
     def missed(self) -> tuple[float, float]:
         """Return how far from the goal [m] and how fast [m/s] the vehicle is at the end."""
         apart = self.positions[-1] - self.ropes[-1]

@@ -3,24 +3,27 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
-from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.inputs import PLAN, others
-from orbimpc_ros.ros.planner.outputs import Report, command_messages, prices, report_messages
-from orbimpc_ros.sim.outputs import future, traffic_markers
-from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
+from orbimpc_ros.sim.faults import View
+from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
 from orbimpc_ros.sim.world import Flight
 
 EPOCH = 1_700_000_000 * SECOND  # of flights in this process: stamps are dates
@@ -46,6 +49,9 @@ class OfflinePlanner(Core):
         clock: that deadlines are kept by [s]; None where a solve has none, so that what it finds
             does not depend on the machine.
         planner: decides; by default the planner of the package.
+
+    Attributes:
+        decision: behind the last answer; None before the first.
     """
 
     def __init__(
@@ -59,18 +65,13 @@ class OfflinePlanner(Core):
         chosen = planner_of(settings)[1] if planner is None else planner
         super().__init__(settings, chosen, clock=clock, others=avoided)
         self._node = node
-        self._report: Report | None = None
+        self.decision: Decision | None = None
 
     @property
     def stamp(self) -> int | None:
         """Return the stamp of the odometry that a plan would start from [ns]; None without."""
         known = None if self.inputs.missing else self.inputs.odometry
         return None if known is None else known.stamp.nanoseconds
-
-    @property
-    def decision(self) -> Decision | None:
-        """Return the decision behind the last answer; None before the first."""
-        return None if self._report is None else self._report.decision
 
     # --- answers as messages, at times that are given
 
@@ -87,10 +88,10 @@ class OfflinePlanner(Core):
         known = self.inputs.odometry
         assert known is not None
         at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
-        report = self.decide(now, at, fresh=True)
-        if report.solve_time_ms and solve_time_ms is not None:
-            report = replace(report, solve_time_ms=solve_time_ms)
-        return self._messages(known.stamp, replace(report, binding=prices(report.decision)))
+        decision = self.decide(now, at, fresh=True)
+        if decision.solve_time_ms and solve_time_ms is not None:
+            decision = replace(decision, solve_time_ms=solve_time_ms)
+        return self._messages(known.stamp, decision)
 
     def be_safe(self, stamp: int, reason: Reason) -> dict[str, Any]:
         """Answer with the safe command, for a reason that is no solver's."""
@@ -106,8 +107,8 @@ class OfflinePlanner(Core):
             pushed: speed [m/s] or, at translation order 2, force [N].
             rate: body rate, shape (3,) [rad/s].
         """
-        assert self._report is not None
-        problem, command = self.settings.problem, self._report.decision.command
+        assert self.decision is not None
+        problem, command = self.settings.problem, self.decision.command
         if pushed is not None:
             weight = 1.0 if problem.translation_order == 1 else self.settings.mass
             command = replace(command, speed_fraction=pushed / (weight * problem.forward))
@@ -115,12 +116,12 @@ class OfflinePlanner(Core):
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
         self.planner.sent(command, at)
 
-    def _messages(self, stamp: Stamp, report: Report) -> dict[str, Any]:
-        self._report = report
+    def _messages(self, stamp: Stamp, decision: Decision) -> dict[str, Any]:
+        self.decision = decision
         known = self.inputs.odometry is not None
         return {
-            **command_messages(self.settings, stamp, report.decision.command),
-            **report_messages(self.settings, stamp, report, self._node, oriented=known),
+            **command_messages(self.settings, stamp, decision.command),
+            **report_messages(self.settings, stamp, decision, self._node, oriented=known),
         }
 
     # --- aboard a flight in this process, at times since its start
@@ -129,20 +130,19 @@ class OfflinePlanner(Core):
         """Take in a message at a time [s]."""
         self.inputs.update(topic, message, now, RosTime(_nanoseconds(now)))
 
-    def goal(self, now: float, place: Array) -> None:
-        """Take in the goal's position, shape (n,) [m]."""
-        self.hear('goal', messages.goal_message(self.at(now), place), now)
+    def sense(
+        self, now: float, content: Odometry | GoalObservation, measured: float | None = None
+    ) -> None:
+        """Take in what a sensor has measured, by default now [s]."""
+        stamp = self.at(now if measured is None else measured)
+        self.hear(*sensed(stamp, content), now)
 
-    def odometry(self, now: float, measured: Odometry) -> None:
-        """Take in the vehicle's motion."""
-        self.hear('odom', messages.odometry_message(self.at(now), measured), now)
-
-    def report(self, now: float) -> Report:
+    def report(self, now: float) -> Decision:
         """Plan at a time [s]; return what was decided and has been sent."""
         at = _nanoseconds(now)
-        report = self.decide(now, RosTime(at))
-        self.planner.sent(report.decision.command, at / SECOND)
-        return report
+        decision = self.decide(now, RosTime(at))
+        self.planner.sent(decision.command, at / SECOND)
+        return decision
 
     def at(self, now: float) -> Stamp:
         """Return the stamp of a message of a time [s]."""
@@ -170,21 +170,46 @@ def aboard(
     return OfflinePlanner(settings, clock=clock, planner=planner)
 
 
-def tell(planner: OfflinePlanner, flight: Flight, ahead: int, margin: float = 0.0) -> None:
-    """Send a planner the messages on a flight as it is now.
+def closed_loop(
+    planner: OfflinePlanner,
+    flight: Flight,
+    view: View,
+    held: float,
+    ahead: int = 0,
+    margin: float = 0.0,
+) -> Iterator[tuple[Flight, Decision | None, float]]:
+    """Yield a flight at each step, what is decided then, and in what processor time [ms].
+
+    As in a simulator in lock-step, the planner answers odometry that is new; where none comes, or
+    the answer is lost, the last command is in force for a time since it came.
 
     Args:
-        planner: that hears it.
-        flight: as it is now.
-        ahead: steps of the goal's future.
+        planner: that hears of the flight.
+        flight: at its start.
+        view: what reaches the planner of it.
+        held: that time [s].
+        ahead: steps of the goal's future that are published.
         margin: by which the balls in the traffic are reported larger than they are [m].
     """
-    now, model = flight.vehicle.time, flight.scenario.model
-    stamp = planner.at(now)
+    answered, came = planner.stamp, -math.inf
+    order: tuple[float, Array] = (0.0, np.zeros(flight.scenario.model.rates))
     if flight.scenario.traffic:
         planner.planner.expect_hazards()
-        planner.hear('obstacles', traffic_markers(stamp, flight, margin), now)
-    if ahead:
-        planner.hear('goal_path', future(stamp, flight, ahead), now)
-    planner.goal(now, flight.goal)
-    planner.odometry(now, measured(flight.vehicle, model.velocity_source))
+    while not (flight.over or flight.touched):
+        now, decision, spent = flight.vehicle.time, None, 0.0
+        shown = now + view.faults.jumped(flight.ticks)
+        if flight.scenario.traffic:
+            planner.hear('obstacles', traffic_markers(planner.at(shown), flight, margin), shown)
+        if ahead:
+            planner.hear('goal_path', future(planner.at(shown), flight, ahead), shown)
+        for sent in view.of(flight):
+            planner.sense(shown, sent.content, sent.content.time + view.faults.jumped(sent.ticks))
+        if planner.stamp != answered:
+            answered, begun = planner.stamp, time.thread_time()
+            decision = planner.report(shown)
+            spent = 1e3 * (time.thread_time() - begun)
+            if not view.command_lost(flight.ticks):
+                order, came = (decision.command.speed_fraction, decision.command.body_rate), now
+        yield flight, decision, spent
+        flight = flight.after(*order, came + held - now)
+    yield flight, None, 0.0

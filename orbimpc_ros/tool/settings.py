@@ -80,13 +80,6 @@ def of_sim(values: Values) -> Values:
     return {name: each for name, each in values.items() if name not in ROWS_OF_SIM} | own
 
 
-def write(file: Path, values: Values, **more: Any) -> str:
-    """Write values as a file of ROS parameters for any node and return its text."""
-    written = text(values | more)
-    file.write_text(written)
-    return written
-
-
 def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
     """Return values as a file of ROS parameters for any node.
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
-from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_of, holds

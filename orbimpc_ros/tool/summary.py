@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from orbimpc_ros.ros.parameters.spec import settings_from
-from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.history import History
@@ -89,7 +87,7 @@ def _contacts(history: History) -> dict[str, str]:
     rows, truth, values = {}, history.truth, settings.of_sim(history.values)
     touched = truth.get('touched')
     if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
-        boxes = len(settings_from(VehicleParameters, values).boxes)
+        boxes = len(history.boxes)
         rows['touched'] = touched_in_words(touched, boxes) or f'no {"box" if boxes else "ball"}'
     least = truth.get('least_airspeed')
     if values['stall_speed'] and isinstance(least, (int, float)):

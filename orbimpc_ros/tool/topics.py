@@ -51,17 +51,15 @@ WORLD = (
     Topic('captured', 'std_msgs/msg/Bool', latched=True),
     Topic('truth', 'diagnostic_msgs/msg/DiagnosticArray'),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
-)
-EVENTS = (
     Topic('arrived', 'std_msgs/msg/Bool', latched=True),
     Topic('caught', 'std_msgs/msg/Bool', latched=True),
-)
-PROOFS = (Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),)
+    Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),
+)  # of the simulator; events and proofs
 NUMBERS = tuple(
     Topic(f'planner/{name}', 'std_msgs/msg/Float64')
     for name in ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
 )  # for plots by other programs; this tool takes them from tick
-VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *EVENTS, *PROOFS)
+VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *NUMBERS)}
 
 

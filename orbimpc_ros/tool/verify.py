@@ -128,11 +128,12 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
 
 
 def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
-    from orbimpc_ros.tool.replay import ticks_of  # needs ROS, which a file does not
+    from orbimpc_ros.tool.replay import opened, resolving  # needs ROS, which a file does not
 
     if args.tick is None:
         yield from _published(path, args.namespace)
-    for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
+    known = opened(path, args.namespace, args.params)
+    for number, each in enumerate(resolving.replayed(*known)):
         if number == 0:
             gc.freeze()  # each full collection would look through all that was imported
         if args.tick in (None, number):

@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros import messages
@@ -26,7 +27,7 @@ from orbimpc_ros.sim.outputs import future, sensed
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import BagWriter, serialised
+from orbimpc_ros.tool.bags import BagWriter, store
 from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.topics import TYPES, topics_of
@@ -74,6 +75,12 @@ FLIGHTS = {
 SOLVE_TIME_MS = 1.0  # noted in every tick: a measured one would differ every time
 LATER = 1000  # [ns] between two messages of a tick
 SWITCHED_OFF = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
+
+
+def serialised(message: object, kind: str) -> bytes:
+    """Return a message in CDR, the same bytes every time: DDS leaves any memory in the padding."""
+    raw = serialize_message(message)
+    return bytes(store().serialize_cdr(store().deserialize_cdr(raw, kind), kind))
 
 
 def make(name: str, folder: Path) -> None:

@@ -1,12 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Gurobi and SCIP on one mixed-integer program: rotations and binaries alone, least big M.
+"""Gurobi, SCIP and IPOPT on one program: rotations and binaries alone, least big M.
 
 In z_k = R_k e1, k = 1..N, with s_k = s_1 + h z sum_{j<k} R_j e1 (n = 2, orders (1, 1)),
 
     cost = sum_i |F z_i|^2 + q_i^T z_i + c + l h z sum_{k=1..N-1} |z_k|    (i: coordinates).
 
 A round floor and turns are quadratic and not convex. One thread each; the model is built before
-the clock runs, and the previous solution moved one step on is its start.
+the clock runs, and the previous solution moved one step on is its start. IPOPT finds a local
+optimum, from the present heading, held, and proves nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
 
+LOCAL = 1e-6  # a local solver's own tolerance, at most: looser ones leave limits violated
+QUIET: dict[str, Any] = {'expand': True, 'print_time': False, 'ipopt.print_level': 0}
 SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 
 
@@ -63,7 +66,7 @@ class MixedInteger:
 
     def prepare(self, state: State, goals: Array) -> None:
         """Build the model of an instance."""
-        problem = self.problem
+        problem, self.heading = self.problem, state.attitude[:, 0]
         self.open()
         z = [[self._free(), self._free()] for _ in range(problem.horizon)]
         self._groups = [z]
@@ -72,7 +75,7 @@ class MixedInteger:
             if problem.floor.shape == 'circle':
                 self.require(x * x + y * y >= problem.floor.fraction**2)
         if problem.turns_are_angles:
-            self._limit_turns([state.attitude[:, 0].tolist(), *z])
+            self._limit_turns([self.heading.tolist(), *z])
         if problem.floor.shape == 'polygon':
             low = problem.floor.fraction
             faces = normals(2, problem.floor.faces)
@@ -129,7 +132,7 @@ class MixedInteger:
         """Return objective and gap, and keep the solution for the next start."""
         found = self.found()
         self._last = []
-        if not np.isnan(found.objective):
+        if self._closed_loop and not np.isnan(found.objective):
             self._last = [
                 [[self.value(each) for each in row] for row in rows] for rows in self._groups
             ]
@@ -234,6 +237,47 @@ def scip(fast: bool) -> type[MixedInteger]:
             return float(self.model.getVal(variable))
 
     return Scip
+
+
+def ipopt() -> type[MixedInteger]:
+    """Return the program in IPOPT by CasADi, with exact derivatives.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    import casadi as ca
+
+    class Ipopt(MixedInteger):
+        """A program without binaries."""
+
+        def open(self) -> None:
+            if self.problem.floor.shape == 'polygon' or self.problem.boxes:
+                raise Declined('binaries are not stated')
+            self.model, self._opti = self, ca.Opti()
+
+        def addVar(self, **_bounds: float) -> Any:  # noqa: N802
+            return self._opti.variable()  # in the unit disk by another limit
+
+        def require(self, constraint: Any) -> None:
+            self._opti.subject_to(constraint)
+
+        def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+            opti = self._opti
+            opti.minimize(sum(each * each for each in squared) + linear)
+            program = {'x': opti.x, 'f': opti.f, 'g': opti.g}
+            tuned = QUIET | {'ipopt.sb': 'yes', 'ipopt.tol': min(self.gap, LOCAL)}
+            self._solver = ca.nlpsol('plan', 'ipopt', program, tuned)
+            limits = {name: opti.value(getattr(opti, name)) for name in ('lbg', 'ubg')}
+            self._data: dict[str, Any] = {'x0': np.resize(self.heading, opti.nx), **limits}
+
+        def solve(self) -> None:
+            self._found = self._solver(**self._data)
+
+        def found(self) -> Solution:
+            done = self._solver.stats()['success']
+            return Solution(float(self._found['f']) if done else np.nan)
+
+    return Ipopt
 
 
 def _dot(numbers: Any, variables: Any) -> Any:

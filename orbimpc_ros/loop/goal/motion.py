@@ -1,15 +1,30 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Where a goal was seen, and where it will be."""
+r"""Where a goal was seen, and where it will be: at stamped points, or along a path without times.
+
+A path is followed as fast as the airspeed allows in the wind: the goal moves along it from the
+point nearest to the vehicle. Where it leads along t, an airspeed V in a wind w makes
+
+.. math::
+    \dot s = t \cdot w + \sqrt{V^2 - |w - (t \cdot w) t|^2}
+
+over ground. Where that is not positive, or not real, the path cannot be followed: the goal stays,
+and a vehicle near it heads into the wind.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
+
+FINE = 0.25  # [s] of flight between two looks at where the path leads
+SHARP = 1.2  # times the turn that is allowed, averaged over a step
 
 
 @dataclass(frozen=True)
@@ -60,3 +75,127 @@ class GoalTrajectory:
         return np.column_stack(
             [np.interp(times, self.times, column) for column in self.positions.T]
         )
+
+
+@dataclass(frozen=True)
+class Route:
+    """A path of straight lines between points, closed if the last point is the first.
+
+    Attributes:
+        positions: at least two, each apart from the one before, shape (M, n) [m].
+    """
+
+    positions: Array
+    attitude: None = None  # as of other goals
+
+    def __post_init__(self) -> None:
+        if len(self.positions) < 2 or not np.diff(self.positions, axis=0).any(axis=1).all():
+            raise BadInput('goal_path', self.positions.tolist(), '2 or more, each a new one')
+        sealed(self.positions)
+
+    @cached_property
+    def _lines(self) -> Array:
+        return np.asarray(np.diff(self.positions, axis=0))
+
+    @cached_property
+    def _ends(self) -> Array:
+        """Return how far along the path each point is, shape (M,) [m]."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._lines, axis=1))])
+
+    @property
+    def length(self) -> float:
+        """Return the length of the path [m]."""
+        return float(self._ends[-1])
+
+    @cached_property
+    def closed(self) -> bool:
+        """Return whether the path begins where it ends."""
+        return bool(np.allclose(self.positions[0], self.positions[-1]))
+
+    def place(self, along: Array) -> Array:
+        """Return the points at distances along the path, shape (K,) [m], as shape (K, n) [m]."""
+        along = along % self.length if self.closed else np.clip(along, 0.0, self.length)
+        return np.column_stack([np.interp(along, self._ends, each) for each in self.positions.T])
+
+    def direction(self, along: float) -> Array:
+        """Return where the path leads at a distance along it [m], a unit vector, shape (n,)."""
+        along = along % self.length if self.closed else along
+        line = int(np.searchsorted(self._ends[1:-1], along, 'right'))
+        return np.asarray(self._lines[line] / (self._ends[line + 1] - self._ends[line]))
+
+    def nearest(self, position: Array, near: float | None = None, within: float = 0.0) -> float:
+        """Return the distance along the path at which it is nearest to a position [m].
+
+        Only points ``within`` a distance of ``near`` along the path count, if there are any [m].
+        """
+        away = position - self.positions[:-1]
+        lengths = np.diff(self._ends)
+        share = np.clip(np.sum(away * self._lines, axis=1) / lengths**2, 0.0, 1.0)
+        found = self._ends[:-1] + share * lengths
+        squared = np.sum((away - share[:, None] * self._lines) ** 2, axis=1)
+        if near is not None:
+            apart = np.abs(found - near)
+            if self.closed:
+                apart = np.minimum(apart % self.length, -apart % self.length)
+            if (apart <= within).any():
+                squared = np.where(apart <= within, squared, np.inf)
+        return float(found[np.argmin(squared)])
+
+    def at(self, times: Array) -> Array:
+        """Return the end of the path for all times, shape (N, n) [m]: where it leads in the end."""
+        return np.repeat(self.positions[-1:], len(times), axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Paced:
+    """A goal that moves along a path."""
+
+    route: Route
+    along: float  # where it begins [m]
+    time: float  # then [s]
+    airspeed: float  # to follow at [m/s]
+    wind: Array  # shape (n,) [m/s]
+
+    def at(self, times: Array) -> Array:
+        """Return where the goal is at times that increase, shape (N,) [s], as shape (N, n) [m]."""
+        return self.route.place(self._distances(times))
+
+    def _distances(self, times: Array) -> Array:
+        found, along, now = [], self.along, self.time
+        for end in times:
+            count = max(1, math.ceil((end - now) / FINE))
+            for _ in range(count):
+                middle = along + 0.5 * (end - now) / count * self._speed(along)
+                along += (end - now) / count * self._speed(middle)
+            found.append(along)
+            now = float(end)
+        return np.array(found)
+
+    def _speed(self, along: float) -> float:
+        """Return the speed over ground, 0 where there is none along the path [m/s]."""
+        direction = self.route.direction(along)
+        ahead = float(direction @ self.wind)
+        left = self.airspeed**2 - float(self.wind @ self.wind) + ahead**2
+        return max(0.0, ahead + math.sqrt(left)) if left > 0.0 else 0.0
+
+    def trouble(self, times: Array, max_rate: float) -> str:
+        """Return why the path cannot be followed up to times, (N,) [s]; empty if it can be.
+
+        ``max_rate`` is the largest turn [rad/s]; 0 for no limit.
+        """
+        along = np.concatenate([[self.along], self._distances(times)])
+        speeds = [self._speed(each) for each in along]
+        if not all(speeds):
+            where, strong = along[speeds.index(0.0)] - self.along, np.linalg.norm(self.wind)
+            known = f'in a wind of {strong:.3g} m/s at {self.airspeed:.3g} m/s of airspeed'
+            return f'the path cannot be followed {known}, from {where:.3g} m ahead on'
+        if not max_rate or len(self.wind) != 2:
+            return ''
+        ways = np.array([self.route.direction(each) for each in along])
+        through = np.array(speeds)[:, None] * ways - self.wind
+        angles = np.unwrap(np.arctan2(through[:, 1], through[:, 0]))
+        turns = np.abs(np.diff(angles)) / np.diff(np.concatenate([[self.time], times]))
+        if turns.max() <= SHARP * max_rate:
+            return ''
+        where = along[int(np.argmax(turns))] - self.along
+        return f'the path turns by {turns.max():.3g} rad/s, {where:.3g} m ahead: it is rounded off'

@@ -15,13 +15,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from orbimpc_ros.loop.intercept import steps_before
-from orbimpc_ros.loop.planner import Planner, Snapshot, joined
+from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
+from orbimpc_ros.loop.task import Deadline
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inputs import Inputs
-from orbimpc_ros.ros.planner.outputs import Report
 
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
 RESET = Reason(Cause.RESET, 'reset')
@@ -94,7 +94,7 @@ class Core:
         self.outdated: Reason | None = None
         self._simulated, self._counted = simulated, counted
         self._clock, self._unlimited = clock or time.perf_counter, clock is None
-        self._limit, self._end = self._clock, math.inf  # of the last decision
+        self._deadline = Deadline(self._clock, math.inf)  # of the last decision
 
     @property
     def expected(self) -> float:
@@ -116,7 +116,7 @@ class Core:
         self, now: float, ros: RosTime = UNKNOWN, stop: Reason | None = None
     ) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
-        known = self.inputs.odometry
+        known = self.inputs.odometry  # a whole snapshot would forget bodies, which replays do not
         if known is None:
             return self.planner.unsafe(Snapshot(stop=stop))
         age = known.age(now, ros)
@@ -129,8 +129,8 @@ class Core:
         stop: Reason | None = None,
         *,
         fresh: bool = False,
-    ) -> Report:
-        """Return what to do next, and which messages that is made of.
+    ) -> Decision:
+        """Return what to do next, how long that took, and which messages it is made of.
 
         Args:
             now: on the steady clock [s].
@@ -143,18 +143,18 @@ class Core:
         heard = self.inputs.heard
         if fresh:
             snapshot = replace(snapshot, odometry_age=0.0)
-        deadline = math.inf if self._unlimited else self.settings.deadline
-        self._limit, self._end = self._clock, begun + deadline
+        given = math.inf if self._unlimited else self.settings.deadline
+        self._deadline = Deadline(self._clock, begun + given)
         if self._counted and self.inputs.in_step:
             # A clock that goes on by the looks at it, of which a search takes one after each part:
             # what it limits is the same on every machine, however busy.
-            self._limit = (LOOK * looks for looks in itertools.count(1)).__next__
-            self._end = min(deadline, LONGEST)
+            looked = (LOOK * looks for looks in itertools.count(1)).__next__
+            self._deadline = Deadline(looked, min(given, LONGEST))
         at = None if ros.nanoseconds is None else ros.nanoseconds / SECOND + taking
-        decision = self.planner.step(snapshot, at, self._is_late)
+        decision = self.planner.step(snapshot, at, self._deadline)
         took = self._clock() - begun
         if decision.state is None:
-            return Report(decision)
+            return decision
         self.outdated = None
         if snapshot.odometry_age + took > self.settings.odom_timeout:
             later = ros
@@ -164,20 +164,19 @@ class Core:
         self._recent.append(took)
         self.counts['deadline misses'] += took > self.settings.deadline
         self.counts['overruns'] += took > self.settings.period
-        solved = decision.cause is not Cause.GOAL
-        return Report(decision, 1e3 * took if solved else 0.0, heard)
+        solving = 0.0 if decision.cause is Cause.GOAL else 1e3 * took
+        return replace(decision, solve_time_ms=solving, heard=heard)
 
-    def proved(self, report: Report, *, catches: bool = False) -> Report:
-        """Return the last report with a proof of what it states, if there is one by its deadline.
+    def proved(self, decision: Decision, *, catches: bool = False) -> Decision:
+        """Return the last decision with a proof of what it states, if there is one by its deadline.
 
         That is that nothing is feasible or, with ``catches``, that nothing is caught before a time.
         Its command went out before, and need not wait for that.
         """
-        decision = report.decision
         nothing, catch = decision.infeasible, decision.catch if catches else None
         count = 0 if catch is None else steps_before(catch.bound, catch.sought.problem.step)
         if nothing is None and not count:
-            return report
+            return decision
         # Imported by the first decision that needs it: a tenth of a second that starts are spared.
         from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
         from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
@@ -188,10 +187,8 @@ class Core:
             assert catch is not None
             return catches_refuted(catch.sought, count, late)
 
-        refutation, reason = held_in_time(made, self._limit, self._end), decision.reason
+        refutation = held_in_time(made, self._deadline.clock, self._deadline.end)
+        reason = decision.reason
         if nothing is not None and refutation is None:
             reason = joined(reason, WORD)
-        return replace(report, decision=replace(decision, refutation=refutation, reason=reason))
-
-    def _is_late(self) -> bool:
-        return self._limit() > self._end
+        return replace(decision, refutation=refutation, reason=reason)

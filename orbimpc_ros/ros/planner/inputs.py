@@ -11,10 +11,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.loop.goal.bank import Bank
 from orbimpc_ros.loop.goal.forecast import FORECASTS
-from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, GoalTrajectory
-from orbimpc_ros.loop.goal.route import Route
+from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.planner import Snapshot
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, silence
@@ -127,7 +125,7 @@ class Inputs:
         self.settings, self.others = settings, tuple(others)
         self.names = {each: each for each in NAMED} | dict(names or {})
         self.latest: dict[str, Received[Any]] = {}
-        self.forecast: Forecast = FORECASTS[settings.goal_prediction]()
+        self.forecast = FORECASTS[settings.goal_prediction]()
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         known = settings.stated_transforms, settings.transform_timeout, settings.tf
         self.transforms, self.displaced = Transforms(*known), ''
@@ -506,6 +504,12 @@ class Inputs:
     # --- what decisions are made of
 
     @property
+    def _motion(self) -> GoalMotion | None:
+        """Return how the goal moves: the motion that a forecast has at the moment, or itself."""
+        found: GoalMotion | None = getattr(self.forecast, 'motion', self.forecast)
+        return found
+
+    @property
     def heard(self) -> dict[str, Any]:
         """Return which messages the next decision is made of, by the keys on ``tick``.
 
@@ -513,7 +517,7 @@ class Inputs:
         for some may be lost on the way; how the forecast takes the goal to move, if it chooses; and
         the stamps of what was heard last of obstacles and of other vehicles, by topic [ns].
         """
-        model = self.forecast.model if isinstance(self.forecast, Bank) else ''
+        model = getattr(self._motion, 'model', '')
         return {
             'goal_stamps': self.goal_stamps,
             'goal_counts': dict(self.goal_counts),
@@ -534,7 +538,7 @@ class Inputs:
         """
         known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
-        motion: GoalMotion | None = None if goal is None else self.forecast
+        motion = None if goal is None else self._motion
         wanted = None if goal is None else goal.value.attitude
         if path is not None:
             fresh = ages['goal_path'] <= self.settings.goal_timeout

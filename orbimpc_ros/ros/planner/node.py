@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.capture import Events
-from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -43,11 +43,10 @@ from orbimpc_ros.ros.planner.outputs import (
     CLAIMS,
     COMMANDS,
     NUMBERS,
-    Report,
     command_messages,
     condition,
+    numbers,
     outputs,
-    prices,
     refutation_messages,
     report_messages,
 )
@@ -181,8 +180,8 @@ class PlannerNode(Managed):
     def _begin_anew(self) -> None:
         self._sent_at = -math.inf  # when something went out last, on the steady clock [s]
         self._first: Mapping[str, Any] = {}  # messages of the last decision, sent at once
-        self._stamp = Stamp(0)  # of the last decision
-        self._report: Report | None = None  # on it
+        self._stamp = Stamp(0)  # of what it answers
+        self._decision: Decision | None = None  # the last one
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
         odometry = HALVES if settings.odometry == 'pose_twist' else {'odom': OdometryMessage}
@@ -239,11 +238,16 @@ class PlannerNode(Managed):
         # Whatever the node is just doing: an inactive planner publishes that it is.
         self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
 
+    @property
+    def ros_now(self) -> RosTime:
+        """Return the time of the ROS clock; simulated time is unknown until it starts."""
+        return RosTime(self.get_clock().now().nanoseconds or None, self._time.lag)
+
     # --- inputs
 
     def _hear(self, topic: str, message: Any) -> None:
         """Take in a message; plan if it is odometry, or what odometry has waited for."""
-        now, ros, inputs = self.steady_now(), self._time.now, self._core.inputs
+        now, ros, inputs = self.steady_now(), self.ros_now, self._core.inputs
         if topic == OBSTACLES:
             self._core.planner.expect_hazards()  # its publisher may not have been noticed yet
         before = inputs.odometry
@@ -316,8 +320,8 @@ class PlannerNode(Managed):
         if stamp != self._answered or not waited or self._unsafe():
             return
         self._send(self._first)
-        if self._report is not None:
-            self._tell(self._report, self._heard)  # also for new readers
+        if self._decision is not None:
+            self._tell(self._decision, self._heard)  # also for new readers
 
     @property
     def _patience_left(self) -> int:
@@ -347,16 +351,16 @@ class PlannerNode(Managed):
         if self._core.inputs.missing:
             self._show_changes()
         else:
-            self._plan_now(self.steady_now(), self._time.now)
+            self._plan_now(self.steady_now(), self.ros_now)
 
     def _plan_now(self, now: float, ros: RosTime) -> None:
         self._patience.cancel()
         odometry = self._core.inputs.latest['odom']
-        report = self._core.decide(now, ros, self._stop())
+        decision = self._core.decide(now, ros, self._stop())
         outdated = self._core.outdated
-        if report.decision.state is not None and outdated is not None:
-            report = self._core.decide(self.steady_now(), self._time.now, outdated)
-        self._publish(odometry.stamp, report)
+        if decision.state is not None and outdated is not None:
+            decision = self._core.decide(self.steady_now(), self.ros_now, outdated)
+        self._publish(odometry.stamp, decision)
         self._answered = odometry.stamp.nanoseconds
         self._look_for_events()
         # The next odometry, which must not wait, is farthest now: watch if that is due soon.
@@ -373,7 +377,7 @@ class PlannerNode(Managed):
 
     def _unsafe(self) -> Reason | None:
         """Return why no plan may be followed now, if none may."""
-        return self._core.unsafe(self.steady_now(), self._time.now, self._stop())
+        return self._core.unsafe(self.steady_now(), self.ros_now, self._stop())
 
     def safe(self, reason: Reason) -> None:
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
@@ -387,13 +391,13 @@ class PlannerNode(Managed):
         now = max(self._time.nanoseconds, self._answered + 1)
         known, settings = self._core.inputs.odometry, self._core.settings
         frames = settings.frames if known is None else known.stamp.frames
-        report = self._core.decide(self.steady_now(), self._time.now, reason)
-        self._publish(Stamp(now, frames), report)
+        decision = self._core.decide(self.steady_now(), self.ros_now, reason)
+        self._publish(Stamp(now, frames), decision)
 
     # --- outputs
 
-    def _publish(self, stamp: Stamp, report: Report) -> None:
-        command, settings = report.decision.command, self._core.settings
+    def _publish(self, stamp: Stamp, decision: Decision) -> None:
+        command, settings = decision.command, self._core.settings
         self._first = command_messages(settings, stamp, command)
         self._send(self._first)
         if self._wing is not None and self._gate and not settings.dry_run:
@@ -402,10 +406,10 @@ class PlannerNode(Managed):
         if self._engaged and not settings.dry_run:
             self._core.planner.sent(command, self._time.nanoseconds / SECOND)
         self._stamp, heard = stamp, self._heard
-        self._tell(report, heard - CLAIMS)  # the vehicle did not wait for it
-        self._report = self._core.proved(report, catches='certificate' in heard)
-        self._tell(self._report, heard & CLAIMS)
-        self._publish_numbers(self._report.numbers)
+        self._tell(decision, heard - CLAIMS)  # the vehicle did not wait for it
+        self._decision = self._core.proved(decision, catches='certificate' in heard)
+        self._tell(self._decision, heard & CLAIMS)
+        self._publish_numbers(numbers(self._decision))
         self._show_changes()
 
     @property
@@ -414,15 +418,13 @@ class PlannerNode(Managed):
         ends = self._publishers_of.items()
         return frozenset(topic for topic, each in ends if each.get_subscription_count())
 
-    def _tell(self, report: Report, topics: Set[str]) -> None:
-        """Publish a report on the last decision, on topics that somebody listens to."""
-        if 'tick' in topics:
-            report = replace(report, binding=prices(report.decision))
+    def _tell(self, decision: Decision, topics: Set[str]) -> None:
+        """Publish what there is to say of a decision, on topics that somebody listens to."""
         known, name = self._core.inputs.odometry is not None, self.get_fully_qualified_name()
-        made = self._core.settings, self._stamp, report, name
+        made = self._core.settings, self._stamp, decision, name
         self._send(report_messages(*made, oriented=known, heard=topics))
         if 'certificate' in topics:
-            self._send(refutation_messages(report))
+            self._send(refutation_messages(decision))
 
     def _send(self, messages: Mapping[str, Any]) -> None:
         for topic, message in messages.items():
@@ -431,16 +433,16 @@ class PlannerNode(Managed):
                 self._publishers_of[topic].publish(message)
         self._sent_at = self.steady_now()
 
-    def _publish_numbers(self, numbers: Mapping[str, float]) -> None:
+    def _publish_numbers(self, found: Mapping[str, float]) -> None:
         """Publish numbers, each on a topic of its own, while somebody subscribes."""
-        for name, number in numbers.items():
+        for name, number in found.items():
             if self._numbers[name].get_subscription_count():
                 self._numbers[name].publish(Float64(data=float(number)))
 
     def _look_for_events(self) -> None:
         """Look whether the latest odometry shows a goal caught or reached."""
         settings, known = self._core.settings, self._core.inputs.odometry
-        found = self._core.inputs.goal_at(self.steady_now(), self._time.now)
+        found = self._core.inputs.goal_at(self.steady_now(), self.ros_now)
         if known is None or found is None:
             return
         (goal, wanted), approach = found, settings.approach
@@ -490,7 +492,7 @@ class PlannerNode(Managed):
         restless = left_out = ''
         if len(self._changes) == RESTLESS and now - self._changes[0] <= 1.0:
             restless = f'the mode has changed {RESTLESS} times within 1 s, each time afresh'
-        if self._report is not None and (count := self._report.decision.left_out):
+        if self._decision is not None and (count := self._decision.left_out):
             left_out = f'{count} obstacles within reach are left out: too many'
         refused = self._refusal if now - self._refused_at < REFUSED else ''
         ends = self._monitor.rivals, still, other, self._frame_check.doubt, restless
@@ -503,7 +505,7 @@ class PlannerNode(Managed):
         waiting = f'waits for {missing}' if missing else ''
         if not (self.active and self._enabled):
             waiting = (DISABLED if self.active else INACTIVE).words
-        return condition(wrong, waiting, self._report, self._notices())
+        return condition(wrong, waiting, self._decision, self._notices())
 
     def _show_changes(self) -> None:
         """Log what is new of the condition, and publish it if the level has changed."""
@@ -569,19 +571,18 @@ class PlannerNode(Managed):
 
     def _start_afresh(self, why: str, reason: Reason = AFRESH) -> None:
         self.get_logger().warning(f'{reason.words}: {why}')
-        self._forget_plan()
+        self._forget_plan(wind=reason is RESET)
         self._core.inputs.start_afresh()
         self._events.begin()
         self._publish_events()
         self.safe(reason)
 
-    def _forget_plan(self) -> None:
+    def _forget_plan(self, *, wind: bool = False) -> None:
         self._patience.cancel()
-        self._core.planner.start_afresh()
+        self._core.planner.start_afresh(wind=wind)
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._core.planner.start_afresh(wind=True)
         self._start_afresh('asked to', RESET)
         response.success = True
         response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'

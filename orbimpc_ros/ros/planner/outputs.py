@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -20,10 +19,10 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.loop.traffic import clearance
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import margins
-from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 from orbimpc_ros.mpc.proof.prove import certificate_of
@@ -55,95 +54,79 @@ ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is 
 LONGEST = 60  # steps; prices of longer plans take milliseconds
 
 
-@dataclass(frozen=True)
-class Report:
-    """A decision, and what belongs to it on the topic ``tick``.
+def level(decision: Decision) -> bytes:
+    """Return how bad a decision is, in diagnostics' terms."""
+    if decision.fallback is Fallback.SAFE_COMMAND:
+        return ERROR
+    good = decision.status is Status.OPTIMAL and not (decision.fallback or decision.reason)
+    return OK if good else WARN
 
-    Attributes:
-        decision: what was decided, and why.
-        solve_time_ms: of the whole decision, check included [ms].
-        heard: the messages that it is made of, see :attr:`Inputs.heard`; a replay has to know.
-        binding: price of each constraint that keeps the plan from being better, dearest first, by
-            its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
+
+def numbers(decision: Decision) -> dict[str, float]:
+    """Return what is published as numbers, by name: the time [s], and of a plan its costs."""
+    plan, took = decision.plan, {'solve_time': 1e-3 * decision.solve_time_ms}
+    if plan is None:
+        return took
+    return {'objective': plan.objective, 'lower_bound': plan.lower_bound, 'gap': plan.gap} | took
+
+
+def values(decision: Decision) -> dict[str, object]:
+    """Return the values on the topic ``tick``, by key.
+
+    Attributes of the plan are NaN or empty without one. ``speed_fraction`` is |R_k e1| along the
+    plan, k = 0..N; ``projection_distance`` the largest Frobenius distance from R_k to its rotation,
+    k = 1..N. ``catch_bound`` is the time before which nothing can catch the goal, as far as that
+    was counted again, or refuted.
     """
-
-    decision: Decision
-    solve_time_ms: float = 0.0
-    heard: Mapping[str, Any] = field(default_factory=UNHEARD.copy)
-    binding: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def level(self) -> bytes:
-        """Return how bad it is, in diagnostics' terms."""
-        decision = self.decision
-        if decision.fallback is Fallback.SAFE_COMMAND:
-            return ERROR
-        good = decision.status is Status.OPTIMAL and not (decision.fallback or decision.reason)
-        return OK if good else WARN
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """Return what is published as numbers, by name: the time [s], and of a plan its costs."""
-        plan, took = self.decision.plan, {'solve_time': 1e-3 * self.solve_time_ms}
-        if plan is None:
-            return took
-        costs = {'objective': plan.objective, 'lower_bound': plan.lower_bound, 'gap': plan.gap}
-        return costs | took
-
-    @property
-    def values(self) -> dict[str, object]:
-        """Return the values on the topic ``tick``, by key.
-
-        Attributes of the plan are NaN or empty without one. ``speed_fraction`` is |R_k e1| along
-        the plan, k = 0..N; ``projection_distance`` the largest Frobenius distance from R_k to its
-        rotation, k = 1..N. ``catch_bound`` is the time before which nothing can catch the goal, as
-        far as that was counted again, or refuted.
-        """
-        decision, plan, catch = self.decision, self.decision.plan, self.decision.catch
-        refuted, wind, case = decision.refutation is not None, decision.disturbance, decision.case
-        objective = lower_bound = gap = projection_distance = clear = math.nan
-        fractions: tuple[float, ...] = ()
-        if plan is not None:
-            objective, lower_bound, gap = plan.objective, plan.lower_bound, plan.gap
-            fractions = tuple(plan.speed_fraction.tolist())
-            projection_distance = float(plan.projection_distance[1:].max())
-        if case is not None and plan is not None:
-            clear = clearance(case.problem, case.state, plan.positions)
-        catch_checked = catch is not None and (catch.checked or refuted)
-        catch_bound = math.nan
-        if catch is not None:
-            catch_bound = catch.bound if catch_checked else catch.counted
-        return {
-            'status': decision.status,
-            'reason': decision.reason,
-            'objective': objective,
-            'lower_bound': lower_bound,
-            'gap': gap,
-            'bound_checked': plan is not None and plan.proof.checked,
-            'infeasible_checked': decision.infeasible is not None and refuted,
-            'nodes': 0 if plan is None else plan.nodes,
-            'solve_time_ms': self.solve_time_ms,
-            'speed_fraction': fractions,
-            'projection_distance': projection_distance,
-            'fallback': decision.fallback,
-            'cause': decision.cause,
-            'binding': self.binding,
-            'advanced': decision.advanced,
-            'earliest_catch': math.nan if catch is None else catch.time,
-            'catch_bound': catch_bound,
-            'catch_checked': catch_checked,
-            'disturbance': () if wind is None else tuple(wind.tolist()),
-            'innovation': math.nan if decision.innovation is None else decision.innovation,
-            **self.heard,
-            'obstacles': 0 if decision.state is None else len(decision.state.hazards),
-            'clearance': clear,
-            'margins': {} if case is None or plan is None else margins(*case, plan),
-            'obstacles_left_out': decision.left_out,
-        }
+    plan, catch, case = decision.plan, decision.catch, decision.case
+    refuted, wind = decision.refutation is not None, decision.disturbance
+    objective = lower_bound = gap = projection_distance = clear = math.nan
+    fractions: tuple[float, ...] = ()
+    if plan is not None:
+        objective, lower_bound, gap = plan.objective, plan.lower_bound, plan.gap
+        fractions = tuple(plan.speed_fraction.tolist())
+        projection_distance = float(plan.projection_distance[1:].max())
+    if case is not None and plan is not None:
+        clear = clearance(case.problem, case.state, plan.positions)
+    catch_checked = catch is not None and (catch.checked or refuted)
+    catch_bound = math.nan
+    if catch is not None:
+        catch_bound = catch.bound if catch_checked else catch.counted
+    return {
+        'status': decision.status,
+        'reason': decision.reason,
+        'objective': objective,
+        'lower_bound': lower_bound,
+        'gap': gap,
+        'bound_checked': plan is not None and plan.proof.checked,
+        'infeasible_checked': decision.infeasible is not None and refuted,
+        'nodes': 0 if plan is None else plan.nodes,
+        'solve_time_ms': decision.solve_time_ms,
+        'speed_fraction': fractions,
+        'projection_distance': projection_distance,
+        'fallback': decision.fallback,
+        'cause': decision.cause,
+        'binding': prices(decision),
+        'advanced': decision.advanced,
+        'earliest_catch': math.nan if catch is None else catch.time,
+        'catch_bound': catch_bound,
+        'catch_checked': catch_checked,
+        'disturbance': () if wind is None else tuple(wind.tolist()),
+        'innovation': math.nan if decision.innovation is None else decision.innovation,
+        **(decision.heard or UNHEARD),
+        'obstacles': 0 if decision.state is None else len(decision.state.hazards),
+        'clearance': clear,
+        'margins': {} if case is None or plan is None else margins(*case, plan),
+        'obstacles_left_out': decision.left_out,
+    }
 
 
 def prices(decision: Decision) -> dict[str, float]:
-    """Return what binds at a tick's plan: apart, for the vehicle must not wait for it."""
+    """Return the price of each constraint that keeps a decision's plan from being better.
+
+    Dearest first, by name and step, such as ``floor@3``; empty if none does, if the plan is no
+    optimum, or if it is long.
+    """
     case, plan = decision.case, decision.plan
     if case is None or plan is None or plan.horizon > LONGEST:
         return {}
@@ -154,14 +137,14 @@ def prices(decision: Decision) -> dict[str, float]:
 
 
 def condition(
-    wrong: Iterable[str], waiting: str, report: Report | None, notices: Iterable[str]
+    wrong: Iterable[str], waiting: str, decision: Decision | None, notices: Iterable[str]
 ) -> tuple[bytes, list[str]]:
     """Return a planner's condition: a level, and what it is due to.
 
     Args:
         wrong: what is wrong around it, in words; empty ones do not count.
         waiting: why it does not plan, in words; empty if it does.
-        report: of the last decision, if there was one.
+        decision: the last one, if there was one.
         notices: what to warn of while all goes well; empty ones do not count.
     """
     errors, warnings = [*filter(None, wrong)], [*filter(None, notices)]
@@ -169,16 +152,16 @@ def condition(
         return ERROR, errors
     if waiting:
         return WARN, [waiting, *warnings]
-    level, message = OK, 'ready'
-    if report is not None:
-        level, message = report.level, report.decision.reason or 'planning'
-    return WARN if level == OK and warnings else level, [message, *warnings]
+    worst, message = OK, 'ready'
+    if decision is not None:
+        worst, message = level(decision), decision.reason or 'planning'
+    return WARN if worst == OK and warnings else worst, [message, *warnings]
 
 
-def tick_message(at: int, node: str, report: Report) -> DiagnosticArray:
-    """Return a report as the message on ``tick``; ``at`` is the stamp [ns]."""
-    message = report.decision.reason or report.decision.status
-    return messages.diagnostics(at, f'{node}: tick', report.level, message, report.values)
+def tick_message(at: int, node: str, decision: Decision) -> DiagnosticArray:
+    """Return a decision as the message on ``tick``; ``at`` is the stamp [ns]."""
+    message = decision.reason or decision.status
+    return messages.diagnostics(at, f'{node}: tick', level(decision), message, values(decision))
 
 
 def outputs(settings: PlannerSettings) -> dict[str, type]:
@@ -212,7 +195,7 @@ def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) 
 def report_messages(
     settings: PlannerSettings,
     stamp: Stamp,
-    report: Report,
+    decision: Decision,
     node: str,
     *,
     oriented: bool,
@@ -223,14 +206,14 @@ def report_messages(
     Args:
         settings: give the problem.
         stamp: of the odometry that is answered.
-        report: on the tick.
+        decision: the answer.
         node: name of the planner.
         oriented: whether the vehicle's attitude is known, so that one can be commanded.
         heard: topics that somebody listens to: others are not worth the work.
     """
-    decision, made = report.decision, dict[str, Any]()
+    made: dict[str, Any] = {}
     if 'tick' in heard:
-        made['tick'] = tick_message(stamp.nanoseconds, node, report)
+        made['tick'] = tick_message(stamp.nanoseconds, node, decision)
     if 'plan' in heard:
         made['plan'] = _path(settings, stamp, decision)
     if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
@@ -264,9 +247,9 @@ def _certificate(decision: Decision) -> UInt8MultiArray | None:
     return _proof(certificate_of(*case, plan.proof))
 
 
-def refutation_messages(report: Report) -> dict[str, Any]:
+def refutation_messages(decision: Decision) -> dict[str, Any]:
     """Return by topic what refutes that anything is feasible, or caught, where that is proved."""
-    made = report.decision.refutation
+    made = decision.refutation
     return {} if made is None else {'certificate': _proof(made)}
 
 

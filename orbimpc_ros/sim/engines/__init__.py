@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,14 +73,20 @@ class Motion(NamedTuple):
         return bool(np.isfinite(numbers).all()) and all(map(math.isfinite, self.facts.values()))
 
 
-class Engine(Protocol):
+class Engine(ABC):
     """A vehicle in an engine; one with guidance of its own may also ``steer_to`` a waypoint."""
 
     name: str  # of the library
-    tick: float  # the step of its integration, to which it rounds times [s]
+    tick: float  # from one command to the next, to which it rounds times [s]
+    every: int = 1  # ticks between two motions that are returned
 
+    @abstractmethod
     def motion(self) -> Motion:
         """Return how the vehicle moves now."""
+
+    @abstractmethod
+    def fly(self, push: float, rate: Array) -> None:
+        """Fly for a tick on a command; see :meth:`run`."""
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
         """Fly for a time and return the motions on the way, the last one at its end.
@@ -88,7 +95,16 @@ class Engine(Protocol):
             span: how long [s].
             push: commanded, along the axis that pushes [m/s or m/s^2].
             rate: commanded, in the body frame: to the left, shape (1,), or shape (3,) [rad/s].
+
+        Raises:
+            EngineFailure: the engine has stopped.
         """
+        motions, count = [], max(1, round(span / self.tick))
+        for k in range(1, count + 1):
+            self.fly(push, rate)
+            if k % self.every == 0 or k == count:
+                motions.append(self.motion())
+        return motions
 
 
 def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:

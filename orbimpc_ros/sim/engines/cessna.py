@@ -17,12 +17,11 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start, about
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, NoStart, Start, about
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
 RATE = 120.0  # [Hz] of JSBSim's own scripts for the aircraft
-READ = 6  # steps between two motions that are returned
 HEIGHT = 1000.0  # [ft] above the ground: up to there, turbulence is a tenth of the wind at 20 ft
 EAST, NORTH = 6378137.0 + HEIGHT * FOOT, 6335439.0 + HEIGHT * FOOT  # [m] WGS 84 at 0 N, 0 E
 SPEEDS = (30.0, 34.0, 38.0, 42.0, 46.0, 50.0, 54.0, 58.0)  # [m/s] through the air
@@ -64,7 +63,7 @@ def _engaged(turbulence: float) -> dict[str, float]:
     }
 
 
-class Cessna:
+class Cessna(Engine):
     """The aircraft in flight, trimmed at the start.
 
     Args:
@@ -76,6 +75,7 @@ class Cessna:
 
     name = 'jsbsim'
     tick = 1.0 / RATE
+    every = 6
 
     def __init__(self, start: Start) -> None:
         self._place = start.position
@@ -112,20 +112,11 @@ class Cessna:
             }
         )
 
-    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time rounded to steps, at a speed through the air; see :meth:`Engine.run`.
-
-        Raises:
-            EngineFailure: the engine has stopped.
-        """
-        motions, count = [], max(1, round(span * RATE))
-        for k in range(1, count + 1):
-            self._steer(push, float(rate[0]))
-            if not self._fdm.run():
-                raise EngineFailure(f'{self.name}: stopped at t = {self._time:.3f} s')
-            if k % READ == 0 or k == count:
-                motions.append(self.motion())
-        return motions
+    def fly(self, push: float, rate: Array) -> None:
+        """Fly for a tick at a speed through the air; see :meth:`Engine.fly`."""
+        self._steer(push, float(rate[0]))
+        if not self._fdm.run():
+            raise EngineFailure(f'{self.name}: stopped at t = {self._time:.3f} s')
 
     def _steer(self, speed: float, turn: float) -> None:
         fdm, now = self._fdm, self._fdm['velocities/vt-fps'] * FOOT

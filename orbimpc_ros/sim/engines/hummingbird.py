@@ -25,11 +25,10 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, NoStart, Start, about
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, NoStart, Start, about
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next
-READ = 5  # commands to the rotors between two motions that are returned
 LINKS, LINK = 25, 0.1  # links and the length of one [m]
 ABOVE = 2.0  # [m] from the plane of flight to where the rope hangs from
 FARTHEST = 1.2  # [m] aside in the plane of flight, where the rope is let go
@@ -64,7 +63,7 @@ def scene(anchor: Array) -> str:
     )
 
 
-class Hummingbird:
+class Hummingbird(Engine):
     """The vehicle in flight and the rope let go; heights are above the plane of flight.
 
     Args:
@@ -76,6 +75,7 @@ class Hummingbird:
 
     name = 'mujoco'
     tick = STEP * CONTROL
+    every = 5
 
     def __init__(self, start: Start) -> None:
         aside = start.goal - start.rest
@@ -122,24 +122,16 @@ class Hummingbird:
         """
         self._waypoint = np.append(point, 0.0)
 
-    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time rounded to rotor commands, at a speed over ground; see :meth:`Engine.run`.
-
-        Raises:
-            EngineFailure: MuJoCo has given up.
-        """
-        motions, count, begun = [], max(1, round(span / self.tick)), self._data.time
-        for k in range(1, count + 1):
-            self._lead(push, float(rate[0]))
-            self._push()
-            for _ in range(CONTROL):
-                mujoco.mj_step(self._model, self._data)
-                self._judge()
-            if k % READ == 0 or k == count:
-                motions.append(self.motion())
+    def fly(self, push: float, rate: Array) -> None:
+        """Fly for a tick at a speed over ground; see :meth:`Engine.fly`."""
+        begun = self._data.time
+        self._lead(push, float(rate[0]))
+        self._push()
+        for _ in range(CONTROL):
+            mujoco.mj_step(self._model, self._data)
+            self._judge()
         if any(warning.number for warning in self._data.warning):
             raise EngineFailure(f'{self.name}: unstable after t = {begun:.3f} s')
-        return motions
 
     def _lead(self, speed: float, turn: float) -> None:
         """Move the setpoint on."""

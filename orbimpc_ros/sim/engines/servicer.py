@@ -32,13 +32,12 @@ from Basilisk.simulation import (
 from Basilisk.utilities import simIncludeRW, simIncludeThruster
 from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
 
-from orbimpc_ros.sim.engines import Array, EngineFailure, Motion, Start
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start
 
 SECOND = 1_000_000_000  # [ns]
 STEP = 0.02  # [s] of the integration, by Runge and Kutta's fourth order
 CONTROL = 0.1  # [s] from one torque of the wheels to the next
 PULSE = 0.5  # [s] from one firing of the thrusters to the next
-READ = 5  # torques between two motions that are returned
 EARTH = 3.986004418e14  # [m^3/s^2]
 ORBIT = 6.878e6  # [m] the client's radius, 500 km up
 MASS = 60.0  # [kg]
@@ -53,7 +52,7 @@ OFF_FORCE = 0.02  # deviation of a thruster's force, as a share
 OFF_AXIS = 0.01  # [rad] deviation of a thruster's axis, either way
 
 
-class Servicer:
+class Servicer(Engine):
     """The spacecraft in flight; its position is that of the middle of its hull.
 
     Args:
@@ -63,6 +62,7 @@ class Servicer:
 
     name = 'basilisk'
     tick = CONTROL
+    every = 5
 
     def __init__(self, start: Start) -> None:
         bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)
@@ -88,24 +88,15 @@ class Servicer:
         self._tell(0.0)
         self._simulation.StepUntilStop(0, -1)
 
-    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time rounded to torques of the wheels; see :meth:`Engine.run`.
-
-        Raises:
-            EngineFailure: Basilisk has given up.
-        """
-        motions, count = [], max(1, round(span / CONTROL))
-        for k in range(1, count + 1):
-            self._tell(push)
-            self._setpoint = self._setpoint.after(CONTROL, rate)
-            self._cycles += 1
-            try:
-                self._simulation.StepUntilStop(self._nanoseconds, -1)
-            except bskLogging.BasiliskError as error:
-                raise EngineFailure(f'{self.name}: {error}') from error
-            if k % READ == 0 or k == count:
-                motions.append(self.motion())
-        return motions
+    def fly(self, push: float, rate: Array) -> None:
+        """Fly for a tick at an acceleration by thrust; see :meth:`Engine.fly`."""
+        self._tell(push)
+        self._setpoint = self._setpoint.after(CONTROL, rate)
+        self._cycles += 1
+        try:
+            self._simulation.StepUntilStop(self._nanoseconds, -1)
+        except bskLogging.BasiliskError as error:
+            raise EngineFailure(f'{self.name}: {error}') from error
 
     @property
     def _nanoseconds(self) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,26 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
 
 
-def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[ReplayedTick]:
-    """Yield the ticks of a bag, made anew with the parameters that it was made with.
-
-    Args:
-        path: of the bag.
-        params: a file of parameters, for a bag without notes of them.
-        namespace: of the vehicle.
-    """
-    from orbimpc_ros.tool.replay.resolving import replayed
-
-    yield from replayed(*_opened(path, namespace, params))
-
-
 def run(args: argparse.Namespace) -> int:
     """Solve a bag's inputs again, compare, report; 0 if nothing differs beyond the tolerances."""
     from orbimpc_ros.tool.replay.difference import compared
     from orbimpc_ros.tool.replay.resolving import replayed
 
     begun, path = time.perf_counter(), Path(args.bag)
-    recording, planner, simulated = _opened(path, args.namespace, args.params, args.set)
+    recording, planner, simulated = opened(path, args.namespace, args.params, args.set)
     if args.tick is not None:
         if not 0 <= args.tick < len(recording.answers):
             raise BadInput('--tick', args.tick, f'0 to {len(recording.answers) - 1}')
@@ -73,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     return DIFFERENT if any(each.differs for each in found) else SAME
 
 
-def _opened(
+def opened(
     path: Path, namespace: str, params: str | None, changes: Sequence[str] = ()
 ) -> tuple[Recording, PlannerSettings, bool]:
     """Return what a bag holds, the planner's settings, and whether its time was simulated.

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import itertools
 import math
-import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import OrbimpcError
@@ -18,7 +17,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
 from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process, interruptions
+from orbimpc_ros.tool.run.processes import Process, Processes, interruptions
 from orbimpc_ros.tool.run.progress import ProgressLine
 from orbimpc_ros.tool.run.recorder import Recorder
 from orbimpc_ros.tool.settings import Values
@@ -52,33 +51,17 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {shown(folder)}')
     planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
     with interruptions() as received:
-        with (
-            _processes(namespaces, parameters, folder) as nodes,
-            closing(Recorder(folder / 'bag', topics_of(namespaces), notes, planners)) as recorder,
-        ):
-            _watch(nodes, recorder, received, values)
+        with Processes() as started:
+            nodes: dict[str, dict[str, Process]] = {'planner': {}, 'sim': {}}
+            for namespace, node in itertools.product(namespaces, nodes):
+                log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
+                known = PACKAGES[node], parameters, log
+                nodes[node][namespace] = started.start(*known, namespace=namespace)
+            bag = Recorder(folder / 'bag', topics_of(namespaces), notes, planners)
+            with closing(bag) as recorder:
+                _watch(nodes, recorder, received, values)
         if received:
             raise KeyboardInterrupt
-
-
-@contextmanager
-def _processes(
-    namespaces: Sequence[str], parameters: Path, folder: Path
-) -> Iterator[dict[str, dict[str, Process]]]:
-    """Run the nodes of each vehicle; yield their processes by kind and namespace."""
-    nodes: dict[str, dict[str, Process]] = {'planner': {}, 'sim': {}}
-    try:
-        for namespace, node in itertools.product(namespaces, nodes):
-            log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
-            nodes[node][namespace] = Process(PACKAGES[node], parameters, log, namespace=namespace)
-        yield nodes
-    finally:
-        started = [each for kind in nodes.values() for each in kind.values()]
-        for process in started:  # all at once: each takes its time
-            if process.running:
-                process.tell(signal.SIGINT)
-        for process in started:
-            process.stop()
 
 
 def _watch(

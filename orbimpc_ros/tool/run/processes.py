@@ -16,6 +16,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import SIGNALS, leave_at_signals
@@ -113,6 +114,25 @@ class Process(Child):
         remapped = ['-r', f'__ns:={namespace}'] if namespace else []
         words = [module, '--ros-args', '--params-file', str(parameters), *remapped]
         super().__init__(module.rpartition('.')[2], words, log, domain)
+
+
+class Processes(list[Process]):
+    """Nodes that are stopped, all at the same time, when a context ends."""
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for process in self:  # each takes its time
+            if process.running:
+                process.tell(signal.SIGINT)
+        for process in self:
+            process.stop()
+
+    def start(self, *given: Any, **more: Any) -> Process:
+        """Start a node; arguments are those of :class:`Process`."""
+        self.append(Process(*given, **more))
+        return self[-1]
 
 
 @contextmanager

@@ -29,11 +29,12 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
+from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.offline import aboard, tell
+from orbimpc_ros.tool.offline import aboard, closed_loop
 
 Row = dict[str, Any]
 Key = tuple[str, int]  # controller, and number of a flight
@@ -58,6 +59,8 @@ class Job:
 def flown(job: Job) -> Row:
     """Fly and return ``controller``, ``index`` and what came of the flight.
 
+    The planner sees it through the faults of the simulator's parameters.
+
     ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether it ended at an
     obstacle), ``failed`` (how an engine has failed, or an empty string); the rows of
     :func:`_of_way` and :func:`_of_ticks`.
@@ -65,20 +68,19 @@ def flown(job: Job) -> Row:
     simulated = sim_settings(settings.of_sim(job.values))
     # Other processes may keep the machine busy: ticks are measured in processor time.
     planner = aboard(job.values, time.thread_time, lambda given: _pilot(job, given))
-    flight = departure(simulated.scenario, simulated.begin)
-    way, ticks, failed = [flight], list[tuple[Decision, float]](), ''
-    while not (flight.over or flight.touched or failed):
-        tell(planner, flight, simulated.goal_path_steps, job.margin)
-        begun = time.thread_time()
-        decision = planner.report(flight.vehicle.time).decision
-        ticks.append((decision, 1e3 * (time.thread_time() - begun)))
-        if job.controller == WAYPOINT:
-            _steer(flight)
-        try:
-            flight = flight.after(decision.command.speed_fraction, decision.command.body_rate)
+    view = View(simulated.faults, simulated.seed, simulated.model.step)
+    way, ticks, failed = list[Flight](), list[tuple[Decision, float]](), ''
+    known = view, simulated.command_timeout, simulated.goal_path_steps, job.margin
+    try:
+        begin = departure(simulated.scenario, simulated.begin)
+        for flight, decision, spent in closed_loop(planner, begin, *known):
             way.append(flight)
-        except EngineFailure as error:
-            failed = str(error)
+            if decision is not None:
+                ticks.append((decision, spent))
+            if job.controller == WAYPOINT:
+                _steer(flight)
+    except EngineFailure as error:
+        failed = str(error)
     caught, begun = flight.captured, flight.scenario.start.time
     return {
         'controller': job.controller,
@@ -153,7 +155,7 @@ def _of_ticks(ticks: Sequence[tuple[Decision, float]]) -> Row:
     of a plan and ``projection`` loss; ``p50_ms`` and ``longest_ms``, processor time of the ticks.
     """
     plans = [decision.plan for decision, _ in ticks if decision.plan is not None]
-    spent = [each for _, each in ticks]
+    spent = [each for _, each in ticks] or [0.0]
     return {
         'ticks': len(ticks),
         'optimal': sum(decision.status is Status.OPTIMAL for decision, _ in ticks),

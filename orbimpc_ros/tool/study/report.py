@@ -47,7 +47,7 @@ def times_of(draws: Draws, rows: Sequence[Row]) -> Array:
 
 def _row(draws: Draws, name: str, rows: Rows) -> str:
     flights, times = rows[name], times_of(draws, rows[name])
-    ticks = sum(row['ticks'] for row in flights)
+    ticks = max(1, sum(row['ticks'] for row in flights))
     caught = stats.binomtest(sum(bool(row['caught']) for row in flights), len(flights))
     share = caught.proportion_ci(method='wilson')
     return _cells(
