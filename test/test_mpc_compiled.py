@@ -42,9 +42,9 @@ def test_plain_python_finds_what_machine_code_does():
 ONCE = """
     import sys, time
     from pathlib import Path
-    from orbimpc_ros.mpc.kernels import compiled
+    from orbimpc_ros.mpc.kernels import entry_point
 
-    @compiled
+    @entry_point
     def added(one, other):
         return one + other
 

@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 37_258,
-    'orbimpc_ros/mpc': 19_554,
+    'orbimpc_ros': 36_624,
+    'orbimpc_ros/mpc': 18_920,
     'orbimpc_ros/loop': 4_050,
     'orbimpc_ros/ros': 4_993,
     'orbimpc_ros/sim': 3_122,

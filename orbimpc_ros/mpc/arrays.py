@@ -126,6 +126,8 @@ class ByContent:
 
 
 def _comparable(value: object) -> object:
+    if isinstance(value, Mapping):
+        return frozenset((key, _comparable(each)) for key, each in value.items())
     if not isinstance(value, np.ndarray):
         return value
     return value.shape, (value + 0.0).tobytes()  # adding zero makes -0.0 the 0.0 that it equals

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import leaning, relief, strayed
@@ -119,7 +119,7 @@ def _worse(worst, error):
     return error if error > worst else worst if error <= worst else np.inf
 
 
-@compiled
+@entry_point
 def _strayed(numbers, moves, inertial, aligned, n, count, order, known):
     """Return what :class:`_Strays` has.
 

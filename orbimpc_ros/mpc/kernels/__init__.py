@@ -74,23 +74,37 @@ def _lock_file(folder: Path) -> int:
     return os.open(folder / LOCKS, os.O_RDWR | os.O_CREAT, 0o666)
 
 
-def compiled(function: Callable) -> Callable:
-    """Compile a function at its first call, and keep the code for the next process."""
+def entry_point(function: Callable) -> Callable:
+    """Compile at its first call from Python, and keep the code for the next process."""
     return _kept(function) if COMPILED else function
+
+
+def compiled(function: Callable) -> Callable:
+    """Compile for what calls it in machine code, of which it becomes part.
+
+    To make it callable from Python as well would take as long again.
+    """
+    return _nested(function) if COMPILED else function
 
 
 def vectorised(function: Callable) -> Callable:
     """Compile as :func:`compiled` does, and let sums be reordered, as wide arithmetic needs."""
-    return _kept(function, fastmath={'reassoc', 'contract'}) if COMPILED else function
+    return _nested(function, fastmath={'reassoc', 'contract'}) if COMPILED else function
 
 
 def inlined(function: Callable) -> Callable:
     """Compile into what calls it, where to pass arrays takes longer than to go through them."""
-    return _kept(function, inline='always') if COMPILED else function
+    return _nested(function, inline='always') if COMPILED else function
 
 
-def _kept(function: Callable, **options: Any) -> Callable:
-    made = njit(cache=True, **options)(function)
+def _nested(function: Callable, **options: Any) -> Callable:
+    options |= {'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
+    made: Callable = njit(**options)(function)
+    return made
+
+
+def _kept(function: Callable) -> Callable:
+    made: Any = njit(cache=True)(function)
     if made is not function:  # as it is with NUMBA_DISABLE_JIT
         made._cache = _KeptCode(function)
         folder = Path(function.__code__.co_filename).parent

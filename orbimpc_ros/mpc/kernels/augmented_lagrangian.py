@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbimpc_ros.mpc.kernels import compiled, vectorised
+from orbimpc_ros.mpc.kernels import compiled, entry_point, vectorised
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.kernels.penalty import (
     BEST,
@@ -215,7 +215,7 @@ def _with_lengths(quadratic, terms, x):
     return cost
 
 
-@compiled
+@entry_point
 def minimise(terms, start, held, limits, work, progress, budget):
     """Minimise quadratic and terms, on from where the progress is.
 

@@ -6,6 +6,8 @@ Mathematics: docs/mathematics.md, 4.3.
 
 from __future__ import annotations
 
+import numpy as np
+
 from orbimpc_ros.mpc.kernels import compiled
 
 DONE, FULL, PAUSED = range(3)  # what a search ends with
@@ -21,6 +23,8 @@ def cutoff_of(value, constant, tolerance):
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.
     """
+    if value == np.inf:
+        return value
     return value - tolerance * max(abs(value + constant), NEGLIGIBLE)
 
 

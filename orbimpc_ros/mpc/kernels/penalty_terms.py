@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import diagonalise, is_positive
 from orbimpc_ros.mpc.kernels.orbitope import add_adjoint, set_lmi, set_pair
 
@@ -113,7 +113,7 @@ class Scratch(NamedTuple):
     sides: Array
 
 
-@compiled
+@entry_point
 def multipliers(n, m):
     """Return multipliers of zero.
 

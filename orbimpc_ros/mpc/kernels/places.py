@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, extend_factor, solve_factored
 
 SOLVED, STALLED, REFUTED, INTERRUPTED = range(4)  # what becomes of a solve
@@ -291,7 +291,7 @@ def _bound(known, q, held, count):
     return value - stray - ROUNDING * magnitude
 
 
-@compiled
+@entry_point
 def minimise(known, asked, held, count, work):
     """Solve on from an active set that is optimal for its rows: none, or where a solve stopped.
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.penalty import (
     BEST,
     ENOUGH,
@@ -309,7 +309,7 @@ def minimise(chain, limits, progress, lowest, work):
     return quadratic, PAUSED
 
 
-@compiled
+@entry_point
 def within(chain, z):
     """Pull headings into their disks; return their cost.
 
@@ -322,7 +322,7 @@ def within(chain, z):
     return _cost(chain.along, chain.start, chain.turning, chain.weights, chain.goals, chain.wish, z)
 
 
-@compiled
+@entry_point
 def settle(chain, limits, progress, lowest, work):
     """Do as :func:`minimise`; once that is over, pull the headings into their disks as well.
 

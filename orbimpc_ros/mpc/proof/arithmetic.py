@@ -13,15 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache, lru_cache
+from types import FunctionType
 from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.kernels import COMPILED
-
-if COMPILED:
-    from numba.extending import overload, register_jitable
+from orbimpc_ros.mpc.kernels import COMPILED, compiled, entry_point
 
 Number = Any  # a float or a Fraction
 BITS = 160  # after the point, of what is rounded
@@ -34,30 +32,41 @@ FLOATS = 1e-15  # of the size of terms, that floats may be off by
 FRACTIONS = Fraction(1, 1 << 110)  # the same of fractions
 
 
+IN_FLOATS: dict[Callable, Callable] = {}  # of generic functions what floats do instead of them
+
+
 def generic(function: Callable) -> Callable:
-    """Return a function of either arithmetic: plain Python, that machine code may call, too."""
-    made: Callable = register_jitable(function) if COMPILED else function
-    return made
-
-
-def woven(function: Callable) -> Callable:
-    """Return a generic function that becomes part of what calls it.
-
-    To pass tuples of arrays to a function takes longer than most have to do.
-    """
-    made: Callable = register_jitable(inline='always')(function) if COMPILED else function
-    return made
+    """Return a function of either arithmetic: plain Python, and machine code of :func:`floats`."""
+    IN_FLOATS[function] = function
+    return function
 
 
 def by_type(function: Callable) -> Callable[[Callable], Callable]:
     """Return what registers how floats do in machine code what a plain function does."""
 
-    def registered(floats: Callable) -> Callable:
-        if COMPILED:
-            overload(function)(floats)
-        return floats
+    def registered(in_floats: Callable) -> Callable:
+        IN_FLOATS[function] = in_floats
+        return in_floats
 
     return registered
+
+
+def floats(function: Callable) -> Callable:
+    """Return a generic function in machine code for floats, which is kept between processes."""
+    return entry_point(_bound_to_floats(function)) if COMPILED else function
+
+
+@cache
+def _bound_to_floats(function: Callable) -> Callable:
+    """Return a generic function whose generic names mean what floats do."""
+    source, known = IN_FLOATS[function], dict(function.__globals__)
+    for name in source.__code__.co_names:
+        if known.get(name) in IN_FLOATS:
+            each = known[name]
+            known[name] = compiled(_bound_to_floats(each))
+    made = FunctionType(source.__code__, known, function.__name__)
+    made.__module__, made.__qualname__ = function.__module__, function.__qualname__
+    return made
 
 
 def slack(size: Number) -> Number:
@@ -111,30 +120,27 @@ def least_eigenvalue(matrix: Any) -> Number:
 
 @by_type(slack)
 def _slack(size):
-    return lambda size: FLOATS * size
+    return FLOATS * size
 
 
 @by_type(root)
 def _root(x):
-    return lambda x: math.sqrt(x) if x > 0.0 else 0.0
+    return math.sqrt(x) if x > 0.0 else 0.0
 
 
 @by_type(direction)
 def _cosine_and_sine(angle):
-    return lambda angle: (math.cos(angle), math.sin(angle))
+    return math.cos(angle), math.sin(angle)
 
 
 @by_type(coarse)
 def _coarse(x):
-    return lambda x: x
+    return x
 
 
 @by_type(least_eigenvalue)
 def _least_eigenvalue(matrix):
-    def found(matrix):
-        return np.linalg.eigvalsh(matrix)[0] - 4.0 * FLOATS * np.abs(matrix).sum()
-
-    return found
+    return np.linalg.eigvalsh(matrix)[0] - 4.0 * FLOATS * np.abs(matrix).sum()
 
 
 def _is_definite(matrix: Any, shift: Fraction) -> bool:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.proof.arithmetic import generic, slack, woven
+from orbimpc_ros.mpc.proof.arithmetic import generic, slack
 from orbimpc_ros.mpc.proof.convex import lost, set_hessian
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, slid, towed, with_ends
@@ -105,7 +105,7 @@ class Work(NamedTuple):
     squares: Any
 
 
-@woven
+@generic
 def _turned(order, costs, start, point, slopes):
     """Add the slopes of what turns and the attitude cost; return that."""
     count, weight = len(point), costs.turned
@@ -132,7 +132,7 @@ def _turned(order, costs, start, point, slopes):
     return value
 
 
-@woven
+@generic
 def _flown(costs, goals, point, shor, work):
     """Add forces of what positions cost, less a leaf's own curvature; return that, and its size."""
     flown, slopes, count, n = work.flown, work.slopes, len(point), goals.shape[1] - 1
@@ -162,7 +162,7 @@ def _least_decided(n, decided, known, g, length, shor, slowest, fastest):
     return over_speeds(along / speed + length, shor, slowest, fastest), 2 * size
 
 
-@woven
+@generic
 def _of_step(sets, known, corners, k, g, share, shor, length, work):
     """Return the least that a step adds to a bound, and the size of its terms.
 
@@ -199,7 +199,7 @@ def _of_step(sets, known, corners, k, g, share, shor, length, work):
     return value + over_stage(sets, known, corners, k, g[:n], length, shor, n), size
 
 
-@woven
+@generic
 def _at_point(stated, leaves, leaf, empty, work):
     """Set slopes and forces of the cost at a leaf's point; return the cost, and its size."""
     start, costs, zero = stated.start, stated.costs, 0 * stated.sets.full
@@ -215,7 +215,7 @@ def _at_point(stated, leaves, leaf, empty, work):
     return value + more + first, value + terms + first
 
 
-@woven
+@generic
 def _held(stated, region, depth, leaves, sections, leaf, work):
     """Add forces of a leaf's multipliers; return what they come to, its size, and if they hold."""
     ends, count, n = stated.ends, len(work.slopes), stated.n
@@ -239,7 +239,7 @@ def _held(stated, region, depth, leaves, sections, leaf, work):
     return value, size, held
 
 
-@woven
+@generic
 def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
     """Return what a leaf proves, and whether its multipliers are sound.
 

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import COMPILED, compiled
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.arithmetic import floats
 from orbimpc_ros.mpc.proof.bound import (
     PAUSED,
     PROVED,
@@ -38,7 +39,7 @@ from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 MOST = 1 << 24  # numbers of a region
 SLICE = 2000  # points of steps between two looks at the time: that takes 1 to 3 ms
 HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
-_depths, _bound = compiled(depths_of), compiled(tree_bound)
+_depths, _bound = floats(depths_of), floats(tree_bound)
 
 
 class Verifier:

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled, entry_point, inlined
 from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, PAUSED, cutoff_of, pop, push
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import adrift, length_weights
@@ -152,7 +152,7 @@ def _open(tree, node, cutoff):
         tree.counts[OPEN] += 1
 
 
-@compiled
+@entry_point
 def _begin(tree):
     """Begin a search with its root."""
     tree.counts[:], tree.nodes[0] = 0, 0
@@ -164,7 +164,7 @@ def _begin(tree):
     _open(tree, 0, np.inf)
 
 
-@compiled
+@entry_point
 def _improve(posed, tolerance, tree, start, pull):
     """Descend; where that leads to the best so far, its own multipliers may prove that it is.
 
@@ -277,7 +277,7 @@ def _solve_node(posed, tolerance, tree, node, work):
             return work
         cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
     k = -1
-    if len(posed.left) == 2 and not tree.known[node, KEY] >= cutoff:  # which may be no number
+    if len(posed.left) == 2 and tree.known[node, KEY] < cutoff:
         k = priced_branching(posed, _node(tree, node), NARROWEST)
     if k < 0:
         numbers[CLOSED] = min(numbers[CLOSED], tree.known[node, KEY])
@@ -286,7 +286,7 @@ def _solve_node(posed, tolerance, tree, node, work):
     return work
 
 
-@compiled
+@entry_point
 def _search(posed, tolerance, tree, most, work):
     """Search best first, on from where the tree is.
 
@@ -319,7 +319,7 @@ def _search(posed, tolerance, tree, most, work):
     return status
 
 
-@compiled
+@entry_point
 def _number_leaves(tree):
     """Number the leaves, gather their tangents at the front; return how many there are."""
     count = 0

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled, entry_point, inlined
 from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, PAUSED, cutoff_of, pop, push
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, SPEED
 from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
@@ -474,7 +474,7 @@ def improve(quad, ring, tree, room):
         _take(quad, tree, z)
 
 
-@compiled
+@entry_point
 def begin(quad, ring, tree, guess, room):
     """Begin a search with its root, and with what is near the best known.
 
@@ -556,7 +556,7 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
     return work
 
 
-@compiled
+@entry_point
 def search(quad, ring, tolerance, tree, most, room, work):
     """Search best first, on from where the tree is.
 
@@ -595,7 +595,7 @@ def search(quad, ring, tolerance, tree, most, room, work):
     return status
 
 
-@compiled
+@entry_point
 def number_leaves(tree):
     """Number the leaves, and gather their points at the front; return how many there are."""
     count = 0
