@@ -30,7 +30,15 @@ from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import adrift, length_weights
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, NOTHING, ProofTree
-from orbimpc_ros.mpc.search.shells import cost_of, descend
+from orbimpc_ros.mpc.search.shells import (
+    ACTIVE,
+    ARRIVED,
+    MISSED,
+    Descent,
+    cost_of,
+    descend,
+    set_out,
+)
 from orbimpc_ros.mpc.search.shor import (
     GOING,
     HIGH,
@@ -50,7 +58,8 @@ from orbimpc_ros.mpc.search.shor import (
 from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
-MADE, OPEN, NODES, STARTS = range(4)  # in Tree.counts
+# In Tree.counts; of starts beside a node, the next and the last; of those that are given, too.
+MADE, OPEN, NODES, STARTS, FROM, SIDE, SIDES, FIRST, GIVEN = range(9)
 VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
 TURN = 2.0 * np.pi
 PARTS = 5  # sectors that all directions of a step are cut into
@@ -85,8 +94,10 @@ class Tree(NamedTuple):
         at: the first angle between a node's parts [rad], shape (M,).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,).
+        starts: headings to descend from, guesses first, shape (2, N, n).
+        descent: from one of them, or from beside a node.
         best: the best trajectory, shape (N, n).
-        counts: see the names of its entries, shape (4,).
+        counts: see the names of its entries, shape (9,).
         numbers: shape (3,).
     """
 
@@ -101,6 +112,8 @@ class Tree(NamedTuple):
     at: Array
     keys: Array
     heap: np.ndarray
+    starts: Array
+    descent: Descent
     best: Array
     counts: np.ndarray
     numbers: Array
@@ -121,8 +134,10 @@ def _working_space(thread: int, nodes: int, steps: int, n: int) -> Tree:
         np.zeros(nodes),
         np.empty(nodes),
         np.empty(nodes, np.int64),
+        np.zeros((2, steps, n)),
+        Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6)),
         np.zeros((steps, n)),
-        np.zeros(4, np.int64),
+        np.zeros(9, np.int64),
         np.zeros(3),
     )
 
@@ -153,56 +168,58 @@ def _open(tree, node, cutoff):
 
 
 @entry_point
-def _begin(tree):
-    """Begin a search with its root."""
-    tree.counts[:], tree.nodes[0] = 0, 0
-    tree.counts[MADE], tree.numbers[:] = 1, np.inf
+def _begin(tree, first, given):
+    """Begin a search with its root, and from some of the starts; those after wait for the root."""
+    tree.counts[:], tree.nodes[0], tree.numbers[:] = 0, 0, np.inf
+    tree.counts[MADE], tree.counts[FIRST], tree.counts[GIVEN] = 1, first, given
     tree.sector[0, :, LOW], tree.sector[0, :, HIGH] = -np.pi, np.pi
     tree.z[0], tree.held[0], tree.point[0], tree.kept[0], tree.pull[0] = 0.0, 0.0, 0.0, 0.0, 0.0
     tree.known[0, KEY], tree.known[0, TAKEN], tree.known[0, MU] = -np.inf, 0.0, 0.0
-    tree.numbers[LEAST] = -np.inf
+    tree.numbers[LEAST], tree.descent.numbers[ACTIVE] = -np.inf, 0.0
     _open(tree, 0, np.inf)
 
 
-@entry_point
-def _improve(posed, tolerance, tree, start, pull):
-    """Descend; where that leads to the best so far, its own multipliers may prove that it is.
-
-    Args:
-        posed: the problem.
-        tolerance: relative gap at which the search ends.
-        tree: updated.
-        start: headings of any length, shape (N, n).
-        pull: multipliers of the arrival to begin with, shape (n,).
-
-    Returns:
-        Whether the search is over, and the multiplications that it took.
-    """
-    counts, numbers, z, pull = tree.counts, tree.numbers, start.copy(), pull.copy()
+@inlined
+def _set_out(posed, tree):
+    """Begin a descent from beside a node, or from what is given; return whether there is one."""
+    counts, descent = tree.counts, tree.descent
+    if counts[SIDE] < counts[SIDES]:
+        set_spread(posed, _node(tree, counts[FROM]), counts[SIDE], descent.z)
+        counts[SIDE] += 1
+    elif counts[FIRST] < counts[GIVEN]:
+        descent.z[:] = tree.starts[counts[FIRST]]
+        counts[FIRST] += 1
+    else:
+        return False
     counts[STARTS] += 1
-    arrives, taken = descend(posed, z, pull)
-    size = float(z.size)
-    work = taken * (size**3 / 6.0 + 6.0 * size * size + 500.0)
+    set_out(posed, descent, tree.pull[counts[FROM]])
+    return True
+
+
+@inlined
+def _descend(posed, tolerance, tree, work):
+    """Descend; where that leads to the best so far, its own multipliers may prove that it is."""
+    counts, numbers, z = tree.counts, tree.numbers, tree.descent.z
+    work = descend(posed, tree.descent, work)
+    if tree.descent.numbers[ACTIVE] > 0.0:
+        return work
     cost = cost_of(posed, z)
-    if not arrives or cost >= numbers[VALUE]:
-        return False, work
+    if tree.descent.numbers[MISSED] > ARRIVED or cost >= numbers[VALUE]:
+        return work
     numbers[VALUE], tree.best[:] = cost, z
     root, before = _node(tree, 0), tree.known[0, KEY]
     cutoff = cutoff_of(cost, posed.constant, tolerance)
-    certify(posed, z, pull, root, cutoff)
-    key, proved = root.known[KEY], root.known[KEY] >= cutoff
-    if proved:
+    certify(posed, z, tree.descent.pull, root, cutoff)
+    key = root.known[KEY]
+    if key >= cutoff:
         counts[MADE], counts[OPEN], numbers[CLOSED], tree.nodes[0] = 1, 0, key, 0
-        numbers[LEAST] = min(key, cost)
     elif counts[MADE] > 1:
         root.known[KEY] = before
+    elif counts[OPEN] > 0:
+        tree.keys[0] = key
     else:
-        numbers[LEAST] = key
-        if counts[OPEN] > 0:
-            tree.keys[0] = key
-        else:
-            numbers[CLOSED] = key
-    return proved, work + len(z) ** 3
+        numbers[CLOSED] = key
+    return work - len(z) ** 3
 
 
 @inlined
@@ -245,37 +262,24 @@ def _split(tree, node, k, cutoff):
 
 
 @inlined
-def _start_from(posed, tolerance, tree, node):
-    """Descend from beside where a node's climb has ended; return what :func:`_improve` does.
-
-    To all sides of the root, then to one after the other.
-    """
-    sides, proved, work = 2 * (len(posed.left) - 1), False, 0.0
-    start, first = np.empty_like(tree.best), tree.counts[STARTS] if node > 0 else 0
-    for side in range(first, first + (1 if node > 0 else sides)):
-        if not proved:
-            set_spread(posed, _node(tree, node), side % sides, start)
-            proved, more = _improve(posed, tolerance, tree, start, tree.pull[node])
-            work += more
-    return proved, work
-
-
-@inlined
 def _solve_node(posed, tolerance, tree, node, work):
-    """Climb a node, descend from it, and split it; return the multiplications left."""
+    """Climb a node and split it; say where to descend from; return the multiplications left.
+
+    To all sides of the root, then of some nodes, to one after the other.
+    """
     counts, numbers = tree.counts, tree.numbers
-    cutoff, before = cutoff_of(numbers[VALUE], posed.constant, tolerance), NEAR if node > 0 else 0.0
-    status, work = climb(posed, _node(tree, node), before, cutoff, work)
+    cutoff, near = cutoff_of(numbers[VALUE], posed.constant, tolerance), NEAR if node > 0 else 0.0
+    status, work = climb(posed, _node(tree, node), near, cutoff, work)
     if status == GOING:
         _open(tree, node, np.inf)
         return work
     counts[NODES] += 1
     if status != PRUNED and (counts[NODES] <= YOUNG or counts[NODES] % EVERY == 0):
-        proved, more = _start_from(posed, tolerance, tree, node)
-        work -= more
-        if proved:
-            return work
-        cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
+        sides = 2 * (len(posed.left) - 1)
+        counts[FROM], counts[SIDE] = node, counts[STARTS] % sides if node > 0 else 0
+        counts[SIDES] = counts[SIDE] + 1 if node > 0 else sides
+    if node == 0:
+        counts[GIVEN] = len(tree.starts)
     k = -1
     if len(posed.left) == 2 and tree.known[node, KEY] < cutoff:
         k = priced_branching(posed, _node(tree, node), NARROWEST)
@@ -303,8 +307,14 @@ def _search(posed, tolerance, tree, most, work):
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
     while work > 0.0 and status == PAUSED:
-        cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
-        if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
+        least = min(numbers[CLOSED], tree.keys[0]) if counts[OPEN] > 0 else numbers[CLOSED]
+        if tree.descent.numbers[ACTIVE] > 0.0:
+            work = _descend(posed, tolerance, tree, work)
+        elif least >= cutoff_of(numbers[VALUE], posed.constant, tolerance):
+            status = DONE
+        elif _set_out(posed, tree):
+            work -= 1.0
+        elif counts[OPEN] == 0:
             status = DONE
         elif counts[NODES] >= (most if numbers[VALUE] < np.inf else min(most, FRUITLESS)):
             status = FULL
@@ -357,8 +367,7 @@ class RoundFloor:
         # The first calls compile, or load what was compiled before: at start-up, not in a tick.
         known, tree = (self._arrival, np.zeros(n), self._stiff, 0.5, 0.0), self._tree()
         posed = Posed(self._hessian, np.ones((steps, n)), self._lengths, *known)
-        _begin(tree)
-        _improve(posed, 1.0, tree, posed.q, posed.left)
+        _begin(tree, 0, 1)
         _search(posed, 1.0, tree, 1, 0.0)
         _number_leaves(tree)
 
@@ -384,20 +393,14 @@ class RoundFloor:
             Infeasible: no trajectory satisfies the constraints.
         """
         posed, tolerance, tree = self._posed(request), self._tolerance, self._tree()
-        free, n = -(self._inverse @ posed.q), len(posed.left)  # headings of any length
-        starts = [] if self._stiff else [free]
-        if request.guess is not None:
-            # A copy: code for arrays that are read-only or strided would be compiled in a tick.
-            starts.insert(0, np.array(request.guess.x[:, :n], order='C'))
-        _begin(tree)
-        for start in starts:
-            if _improve(posed, tolerance, tree, start, np.zeros(n))[0] or request.late:
-                break
+        n, guess = len(posed.left), request.guess
+        if guess is not None:
+            tree.starts[0] = guess.x[:, :n]
+        tree.starts[-1] = -(self._inverse @ posed.q)  # headings of any length
+        _begin(tree, 0 if guess is not None else 1, 1 if self._stiff else 2)
         while _search(posed, tolerance, tree, self._most, SLICE) == PAUSED:
             if request.late or request.enough.met(self._found(posed, tree)):
                 break
-        if self._stiff and not request.late and self._found(posed, tree).gap > tolerance:
-            _improve(posed, tolerance, tree, free, tree.pull[0])
         found = replace(self._found(posed, tree), proof=self._proof(tree))
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))

@@ -11,15 +11,19 @@ Mathematics: docs/mathematics.md, 4.4.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import quadratic
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 
 SWEEPS, STILL = 50, 1e-4  # of headings in turn; until none moves by more
-STEPS = 40  # of Newton's method
+SWEEP = 10.0  # sweeps that a round takes, about
+STEPS = 40  # of Newton's method in a round
 LOST = 1e-4  # of a fall that settles: one expected to be no more is lost in rounding
 CALMEST = 1e-14  # damping
 LONGEST = 0.5  # step of a heading, on average
@@ -28,6 +32,24 @@ SOFT, STIFFER = 1e-3, 10.0  # of the arrival's weight: to begin with; and where 
 SLOW = 0.1  # share of a miss that is left
 ARRIVED = 1e-9  # an arrival missed by no more, in steps, is met
 TINY = 1e-12  # a heading shorter than this has no direction
+
+
+ACTIVE, DAMPING, STIFF, MISSED, TAKEN, ROUND = range(6)  # in Descent.numbers
+
+
+class Descent(NamedTuple):
+    """A descent, which may be interrupted.
+
+    Attributes:
+        z: where it is, shape (N, n).
+        pull: multipliers of the arrival, shape (n,).
+        numbers: whether it goes on; damping; weight of the arrival; by how much that is missed;
+            steps in this round of multipliers; rounds; shape (6,).
+    """
+
+    z: Array
+    pull: Array
+    numbers: Array
 
 
 @compiled
@@ -197,69 +219,99 @@ def _move(posed, z, by, step, there):
 
 
 @inlined
-def _newton(posed, stiff, pull, z, room):
-    """Descend at given multipliers of the arrival; return the Newton steps taken."""
+def _newton_step(posed, descent, room):
+    """Take one of Newton's steps at given multipliers of the arrival.
+
+    Returns:
+        Whether the descent has settled, and how many systems were solved.
+    """
     by, gradient, curved, step, y, bounds, free, there = room
-    (count, n), damping, taken = z.shape, DAMPED, 0
-    for _ in range(STEPS):
-        taken += 1
-        _set_model(posed, stiff, pull, z, by, gradient, curved)
-        settled = SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE)
-        scale, fall = 1e-300, 0.0
-        for k in range(count):
-            y[n * k] = _size(z, k)
-            scale = max(scale, posed.hessian[k, k])
-        while damping <= STIFFEST:
-            expected, square = 0.0, np.inf
-            if set_step(curved, gradient, y, bounds, damping * scale, free, step):
-                square = 0.0
-                for i in range(len(step)):
-                    square += step[i] * step[i]
-                    expected -= 0.5 * step[i] * gradient[i]
-            if square <= count * LONGEST * LONGEST:
-                _move(posed, z, by, step, there)
-                fall = -_rise(posed, stiff, pull, z, there)
-                if fall > 0.0 or expected <= LOST * settled:
-                    z[:] = there
-                    damping = max(CALMEST, CALMED * damping)
-                    break
-            damping *= STIFFENED
-        if fall <= settled:
-            break
-    return taken
+    z, pull, numbers = descent.z, descent.pull, descent.numbers
+    (count, n), stiff, tried = z.shape, numbers[STIFF], 0
+    _set_model(posed, stiff, pull, z, by, gradient, curved)
+    settled = SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE)
+    scale, fall = 1e-300, 0.0
+    for k in range(count):
+        y[n * k] = _size(z, k)
+        scale = max(scale, posed.hessian[k, k])
+    while numbers[DAMPING] <= STIFFEST:
+        expected, square, tried = 0.0, np.inf, tried + 1
+        if set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step):
+            square = 0.0
+            for i in range(len(step)):
+                square += step[i] * step[i]
+                expected -= 0.5 * step[i] * gradient[i]
+        if square <= count * LONGEST * LONGEST:
+            _move(posed, z, by, step, there)
+            fall = -_rise(posed, stiff, pull, z, there)
+            if fall > 0.0 or expected <= LOST * settled:
+                z[:] = there
+                numbers[DAMPING] = max(CALMEST, CALMED * numbers[DAMPING])
+                break
+        numbers[DAMPING] *= STIFFENED
+    return fall <= settled, tried
+
+
+@inlined
+def _end_round(posed, descent):
+    """Take the multipliers of the arrival on, and its weight where it is approached slowly."""
+    pull, numbers = descent.pull, descent.numbers
+    before, missed = numbers[MISSED], 0.0
+    for c in range(len(pull) if numbers[STIFF] > 0.0 else 0):
+        miss = missed_by(posed, descent.z, c)
+        pull[c] += numbers[STIFF] * miss
+        missed = max(missed, abs(miss))
+    if missed > SLOW * before:
+        numbers[STIFF] = min(posed.stiff, STIFFER * numbers[STIFF])
+    numbers[MISSED], numbers[TAKEN], numbers[ROUND] = missed, 0.0, numbers[ROUND] + 1.0
+    if missed <= ARRIVED or numbers[ROUND] == ROUNDS:
+        numbers[ACTIVE] = 0.0
 
 
 @compiled
-def descend(posed, z, pull):
-    """Descend to a stationary point.
+def set_out(posed, descent, pull):
+    """Begin a descent from where it is, which may be headings of any length.
 
     Args:
         posed: the problem.
-        z: headings, of any length, shape (N, n), updated.
-        pull: multipliers of the arrival to begin with, shape (n,), updated.
+        descent: its headings are set.
+        pull: multipliers of the arrival to begin with, shape (n,).
+    """
+    numbers = descent.numbers
+    _put(posed, descent.z)
+    descent.pull[:] = pull
+    numbers[ACTIVE], numbers[STIFF], numbers[MISSED] = 1.0, SOFT * posed.stiff, np.inf
+    numbers[TAKEN] = numbers[ROUND] = 0.0
+
+
+@compiled
+def descend(posed, descent, work):
+    """Descend to a stationary point, which arrives if ``ARRIVED`` is not missed by more.
+
+    Args:
+        posed: the problem.
+        descent: updated; it is over once it is not active any more.
+        work: multiplications to do, though no less than one Newton step takes.
 
     Returns:
-        Whether headings arrive, and how many Newton steps were taken.
+        The multiplications left.
     """
-    (count, n), taken, missed = z.shape, 0, np.inf
-    size, stiff = n * count, SOFT * posed.stiff
+    (count, n), numbers = descent.z.shape, descent.numbers
+    size = n * count
     y, bounds = np.zeros(size), np.empty((size, 2))
     bounds[:, 0], bounds[:, 1] = -np.inf, np.inf
     bounds[::n, 0], bounds[::n, 1] = posed.floor, 1.0
     free = np.empty(size, np.int64), np.empty((size, size)), np.empty(size)
     by, gradient, curved = np.empty((count, n, n)), np.empty(size), np.empty((size, size))
     room = by, gradient, curved, np.empty(size), y, bounds, free, np.empty((count, n))
-    _put(posed, z)
-    for _ in range(ROUNDS):
-        _sweep(posed, stiff, pull, z)
-        taken += _newton(posed, stiff, pull, z, room)
-        before, missed = missed, 0.0
-        for c in range(n if stiff > 0.0 else 0):
-            miss = missed_by(posed, z, c)
-            pull[c] += stiff * miss
-            missed = max(missed, abs(miss))
-        if missed <= ARRIVED:
-            break
-        if missed > SLOW * before:
-            stiff = min(posed.stiff, STIFFER * stiff)
-    return missed <= ARRIVED, taken
+    while numbers[ACTIVE] > 0.0 and work > 0.0:
+        if numbers[TAKEN] == 0.0:
+            _sweep(posed, numbers[STIFF], descent.pull, descent.z)
+            numbers[DAMPING] = DAMPED
+            work -= SWEEP * n * count * count
+        settled, tried = _newton_step(posed, descent, room)
+        numbers[TAKEN] += 1.0
+        work -= tried * (size**3 / 6.0 + 500.0) + 3.0 * size * size
+        if settled or numbers[TAKEN] == STEPS:
+            _end_round(posed, descent)
+    return work
