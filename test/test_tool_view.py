@@ -246,7 +246,8 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
     watcher = Watcher('', drawing)
     try:
         launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
-        launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500})
+        # No catch ends the flight while a busy machine still looks for its topics.
+        launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500, 'capture_radius': 1e-6})
         found = drawing.drawn
         wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
 
