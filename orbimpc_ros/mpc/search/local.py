@@ -232,6 +232,8 @@ def set_step(curved, gradient, y, bounds, damping, room, step):
         if not pushed:
             free[count] = i
             count += 1
+    if count < len(free):
+        free[count] = -1  # after the last
     for i in range(count):
         right[i] = -gradient[free[i]]
         for j in range(i + 1):

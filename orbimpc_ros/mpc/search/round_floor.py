@@ -33,10 +33,11 @@ from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, NOTHING, ProofTree
 from orbimpc_ros.mpc.search.shells import (
     ACTIVE,
     ARRIVED,
-    MISSED,
     Descent,
+    arrive,
     cost_of,
     descend,
+    misses,
     set_out,
 )
 from orbimpc_ros.mpc.search.shor import (
@@ -59,7 +60,7 @@ from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 # In Tree.counts; of starts beside a node, the next and the last; of those that are given, too.
-MADE, OPEN, NODES, STARTS, FROM, SIDE, SIDES, FIRST, GIVEN = range(9)
+MADE, OPEN, NODES, STARTS, FROM, SIDE, SIDES, FIRST = range(8)
 VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
 TURN = 2.0 * np.pi
 PARTS = 5  # sectors that all directions of a step are cut into
@@ -75,6 +76,7 @@ SPACES = 4  # of so much memory that are kept
 SETTLED = 90.0  # tolerances at which a search may stop
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
 STIFF = 1e4  # of an arrival, in curvatures of the cost
+SAME = 1e-9  # relative: what costs no more than the best by this is as good
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
 
 
@@ -94,10 +96,11 @@ class Tree(NamedTuple):
         at: the first angle between a node's parts [rad], shape (M,).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,).
-        starts: headings to descend from, guesses first, shape (2, N, n).
+        starts: headings to descend from: the guess; those that cost least of any length, shape
+            (2, N, n).
         descent: from one of them, or from beside a node.
         best: the best trajectory, shape (N, n).
-        counts: see the names of its entries, shape (9,).
+        counts: see the names of its entries, shape (8,).
         numbers: shape (3,).
     """
 
@@ -137,7 +140,7 @@ def _working_space(thread: int, nodes: int, steps: int, n: int) -> Tree:
         np.zeros((2, steps, n)),
         Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6)),
         np.zeros((steps, n)),
-        np.zeros(9, np.int64),
+        np.zeros(8, np.int64),
         np.zeros(3),
     )
 
@@ -168,25 +171,34 @@ def _open(tree, node, cutoff):
 
 
 @entry_point
-def _begin(tree, first, given):
-    """Begin a search with its root, and from some of the starts; those after wait for the root."""
+def _begin(posed, tree, first):
+    """Begin a search with its root, after descents from the starts, from the first one on.
+
+    Where plans have to arrive, it begins with one that does.
+    """
     tree.counts[:], tree.nodes[0], tree.numbers[:] = 0, 0, np.inf
-    tree.counts[MADE], tree.counts[FIRST], tree.counts[GIVEN] = 1, first, given
+    tree.counts[MADE], tree.counts[FIRST] = 1, first
     tree.sector[0, :, LOW], tree.sector[0, :, HIGH] = -np.pi, np.pi
     tree.z[0], tree.held[0], tree.point[0], tree.kept[0], tree.pull[0] = 0.0, 0.0, 0.0, 0.0, 0.0
     tree.known[0, KEY], tree.known[0, TAKEN], tree.known[0, MU] = -np.inf, 0.0, 0.0
     tree.numbers[LEAST], tree.descent.numbers[ACTIVE] = -np.inf, 0.0
     _open(tree, 0, np.inf)
+    if posed.stiff > 0.0 and arrive(posed, tree.best):
+        tree.numbers[VALUE] = cost_of(posed, tree.best)
 
 
 @inlined
 def _set_out(posed, tree):
-    """Begin a descent from beside a node, or from what is given; return whether there is one."""
+    """Begin a descent from beside a node, or else from a start; return whether there is one left.
+
+    Plans that have to arrive do so from headings of any length only after the root is solved.
+    """
     counts, descent = tree.counts, tree.descent
+    given = 1 if posed.stiff > 0.0 and counts[NODES] == 0 else len(tree.starts)
     if counts[SIDE] < counts[SIDES]:
         set_spread(posed, _node(tree, counts[FROM]), counts[SIDE], descent.z)
         counts[SIDE] += 1
-    elif counts[FIRST] < counts[GIVEN]:
+    elif counts[FIRST] < given:
         descent.z[:] = tree.starts[counts[FIRST]]
         counts[FIRST] += 1
     else:
@@ -201,14 +213,16 @@ def _descend(posed, tolerance, tree, work):
     """Descend; where that leads to the best so far, its own multipliers may prove that it is."""
     counts, numbers, z = tree.counts, tree.numbers, tree.descent.z
     work = descend(posed, tree.descent, work)
-    if tree.descent.numbers[ACTIVE] > 0.0:
-        return work
     cost = cost_of(posed, z)
-    if tree.descent.numbers[MISSED] > ARRIVED or cost >= numbers[VALUE]:
+    if misses(posed, z) > ARRIVED:
         return work
-    numbers[VALUE], tree.best[:] = cost, z
+    if cost < numbers[VALUE]:
+        numbers[VALUE], tree.best[:] = cost, z
+    same = SAME * abs(numbers[VALUE] + posed.constant)
+    if tree.descent.numbers[ACTIVE] > 0.0 or cost > numbers[VALUE] + same:
+        return work
     root, before = _node(tree, 0), tree.known[0, KEY]
-    cutoff = cutoff_of(cost, posed.constant, tolerance)
+    cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
     certify(posed, z, tree.descent.pull, root, cutoff)
     key = root.known[KEY]
     if key >= cutoff:
@@ -278,8 +292,6 @@ def _solve_node(posed, tolerance, tree, node, work):
         sides = 2 * (len(posed.left) - 1)
         counts[FROM], counts[SIDE] = node, counts[STARTS] % sides if node > 0 else 0
         counts[SIDES] = counts[SIDE] + 1 if node > 0 else sides
-    if node == 0:
-        counts[GIVEN] = len(tree.starts)
     k = -1
     if len(posed.left) == 2 and tree.known[node, KEY] < cutoff:
         k = priced_branching(posed, _node(tree, node), NARROWEST)
@@ -367,7 +379,7 @@ class RoundFloor:
         # The first calls compile, or load what was compiled before: at start-up, not in a tick.
         known, tree = (self._arrival, np.zeros(n), self._stiff, 0.5, 0.0), self._tree()
         posed = Posed(self._hessian, np.ones((steps, n)), self._lengths, *known)
-        _begin(tree, 0, 1)
+        _begin(posed, tree, 0)
         _search(posed, 1.0, tree, 1, 0.0)
         _number_leaves(tree)
 
@@ -397,7 +409,7 @@ class RoundFloor:
         if guess is not None:
             tree.starts[0] = guess.x[:, :n]
         tree.starts[-1] = -(self._inverse @ posed.q)  # headings of any length
-        _begin(tree, 0 if guess is not None else 1, 1 if self._stiff else 2)
+        _begin(posed, tree, 0 if guess is not None else 1)
         while _search(posed, tolerance, tree, self._most, SLICE) == PAUSED:
             if request.late or request.enough.met(self._found(posed, tree)):
                 break

@@ -18,7 +18,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
-from orbimpc_ros.mpc.kernels.linear import quadratic
+from orbimpc_ros.mpc.kernels.linear import quadratic, solve_factored, solve_spd
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 
 SWEEPS, STILL = 50, 1e-4  # of headings in turn; until none moves by more
@@ -30,6 +30,7 @@ LONGEST = 0.5  # step of a heading, on average
 ROUNDS = 20  # of multipliers of an arrival
 SOFT, STIFFER = 1e-3, 10.0  # of the arrival's weight: to begin with; and where misses are slow
 SLOW = 0.1  # share of a miss that is left
+PROJECTIONS = 1000  # from one to the other
 ARRIVED = 1e-9  # an arrival missed by no more, in steps, is met
 TINY = 1e-12  # a heading shorter than this has no direction
 
@@ -43,7 +44,7 @@ class Descent(NamedTuple):
     Attributes:
         z: where it is, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
-        numbers: whether it goes on; damping; weight of the arrival; by how much that is missed;
+        numbers: whether it goes on; damping; weight of the arrival; by how much that was missed;
             steps in this round of multipliers; rounds; shape (6,).
     """
 
@@ -72,6 +73,15 @@ def missed_by(posed, z, c):
 
 
 @compiled
+def misses(posed, z):
+    """Return by how much headings miss the arrival, along the axis where it is most."""
+    most = 0.0
+    for c in range(len(posed.left) if posed.stiff > 0.0 else 0):
+        most = max(most, abs(missed_by(posed, z, c)))
+    return most
+
+
+@compiled
 def _size(z, k):
     square = 0.0
     for c in range(z.shape[1]):
@@ -90,6 +100,41 @@ def _put(posed, z):
         onto = min(1.0, max(posed.floor, size)) / size
         for c in range(z.shape[1]):
             z[k, c] *= onto
+
+
+@compiled
+def arrive(posed, z):
+    """Set headings that arrive, to either side of the straight way; return whether they do.
+
+    From there they are taken in turn to where they arrive and to the shells.
+    """
+    (count, n), by = z.shape, np.zeros((z.shape[1], z.shape[1]))
+    square = way = far = 0.0
+    for k in range(count):
+        square += posed.arrival[k] ** 2
+        way += posed.arrival[k]
+    for c in range(n):
+        far += posed.left[c] ** 2
+    far = np.sqrt(far)
+    by[0, 0] = 1.0
+    if far > TINY:
+        by[0] = posed.left / far
+    set_tangents(by)
+    speed = min(1.0, max(posed.floor, far / way))
+    ahead = min(speed, far / way)
+    aside = np.sqrt(speed * speed - ahead * ahead)
+    for k in range(count):
+        for c in range(n):
+            z[k, c] = ahead * by[0, c] + (aside if k % 2 == 0 else -aside) * by[1, c]
+    for _ in range(PROJECTIONS):
+        _put(posed, z)
+        if misses(posed, z) <= ARRIVED:
+            return True
+        for c in range(n):
+            share = missed_by(posed, z, c) / square
+            for k in range(count):
+                z[k, c] -= share * posed.arrival[k]
+    return False
 
 
 @inlined
@@ -219,6 +264,52 @@ def _move(posed, z, by, step, there):
 
 
 @inlined
+def _correct(posed, z, by, solved, step, pull):
+    """Correct a step such that headings arrive to first order, and the multipliers of that.
+
+    Where that takes too long a step, nothing is changed.
+
+    Args:
+        posed: the problem.
+        z: shape (N, n).
+        by: see :func:`_set_model`.
+        solved: which variables are free, the factor of their system, and room, as of the step.
+        step: shape (n N,), updated.
+        pull: shape (n,), updated.
+    """
+    (count, n), (free, factor, column), size = z.shape, solved, 0
+    while size < len(free) and free[size] >= 0:
+        size += 1
+    ways, gram, more = np.zeros((n, size)), np.zeros((n, n)), np.zeros(n)
+    rows = np.zeros((n, size))
+    for c in range(n):
+        more[c] = missed_by(posed, z, c)
+        for i in range(size):
+            k, e = free[i] // n, free[i] % n
+            rows[c, i] = column[i] = posed.arrival[k] * by[k, e, c]
+            more[c] += rows[c, i] * step[free[i]]
+        solve_factored(factor, column, size)
+        ways[c] = column[:size]
+    for c in range(n):
+        for d in range(n):
+            for i in range(size):
+                gram[c, d] += rows[c, i] * ways[d, i]
+    if not solve_spd(gram, more, n):
+        return
+    square = 0.0
+    for i in range(size):
+        moved = step[free[i]]
+        for c in range(n):
+            moved -= ways[c, i] * more[c]
+        column[i] = moved
+        square += moved * moved
+    if square <= count * LONGEST * LONGEST:
+        pull += more
+        for i in range(size):
+            step[free[i]] = column[i]
+
+
+@inlined
 def _newton_step(posed, descent, room):
     """Take one of Newton's steps at given multipliers of the arrival.
 
@@ -226,7 +317,7 @@ def _newton_step(posed, descent, room):
         Whether the descent has settled, and how many systems were solved.
     """
     by, gradient, curved, step, y, bounds, free, there = room
-    z, pull, numbers = descent.z, descent.pull, descent.numbers
+    z, numbers, pull = descent.z, descent.numbers, descent.pull.copy()
     (count, n), stiff, tried = z.shape, numbers[STIFF], 0
     _set_model(posed, stiff, pull, z, by, gradient, curved)
     settled = SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE)
@@ -237,6 +328,9 @@ def _newton_step(posed, descent, room):
     while numbers[DAMPING] <= STIFFEST:
         expected, square, tried = 0.0, np.inf, tried + 1
         if set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step):
+            pull[:] = descent.pull
+            if stiff > 0.0:
+                _correct(posed, z, by, free, step, pull)
             square = 0.0
             for i in range(len(step)):
                 square += step[i] * step[i]
@@ -245,7 +339,7 @@ def _newton_step(posed, descent, room):
             _move(posed, z, by, step, there)
             fall = -_rise(posed, stiff, pull, z, there)
             if fall > 0.0 or expected <= LOST * settled:
-                z[:] = there
+                z[:], descent.pull[:] = there, pull
                 numbers[DAMPING] = max(CALMEST, CALMED * numbers[DAMPING])
                 break
         numbers[DAMPING] *= STIFFENED
@@ -256,11 +350,9 @@ def _newton_step(posed, descent, room):
 def _end_round(posed, descent):
     """Take the multipliers of the arrival on, and its weight where it is approached slowly."""
     pull, numbers = descent.pull, descent.numbers
-    before, missed = numbers[MISSED], 0.0
-    for c in range(len(pull) if numbers[STIFF] > 0.0 else 0):
-        miss = missed_by(posed, descent.z, c)
-        pull[c] += numbers[STIFF] * miss
-        missed = max(missed, abs(miss))
+    before, missed = numbers[MISSED], misses(posed, descent.z)
+    for c in range(len(pull) if posed.stiff > 0.0 else 0):
+        pull[c] += numbers[STIFF] * missed_by(posed, descent.z, c)
     if missed > SLOW * before:
         numbers[STIFF] = min(posed.stiff, STIFFER * numbers[STIFF])
     numbers[MISSED], numbers[TAKEN], numbers[ROUND] = missed, 0.0, numbers[ROUND] + 1.0
@@ -286,7 +378,7 @@ def set_out(posed, descent, pull):
 
 @compiled
 def descend(posed, descent, work):
-    """Descend to a stationary point, which arrives if ``ARRIVED`` is not missed by more.
+    """Descend to a stationary point.
 
     Args:
         posed: the problem.
