@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_677,
-    'orbimpc_ros/mpc': 18_973,
+    'orbimpc_ros': 36_783,
+    'orbimpc_ros/mpc': 19_079,
     'orbimpc_ros/loop': 4_050,
     'orbimpc_ros/ros': 4_993,
     'orbimpc_ros/sim': 3_122,
