@@ -4,7 +4,7 @@
 Of each heading its modulus changes, between its bounds, and its direction, along the tangent plane
 of the sphere. Newton's method with damping descends in these; a modulus on a bound that the
 gradient pushes against is held. An arrival a z = b joins the cost with multipliers and a penalty
-that becomes stiffer (an augmented Lagrangian).
+(an augmented Lagrangian); where that takes no long step, steps meet it to first order.
 
 Mathematics: docs/mathematics.md, 4.4.
 """
