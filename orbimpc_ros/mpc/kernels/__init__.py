@@ -19,6 +19,8 @@ from zlib import crc32
 try:
     from numba import njit
     from numba.core.caching import FunctionCache
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
     from numba.core.runtime import rtsys
 except ImportError:
     COMPILED = False
@@ -61,6 +63,41 @@ else:
             with suppress(OSError):  # such as a cache that others alone may write
                 lockf(_lock_file(Path(self.cache_path)), what, 1, byte)
 
+    class _Part(JITCodeLibrary):
+        """The code of a function that becomes part of what calls it, and is called by no one else.
+
+        numba would optimise and translate it on its own, together with all that it calls, and do
+        so again as a part of each of its callers: as long again as all else that compiling takes.
+        """
+
+        def finalize(self) -> None:
+            """Take up what the function calls; callers' code is optimised as a whole."""
+            for library in dict.fromkeys(self._linking_libraries):
+                self._reload_init.update(library._reload_init)
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            self._finalized = True
+
+        def get_pointer_to_function(self, name: str) -> int:
+            """Return that there is none."""
+            self._ensure_finalized()
+            return 0
+
+        @property
+        def codegen(self) -> Any:
+            """Return what the environment of running code is set in: nothing runs here."""
+            return _NoCode
+
+    class _NoCode:
+        @staticmethod
+        def set_env(name: str, environment: Any) -> None:
+            """Do nothing."""
+
+    class _PartCompiler(Compiler):
+        """Compiles a function to a part of what calls it."""
+
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            super().__init__(typing, target, _Part(target.codegen(), 'part'), *rest)
+
 
 STAMP = 'orbimpc_ros.sha256'  # of the sources that the machine code beside it was compiled from
 LOCKS = 'orbimpc_ros.lock'
@@ -80,10 +117,7 @@ def entry_point(function: Callable) -> Callable:
 
 
 def compiled(function: Callable) -> Callable:
-    """Compile for what calls it in machine code, of which it becomes part.
-
-    To make it callable from Python as well would take as long again.
-    """
+    """Compile to a part of what calls it in machine code; Python does not call it."""
     return _nested(function) if COMPILED else function
 
 
@@ -92,14 +126,9 @@ def vectorised(function: Callable) -> Callable:
     return _nested(function, fastmath={'reassoc', 'contract'}) if COMPILED else function
 
 
-def inlined(function: Callable) -> Callable:
-    """Compile into what calls it, where to pass arrays takes longer than to go through them."""
-    return _nested(function, inline='always') if COMPILED else function
-
-
 def _nested(function: Callable, **options: Any) -> Callable:
     options |= {'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
-    made: Callable = njit(**options)(function)
+    made: Callable = njit(pipeline_class=_PartCompiler, **options)(function)
     return made
 
 

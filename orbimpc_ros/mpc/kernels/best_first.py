@@ -1,6 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The order of a best-first search: a heap of the bounds of its open nodes.
 
+A tree has ``keys``, the bounds of its open nodes, and ``heap``, the numbers of these, both of shape
+(M,); and ``counts`` and ``numbers``, the first entries of which are named here.
+
 Mathematics: docs/mathematics.md, 4.3.
 """
 
@@ -11,6 +14,8 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import compiled
 
 DONE, FULL, PAUSED = range(3)  # what a search ends with
+MADE, OPEN, NODES = range(3)  # in counts: nodes that there are; that are open; that were solved
+VALUE, CLOSED, LEAST = range(3)  # in numbers: best cost; least bound given up; of the search
 NEGLIGIBLE = 1e-7  # of the unit of costs: the gap of smaller objectives is relative to it
 
 
@@ -29,17 +34,22 @@ def cutoff_of(value, constant, tolerance):
 
 
 @compiled
-def push(keys, heap, count, key, node):
-    """Put a node into a heap of ``count``; of equal bounds the latest, the deepest, comes first.
+def close(tree, key):
+    """Note a bound that is not raised any more."""
+    tree.numbers[CLOSED] = min(tree.numbers[CLOSED], key)
 
-    Args:
-        keys: bounds, shape (M,).
-        heap: numbers of nodes, shape (M,).
-        count: nodes in the heap.
-        key: bound of the new one.
-        node: its number.
+
+@compiled
+def leave_open(tree, node, key, cutoff):
+    """Leave a node open, unless its bound says that it is of no use.
+
+    Of equal bounds the latest, the deepest, comes first.
     """
-    i = count
+    if key >= cutoff:
+        close(tree, key)
+        return
+    keys, heap, i = tree.keys, tree.heap, tree.counts[OPEN]
+    tree.counts[OPEN] += 1
     while i > 0:
         up = (i - 1) // 2
         if keys[up] < key or (keys[up] == key and heap[up] > node):
@@ -50,10 +60,11 @@ def push(keys, heap, count, key, node):
 
 
 @compiled
-def pop(keys, heap, count):
-    """Take the first node out of a heap of ``count``; see :func:`push`."""
-    count -= 1
-    key, node, i = keys[count], heap[count], 0
+def take(tree):
+    """Take out the open node of the least bound; see :func:`leave_open`."""
+    tree.counts[OPEN] -= 1
+    keys, heap, count = tree.keys, tree.heap, tree.counts[OPEN]
+    first, key, node, i = heap[0], keys[count], heap[count], 0
     while True:
         down = 2 * i + 1
         if down >= count:
@@ -68,3 +79,11 @@ def pop(keys, heap, count):
         keys[i], heap[i] = keys[down], heap[down]
         i = down
     keys[i], heap[i] = key, node
+    return first
+
+
+@compiled
+def least_left(tree):
+    """Return the least bound of the nodes that are open or were given up."""
+    closed = tree.numbers[CLOSED]
+    return min(closed, tree.keys[0]) if tree.counts[OPEN] > 0 else closed

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.search.ring import KIND, LX, LY, NARROW, NB, NX, NY, OUTER, UX, UY
 
 STEPS = 25
@@ -26,7 +26,7 @@ TINIEST = 1e-300
 LIMITS = 4  # of a set: speed, both edges, chord
 
 
-@inlined
+@compiled
 def _depths(shape, x, y, depths, normals):
     """Set how deep a point is inside of each limit, and the directions inward; return the count."""
     depths[0] = 0.5 * (shape[OUTER] ** 2 - x * x - y * y)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.search.relax import cost_of, rise_of
@@ -151,7 +151,7 @@ def _rise(quad, ring, chain, stiff, z, there):
     return rise
 
 
-@inlined
+@compiled
 def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
     """Add what changes of speed contribute to the model, in speeds and headings.
 
@@ -176,7 +176,7 @@ def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
                 curved[at[i], at[j]] += active * stiff * by[i] * by[j]
 
 
-@inlined
+@compiled
 def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
     """Set the gradient, shape (2N,), and the Hessian, shape (2N, 2N), in speeds and then turns."""
     hessian, count, angle = quad.hessian, len(z), ring.first
@@ -219,9 +219,9 @@ def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
             curved[count + j, count + k] += curved[count + j, count + k + 1]
 
 
-@inlined
+@compiled
 def set_step(curved, gradient, y, bounds, damping, room, step):
-    """Set Newton's step of the variables that are free; return whether there is one."""
+    """Set Newton's step of the variables that are free; return how many are, -1 without a step."""
     free, matrix, right = room
     count = 0
     for i in range(len(y)):
@@ -232,21 +232,19 @@ def set_step(curved, gradient, y, bounds, damping, room, step):
         if not pushed:
             free[count] = i
             count += 1
-    if count < len(free):
-        free[count] = -1  # after the last
     for i in range(count):
         right[i] = -gradient[free[i]]
         for j in range(i + 1):
             matrix[i, j] = curved[free[i], free[j]]
         matrix[i, i] += damping
     if count > 0 and not solve_spd(matrix, right, count):
-        return False
+        return -1
     for i in range(count):
         step[free[i]] = right[i]
-    return True
+    return count
 
 
-@inlined
+@compiled
 def _descend(quad, ring, chain, stiff, speeds, turns, z):
     """Descend as :func:`descend` does, at given multipliers of the changes of speed."""
     count = len(z)
@@ -267,7 +265,7 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
         for i in range(size):
             scale = max(scale, abs(curved[i, i]))
         while damping <= STIFFEST:
-            if set_step(curved, gradient, y, bounds, damping * scale, room, step):
+            if set_step(curved, gradient, y, bounds, damping * scale, room, step) >= 0:
                 for i in range(size):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.search.interior import (
@@ -166,7 +166,7 @@ def tangent_bound(quad, shapes, curvatures, z, slope):
     return cost, least - ROUNDING * len(z) * size
 
 
-@inlined
+@compiled
 def _sweep(quad, z, room):
     """Take each heading in turn to its proximal map; the slope follows."""
     hessian, slope, count = quad.hessian, room.slope, len(z)
@@ -183,7 +183,7 @@ def _sweep(quad, z, room):
             z[k, 0], z[k, 1] = px, py
 
 
-@inlined
+@compiled
 def _set_basis(quad, z, room):
     """Set the directions along the faces, and what lengths and rims curve; return how many."""
     count, steps, basis, right, system = 0, room.steps, room.basis, room.right, room.system
@@ -220,7 +220,7 @@ def _set_basis(quad, z, room):
     return count
 
 
-@inlined
+@compiled
 def _newton(quad, z, reached, room):
     """Take a Newton step along all faces at once; return the cost, lower where there was one."""
     count, steps, basis, system = _set_basis(quad, z, room), room.steps, room.basis, room.system
@@ -249,7 +249,7 @@ def _newton(quad, z, reached, room):
     return reached
 
 
-@inlined
+@compiled
 def _pull_back(z, room):
     """Take a trial point back to the hulls."""
     trial, shapes = room.trial, room.shapes
@@ -264,7 +264,7 @@ def _pull_back(z, room):
         trial[k, 0], trial[k, 1], _, _, _ = prox(shapes[k], 1.0, 0.0, -x, -y)
 
 
-@inlined
+@compiled
 def _mix(quad, z, taken, room):
     """Move to where the cost is least among mixtures of the point and corners of the sets.
 
@@ -369,7 +369,7 @@ def rise_of(quad, z, there):
     return rise
 
 
-@inlined
+@compiled
 def _pass_through(quad, curvatures, node, limits, room):
     """Minimise through the interior of the hulls; return what becomes of the node."""
     z, best, known = node

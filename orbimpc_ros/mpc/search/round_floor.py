@@ -24,8 +24,23 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried
-from orbimpc_ros.mpc.kernels import compiled, entry_point, inlined
-from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, PAUSED, cutoff_of, pop, push
+from orbimpc_ros.mpc.kernels import compiled, entry_point
+from orbimpc_ros.mpc.kernels.best_first import (
+    CLOSED,
+    DONE,
+    FULL,
+    LEAST,
+    MADE,
+    NODES,
+    OPEN,
+    PAUSED,
+    VALUE,
+    close,
+    cutoff_of,
+    least_left,
+    leave_open,
+    take,
+)
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import adrift, length_weights
 from orbimpc_ros.mpc.problem import Problem
@@ -60,8 +75,7 @@ from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 # In Tree.counts; of starts beside a node, the next and the last; of those that are given, too.
-MADE, OPEN, NODES, STARTS, FROM, SIDE, SIDES, FIRST = range(8)
-VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
+STARTS, FROM, SIDE, SIDES, FIRST = range(3, 8)
 TURN = 2.0 * np.pi
 PARTS = 5  # sectors that all directions of a step are cut into
 MARGIN = 0.15  # of a sector: no part is narrower
@@ -84,13 +98,7 @@ class Tree(NamedTuple):
     """A search: its M nodes, and the best trajectory.
 
     Attributes:
-        sector: of nodes, as :class:`orbimpc_ros.mpc.search.shor.Node` has them, shape (M, N, 2).
-        z: shape (M, N, n).
-        held: shape (M, 4, N).
-        point: shape (M, N, n).
-        kept: shape (M, N).
-        pull: shape (M, n).
-        known: shape (M, 3).
+        made: of all nodes, each array with M in front of its shape.
         nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
             are not numbered, shape (M, 5).
         at: the first angle between a node's parts [rad], shape (M,).
@@ -104,13 +112,7 @@ class Tree(NamedTuple):
         numbers: shape (3,).
     """
 
-    sector: Array
-    z: Array
-    held: Array
-    point: Array
-    kept: Array
-    pull: Array
-    known: Array
+    made: Node
     nodes: np.ndarray
     at: Array
     keys: Array
@@ -125,14 +127,9 @@ class Tree(NamedTuple):
 @lru_cache(maxsize=SPACES)
 def _working_space(thread: int, nodes: int, steps: int, n: int) -> Tree:
     """Return room for a search, which takes the place of the one before it in this thread."""
+    shapes = (steps, 2), (steps, n), (KINDS, steps), (steps, n), (steps,), (n,), (3,)
     return Tree(
-        np.empty((nodes, steps, 2)),
-        np.empty((nodes, steps, n)),
-        np.empty((nodes, KINDS, steps)),
-        np.empty((nodes, steps, n)),
-        np.empty((nodes, steps)),
-        np.empty((nodes, n)),
-        np.empty((nodes, 3)),
+        Node(*(np.empty((nodes, *shape)) for shape in shapes)),
         np.zeros((nodes, 5), np.int64),
         np.zeros(nodes),
         np.empty(nodes),
@@ -145,29 +142,11 @@ def _working_space(thread: int, nodes: int, steps: int, n: int) -> Tree:
     )
 
 
-@inlined
+@compiled
 def _node(tree, i):
     """Return a node."""
-    return Node(
-        tree.sector[i],
-        tree.z[i],
-        tree.held[i],
-        tree.point[i],
-        tree.kept[i],
-        tree.pull[i],
-        tree.known[i],
-    )
-
-
-@compiled
-def _open(tree, node, cutoff):
-    """Leave a node open, unless it is of no use."""
-    key = tree.known[node, KEY]
-    if key >= cutoff:
-        tree.numbers[CLOSED] = min(tree.numbers[CLOSED], key)
-    else:
-        push(tree.keys, tree.heap, tree.counts[OPEN], key, node)
-        tree.counts[OPEN] += 1
+    sector, z, held, point, kept, pull, known = tree.made
+    return Node(sector[i], z[i], held[i], point[i], kept[i], pull[i], known[i])
 
 
 @entry_point
@@ -178,16 +157,17 @@ def _begin(posed, tree, first):
     """
     tree.counts[:], tree.nodes[0], tree.numbers[:] = 0, 0, np.inf
     tree.counts[MADE], tree.counts[FIRST] = 1, first
-    tree.sector[0, :, LOW], tree.sector[0, :, HIGH] = -np.pi, np.pi
-    tree.z[0], tree.held[0], tree.point[0], tree.kept[0], tree.pull[0] = 0.0, 0.0, 0.0, 0.0, 0.0
-    tree.known[0, KEY], tree.known[0, TAKEN], tree.known[0, MU] = -np.inf, 0.0, 0.0
+    root = _node(tree, 0)
+    root.sector[:, LOW], root.sector[:, HIGH] = -np.pi, np.pi
+    root.z[:], root.held[:], root.point[:], root.kept[:], root.pull[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    root.known[KEY], root.known[TAKEN], root.known[MU] = -np.inf, 0.0, 0.0
     tree.numbers[LEAST], tree.descent.numbers[ACTIVE] = -np.inf, 0.0
-    _open(tree, 0, np.inf)
+    leave_open(tree, 0, -np.inf, np.inf)
     if posed.stiff > 0.0 and arrive(posed, tree.best):
         tree.numbers[VALUE] = cost_of(posed, tree.best)
 
 
-@inlined
+@compiled
 def _set_out(posed, tree):
     """Begin a descent from beside a node, or else from a start; return whether there is one left.
 
@@ -204,11 +184,11 @@ def _set_out(posed, tree):
     else:
         return False
     counts[STARTS] += 1
-    set_out(posed, descent, tree.pull[counts[FROM]])
+    set_out(posed, descent, tree.made.pull[counts[FROM]])
     return True
 
 
-@inlined
+@compiled
 def _descend(posed, tolerance, tree, work):
     """Descend; where that leads to the best so far, its own multipliers may prove that it is."""
     counts, numbers, z = tree.counts, tree.numbers, tree.descent.z
@@ -221,7 +201,8 @@ def _descend(posed, tolerance, tree, work):
     same = SAME * abs(numbers[VALUE] + posed.constant)
     if tree.descent.numbers[ACTIVE] > 0.0 or cost > numbers[VALUE] + same:
         return work
-    root, before = _node(tree, 0), tree.known[0, KEY]
+    root = _node(tree, 0)
+    before = root.known[KEY]
     cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
     certify(posed, z, tree.descent.pull, root, cutoff)
     key = root.known[KEY]
@@ -236,7 +217,7 @@ def _descend(posed, tolerance, tree, work):
     return work - len(z) ** 3
 
 
-@inlined
+@compiled
 def _cut_at(angle, low, high):
     """Return where to cut a sector: near an angle."""
     middle, width = 0.5 * (low + high), high - low
@@ -244,48 +225,45 @@ def _cut_at(angle, low, high):
     return min(high - MARGIN * width, max(low + MARGIN * width, angle))
 
 
-@inlined
+@compiled
 def _split(tree, node, k, cutoff):
     """Make the parts of a node, which begin where it has ended, by the directions of a step."""
-    counts, low, high = tree.counts, tree.sector[node, k, LOW], tree.sector[node, k, HIGH]
-    angle = np.arctan2(tree.z[node, k, 1], tree.z[node, k, 0])
-    whole = high - low >= TURN
-    parts = PARTS if whole else 2
-    cut = angle if whole else _cut_at(angle, low, high)
+    counts, whole = tree.counts, _node(tree, node)
+    low, high = whole.sector[k, LOW], whole.sector[k, HIGH]
+    angle = np.arctan2(whole.z[k, 1], whole.z[k, 0])
+    every = high - low >= TURN
+    parts = PARTS if every else 2
+    cut = angle if every else _cut_at(angle, low, high)
     first = counts[MADE]
-    tree.nodes[node, 0], tree.nodes[node, 1] = ARCS if whole else CUT, k
+    tree.nodes[node, 0], tree.nodes[node, 1] = ARCS if every else CUT, k
     tree.nodes[node, 2], tree.nodes[node, 3], tree.nodes[node, 4] = first, parts, -1
     tree.at[node] = cut
     for i in range(parts):
-        made = first + i
-        tree.sector[made], tree.z[made], tree.held[made] = (
-            tree.sector[node],
-            tree.z[node],
-            tree.held[node],
-        )
-        tree.point[made], tree.kept[made] = tree.point[node], tree.kept[node]
-        tree.pull[made], tree.known[made], tree.nodes[made] = tree.pull[node], tree.known[node], 0
-        tree.known[made, TAKEN] = 0.0
-        if whole:
-            tree.sector[made, k, LOW] = cut + i * TURN / parts
-            tree.sector[made, k, HIGH] = cut + (i + 1) * TURN / parts
+        part, tree.nodes[first + i] = _node(tree, first + i), 0
+        part.sector[:], part.z[:], part.held[:] = whole.sector, whole.z, whole.held
+        part.point[:], part.kept[:] = whole.point, whole.kept
+        part.pull[:], part.known[:] = whole.pull, whole.known
+        part.known[TAKEN] = 0.0
+        if every:
+            part.sector[k, LOW] = cut + i * TURN / parts
+            part.sector[k, HIGH] = cut + (i + 1) * TURN / parts
         else:
-            tree.sector[made, k, HIGH if i == 0 else LOW] = cut
-        _open(tree, made, cutoff)
+            part.sector[k, HIGH if i == 0 else LOW] = cut
+        leave_open(tree, first + i, part.known[KEY], cutoff)
     counts[MADE] += parts
 
 
-@inlined
+@compiled
 def _solve_node(posed, tolerance, tree, node, work):
     """Climb a node and split it; say where to descend from; return the multiplications left.
 
     To all sides of the root, then of some nodes, to one after the other.
     """
-    counts, numbers = tree.counts, tree.numbers
-    cutoff, near = cutoff_of(numbers[VALUE], posed.constant, tolerance), NEAR if node > 0 else 0.0
-    status, work = climb(posed, _node(tree, node), near, cutoff, work)
+    counts, near, solved = tree.counts, NEAR if node > 0 else 0.0, _node(tree, node)
+    cutoff = cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
+    status, work = climb(posed, solved, near, cutoff, work)
     if status == GOING:
-        _open(tree, node, np.inf)
+        leave_open(tree, node, solved.known[KEY], np.inf)
         return work
     counts[NODES] += 1
     if status != PRUNED and (counts[NODES] <= YOUNG or counts[NODES] % EVERY == 0):
@@ -293,10 +271,10 @@ def _solve_node(posed, tolerance, tree, node, work):
         counts[FROM], counts[SIDE] = node, counts[STARTS] % sides if node > 0 else 0
         counts[SIDES] = counts[SIDE] + 1 if node > 0 else sides
     k = -1
-    if len(posed.left) == 2 and tree.known[node, KEY] < cutoff:
-        k = priced_branching(posed, _node(tree, node), NARROWEST)
+    if len(posed.left) == 2 and solved.known[KEY] < cutoff:
+        k = priced_branching(posed, solved, NARROWEST)
     if k < 0:
-        numbers[CLOSED] = min(numbers[CLOSED], tree.known[node, KEY])
+        close(tree, solved.known[KEY])
     else:
         _split(tree, node, k, cutoff)
     return work
@@ -319,10 +297,9 @@ def _search(posed, tolerance, tree, most, work):
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
     while work > 0.0 and status == PAUSED:
-        least = min(numbers[CLOSED], tree.keys[0]) if counts[OPEN] > 0 else numbers[CLOSED]
         if tree.descent.numbers[ACTIVE] > 0.0:
             work = _descend(posed, tolerance, tree, work)
-        elif least >= cutoff_of(numbers[VALUE], posed.constant, tolerance):
+        elif least_left(tree) >= cutoff_of(numbers[VALUE], posed.constant, tolerance):
             status = DONE
         elif _set_out(posed, tree):
             work -= 1.0
@@ -331,25 +308,20 @@ def _search(posed, tolerance, tree, most, work):
         elif counts[NODES] >= (most if numbers[VALUE] < np.inf else min(most, FRUITLESS)):
             status = FULL
         else:
-            node = tree.heap[0]
-            pop(tree.keys, tree.heap, counts[OPEN])
-            counts[OPEN] -= 1
-            work = _solve_node(posed, tolerance, tree, node, work)
-    numbers[LEAST] = min(numbers[CLOSED], numbers[VALUE])
-    if counts[OPEN] > 0:
-        numbers[LEAST] = min(numbers[LEAST], tree.keys[0])
+            work = _solve_node(posed, tolerance, tree, take(tree), work)
+    numbers[LEAST] = min(least_left(tree), numbers[VALUE])
     return status
 
 
 @entry_point
 def _number_leaves(tree):
     """Number the leaves, gather their tangents at the front; return how many there are."""
-    count = 0
+    count, made = 0, tree.made
     for node in range(tree.counts[MADE]):
         if tree.nodes[node, 0] == LEAF:
             tree.nodes[node, 4] = count
-            tree.point[count], tree.kept[count] = tree.point[node], tree.kept[node]
-            tree.pull[count] = tree.pull[node]
+            made.point[count], made.kept[count] = made.point[node], made.kept[node]
+            made.pull[count] = made.pull[node]
             count += 1
     return count
 
@@ -449,16 +421,17 @@ class RoundFloor:
     def _proof(self, tree: Tree) -> ProofTree:
         """Return the tree of a search as the proof of its bound; the search is over then."""
         made, leaves, none = int(tree.counts[MADE]), _number_leaves(tree), np.zeros(0, np.int64)
-        spare = 2.0 * self._excess / tree.kept.shape[1]
+        point, kept, pull = tree.made.point, tree.made.kept, tree.made.pull
+        spare = 2.0 * self._excess / kept.shape[1]
         return ProofTree(
             tree.nodes[:made].copy(),
             tree.at[:made].copy(),
-            tree.point[:leaves].copy(),
-            tree.kept[:leaves] - spare,
+            point[:leaves].copy(),
+            kept[:leaves] - spare,
             np.zeros(leaves, np.int64),
             none,
             np.zeros(0),
-            tree.pull[:leaves, None].copy() if self._stiff else NOTHING,
+            pull[:leaves, None].copy() if self._stiff else NOTHING,
             NOTHING,
             NOTHING,
             NOTHING,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import quadratic, solve_factored, solve_spd
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
@@ -89,7 +89,7 @@ def _size(z, k):
     return np.sqrt(square)
 
 
-@inlined
+@compiled
 def _put(posed, z):
     """Take headings to the shells."""
     for k in range(len(z)):
@@ -137,7 +137,7 @@ def arrive(posed, z):
     return False
 
 
-@inlined
+@compiled
 def _sweep(posed, stiff, pull, z):
     """Take headings in turn to where the cost is least on the shell."""
     (count, n), slope = z.shape, np.empty(z.shape[1])
@@ -165,7 +165,7 @@ def _sweep(posed, stiff, pull, z):
             break
 
 
-@inlined
+@compiled
 def _rise(posed, stiff, pull, z, there):
     """Return by how much headings cost more than z, with what an arrival comes to.
 
@@ -204,7 +204,7 @@ def set_tangents(by):
         by[2, c] = by[0, d] * by[1, e] - by[0, e] * by[1, d]
 
 
-@inlined
+@compiled
 def _set_model(posed, stiff, pull, z, by, gradient, curved):
     """Set gradient and Hessian, its lower triangle, in moduli and ways along the tangents.
 
@@ -247,7 +247,7 @@ def _set_model(posed, stiff, pull, z, by, gradient, curved):
             curved[n * k + e, n * k] += gradient[n * k + e] / size
 
 
-@inlined
+@compiled
 def _move(posed, z, by, step, there):
     """Set headings moved by a step, the moduli kept within their bounds."""
     for k in range(len(z)):
@@ -263,8 +263,8 @@ def _move(posed, z, by, step, there):
                 there[k, c] += onto * aside * step[n * k + e] * by[k, e, c] / size
 
 
-@inlined
-def _correct(posed, z, by, solved, step, pull):
+@compiled
+def _correct(posed, z, by, size, solved, step, pull):
     """Correct a step such that headings arrive to first order, and the multipliers of that.
 
     Where that takes too long a step, nothing is changed.
@@ -273,13 +273,12 @@ def _correct(posed, z, by, solved, step, pull):
         posed: the problem.
         z: shape (N, n).
         by: see :func:`_set_model`.
-        solved: which variables are free, the factor of their system, and room, as of the step.
+        size: how many variables are free.
+        solved: which, the factor of their system, and room, as of the step.
         step: shape (n N,), updated.
         pull: shape (n,), updated.
     """
-    (count, n), (free, factor, column), size = z.shape, solved, 0
-    while size < len(free) and free[size] >= 0:
-        size += 1
+    (count, n), (free, factor, column) = z.shape, solved
     ways, gram, more = np.zeros((n, size)), np.zeros((n, n)), np.zeros(n)
     rows = np.zeros((n, size))
     for c in range(n):
@@ -309,7 +308,7 @@ def _correct(posed, z, by, solved, step, pull):
             step[free[i]] = column[i]
 
 
-@inlined
+@compiled
 def _newton_step(posed, descent, room):
     """Take one of Newton's steps at given multipliers of the arrival.
 
@@ -327,10 +326,11 @@ def _newton_step(posed, descent, room):
         scale = max(scale, posed.hessian[k, k])
     while numbers[DAMPING] <= STIFFEST:
         expected, square, tried = 0.0, np.inf, tried + 1
-        if set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step):
+        size = set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step)
+        if size >= 0:
             pull[:] = descent.pull
             if stiff > 0.0:
-                _correct(posed, z, by, free, step, pull)
+                _correct(posed, z, by, size, free, step, pull)
             square = 0.0
             for i in range(len(step)):
                 square += step[i] * step[i]
@@ -346,7 +346,7 @@ def _newton_step(posed, descent, room):
     return fall <= settled, tried
 
 
-@inlined
+@compiled
 def _end_round(posed, descent):
     """Take the multipliers of the arrival on, and its weight where it is approached slowly."""
     pull, numbers = descent.pull, descent.numbers

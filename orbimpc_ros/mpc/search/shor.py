@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import (
     SINGULAR,
     add_product,
@@ -264,7 +264,7 @@ def _smoothed(posed, weights, mu, reached):
     return value
 
 
-@inlined
+@compiled
 def _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
     """Set Newton's step up the smoothed dual function, shape (M,); return whether there is one."""
     (count, n), total = z.shape, len(step)
@@ -292,7 +292,7 @@ def _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
     return solve_spd(system, step, total)
 
 
-@inlined
+@compiled
 def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
     """Take the longest share of a step that leads higher, up to what multipliers allow.
 
@@ -317,7 +317,7 @@ def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
     return taken, tried, reached
 
 
-@inlined
+@compiled
 def _least_over(posed, k, curvature, slope, sector):
     """Return the least of g . x + l |x| + b |x|^2 / 2 over a step's part of the shell."""
     size, low, high, floor = 0.0, sector[LOW], sector[HIGH], posed.floor
@@ -436,7 +436,7 @@ def certify(posed, z, pull, node, cutoff):
             break
 
 
-@inlined
+@compiled
 def _begin(posed, held, known, rows, weights):
     """Set the multipliers to begin with, and mu; return the forces at work."""
     scale = np.abs(posed.q).max() + np.abs(posed.hessian).max() + 1e-300

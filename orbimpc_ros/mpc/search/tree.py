@@ -15,8 +15,23 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, entry_point, inlined
-from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, PAUSED, cutoff_of, pop, push
+from orbimpc_ros.mpc.kernels import compiled, entry_point
+from orbimpc_ros.mpc.kernels.best_first import (
+    CLOSED,
+    DONE,
+    FULL,
+    LEAST,
+    MADE,
+    NODES,
+    OPEN,
+    PAUSED,
+    VALUE,
+    close,
+    cutoff_of,
+    least_left,
+    leave_open,
+    take,
+)
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, SPEED
 from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
 from orbimpc_ros.mpc.search.relax import (
@@ -49,8 +64,7 @@ from orbimpc_ros.mpc.search.ring import (
     prox,
 )
 
-MADE, OPEN, NODES, STALLS, STARTS, PROMISES = range(6)  # in Tree.counts
-VALUE, CLOSED, LEAST = range(3)  # in Tree.numbers: best cost; least bound given up; of the search
+STALLS, STARTS, PROMISES = range(3, 6)  # in Tree.counts
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
 MARGIN = 0.15  # of a sector: no part is narrower
@@ -116,12 +130,6 @@ def tree_for(steps: int, nodes: int) -> Tree:
     )
 
 
-@inlined
-def _close(numbers, bound):
-    """Note a bound that is not raised any more."""
-    numbers[CLOSED] = min(numbers[CLOSED], bound)
-
-
 @compiled
 def _narrow(sector, k, low, high, most):
     """Carry what is known of one step to all others, a change of so much at a time."""
@@ -182,7 +190,7 @@ def _aim(ring, sector):
     return first, ways
 
 
-@inlined
+@compiled
 def _set_leaf(tree, node, key):
     """Set a node that is not split, and its bound."""
     for i in range(5):
@@ -207,7 +215,7 @@ def _cut_at(ring, angle, low, high):
     return angle
 
 
-@inlined
+@compiled
 def _heading_parts(ring, angle, low, high):
     """Return where to cut a sector, and into how many parts."""
     if high - low < ALL or ring.widest < HALF:
@@ -217,7 +225,7 @@ def _heading_parts(ring, angle, low, high):
     return angle, MOST_ARCS
 
 
-@inlined
+@compiled
 def _heading_branching(ring, inverse, z, sector):
     """Return the step whose heading to branch on, -1 for none, at which angle, and the gain.
 
@@ -253,7 +261,7 @@ def _heading_branching(ring, inverse, z, sector):
     return chosen, at, gain
 
 
-@inlined
+@compiled
 def _speed_branching(ring, inverse, z, sector):
     """Return what :func:`_heading_branching` does, of the ranges of speeds.
 
@@ -280,7 +288,7 @@ def _speed_branching(ring, inverse, z, sector):
     return chosen, cut, gain
 
 
-@inlined
+@compiled
 def _branching(ring, inverse, z, sector):
     """Return what to split by, -1 for nothing, where, and into how many parts."""
     k, at, gain = _heading_branching(ring, inverse, z, sector)
@@ -294,7 +302,7 @@ def _branching(ring, inverse, z, sector):
     return k, cut, parts
 
 
-@inlined
+@compiled
 def _widest(ring, z, sector):
     """Return a split of the widest sector, of what arithmetic could not settle; -1 for none."""
     chosen, width = -1, UNSETTLED
@@ -308,7 +316,7 @@ def _widest(ring, z, sector):
     return chosen, cut, parts
 
 
-@inlined
+@compiled
 def _set_part(ring, sector, choice, cut, parts, i):
     """Set the sectors of a part, on from those of the whole; return whether anything is left."""
     count = len(sector)
@@ -327,7 +335,7 @@ def _set_part(ring, sector, choice, cut, parts, i):
     return _aim(ring, sector)[1] > 0 and not _is_empty(ring, sector)
 
 
-@inlined
+@compiled
 def _moved(quad, shapes, changed, start, z):
     """Set a point moved onto the set that its heading misses most, all others following freely."""
     count, worst, k, ox, oy = len(z), 0.0, -1, 0.0, 0.0
@@ -347,10 +355,10 @@ def _moved(quad, shapes, changed, start, z):
     return True
 
 
-@inlined
+@compiled
 def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
     """Make the parts of a node, each with the bound of its parent's point or of one moved."""
-    counts, numbers = tree.counts, tree.numbers
+    counts = tree.counts
     kind = SPEED if choice >= len(quad.q) else ARCS if parts > 2 else CUT
     tree.nodes[node, KIND], tree.nodes[node, CHOICE], tree.nodes[node, ROW] = kind, choice, -1
     tree.nodes[node, FIRST], tree.nodes[node, PARTS] = counts[MADE], parts
@@ -382,11 +390,7 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
             if key > tree.known[made, KEY]:
                 tree.known[made, KEY] = key
                 copy_to(tree.point[made], room.trial)
-        if tree.known[made, KEY] >= cutoff:
-            _close(numbers, tree.known[made, KEY])
-        else:
-            push(tree.keys, tree.heap, counts[OPEN], tree.known[made, KEY], made)
-            counts[OPEN] += 1
+        leave_open(tree, made, tree.known[made, KEY], cutoff)
 
 
 @compiled
@@ -498,8 +502,7 @@ def begin(quad, ring, tree, guess, room):
     _set_leaf(tree, 0, -np.inf)
     if not set_reachable(ring, tree.sectors[0]):
         return False
-    push(tree.keys, tree.heap, 0, -np.inf, 0)
-    counts[OPEN] = 1
+    leave_open(tree, 0, -np.inf, np.inf)
     near = guess if len(guess) > 0 else start
     if is_promising(quad, ring, tree, near, tree.sectors[0], np.inf, room):
         improve(quad, ring, tree, room)
@@ -512,7 +515,7 @@ def begin(quad, ring, tree, guess, room):
     return True
 
 
-@inlined
+@compiled
 def _choose(quad, ring, tree, node, status, room):
     """Use what a relaxation found; return what to split the node by, -1 for nothing more."""
     counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
@@ -528,7 +531,7 @@ def _choose(quad, ring, tree, node, status, room):
     return choice, cut, parts
 
 
-@inlined
+@compiled
 def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
     """Relax a node, use what it found, and split it; return the multiplications left."""
     counts, numbers = tree.counts, tree.numbers
@@ -544,12 +547,11 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
         if status in (SOLVED, STALLED):
             choice, cut, parts = _choose(quad, ring, tree, node, status, room)
     if status == GOING:
-        push(tree.keys, tree.heap, counts[OPEN], tree.known[node, KEY], node)
-        counts[OPEN] += 1
+        leave_open(tree, node, tree.known[node, KEY], np.inf)
         return work
     counts[NODES] += 1
     if choice < 0:
-        _close(numbers, tree.known[node, KEY])
+        close(tree, tree.known[node, KEY])
         return work
     cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
     _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room)
@@ -584,14 +586,9 @@ def search(quad, ring, tolerance, tree, most, room, work):
         elif counts[NODES] >= most:
             status = FULL
         else:
-            node = tree.heap[0]
-            pop(tree.keys, tree.heap, counts[OPEN])
-            counts[OPEN] -= 1
-            work = _solve_node(quad, ring, flat, tree, node, tolerance, room, work)
+            work = _solve_node(quad, ring, flat, tree, take(tree), tolerance, room, work)
             work -= NODE + STEP * len(flat)
-    numbers[LEAST] = min(numbers[CLOSED], numbers[VALUE])
-    if counts[OPEN] > 0:
-        numbers[LEAST] = min(numbers[LEAST], tree.keys[0])
+    numbers[LEAST] = min(least_left(tree), numbers[VALUE])
     return status
 
 
