@@ -332,6 +332,8 @@ def test_two_flights_are_told_apart_by_name_and_dashes():
     assert {'flown path, none', 'flown path, polygon', 'goal'} <= labels(figure)
     drawn = [each for each in figure.axes[0].get_lines() if 'flown' in each.get_label()]
     assert len({each.get_linestyle() for each in drawn}) == 2
+    shares = charts(figure)['Share of full speed, |R e₁|']
+    assert 'floor' in {text.get_text() for text in shares.texts}  # though the first has none
 
 
 def test_obstacles_are_where_the_parameters_say():

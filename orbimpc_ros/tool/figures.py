@@ -195,7 +195,8 @@ def shares(flown: Flights) -> Panel:
         ]
         lines[_label(name, flown)] = tuple(np.reshape(found, (-1, 2)).T)
     what = 'thrust' if first['translation_order'] == 2 else 'speed'
-    return Panel(f'Share of full {what}, |R e₁|', '', lines, _floor(first), steps=True)
+    floors = {k: v for each in flown.values() for k, v in _floor(each.values).items()}
+    return Panel(f'Share of full {what}, |R e₁|', '', lines, floors, steps=True)
 
 
 def _floor(values: settings.Values, full: float = 1.0) -> dict[str, float]:
