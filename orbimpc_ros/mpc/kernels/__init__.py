@@ -18,7 +18,7 @@ from zlib import crc32
 
 try:
     from numba import njit
-    from numba.core.caching import FunctionCache
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
     from numba.core.runtime import rtsys
@@ -27,8 +27,21 @@ except ImportError:
 else:
     COMPILED = True
 
+    class _CodeAlone(CompileResultCacheImpl):
+        """Machine code without the environments in which Python would run parts of it.
+
+        There are none, but to read them imports all that numba has them for, SciPy among it.
+        """
+
+        def reduce(self, result: Any) -> tuple:
+            """Return what is kept of a compiled function."""
+            *known, _ = super().reduce(result)
+            return *known, ()
+
     class _KeptCode(FunctionCache):
         """Machine code kept between processes, loaded without setting up the compiler."""
+
+        _impl_class = _CodeAlone
 
         def load_overload(self, signature: Any, context: Any) -> Any:
             """Return the code for a signature, or None: then it is compiled.
