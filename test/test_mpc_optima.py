@@ -16,6 +16,7 @@ from problems import (
     floor,
     goals,
     needs_machine_code,
+    polled,
     reference,
     state,
     weights,
@@ -291,6 +292,15 @@ def test_an_arrival_out_of_reach_is_refused_and_one_just_within_is_met():
         solver.solve(start, np.tile([6.001, 0.0], (6, 1)))
     plan = solver.solve(start, np.tile([5.999, 0.0], (6, 1)))
     assert np.allclose(plan.positions[-1], [5.999, 0.0], atol=1e-6)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('goal', [(30.0, 20.0), (-15.0, 30.0), (5.0, -40.0)])
+def test_a_long_arrival_is_nearly_as_good_where_its_descent_is_interrupted(goal):
+    problem = Problem(horizon=60, terminal='constraint', floor=floor('circle', 0.5))
+    asked = State.at(np.zeros(2), np.eye(2)), np.tile(goal, (60, 1)), None
+    late, patient = (Solver(problem).solve(*asked, polled(looks)) for looks in (40, 400))
+    assert late.objective <= 1.01 * patient.objective
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -52,6 +52,7 @@ from orbimpc_ros.mpc.search.shells import (
     arrive,
     cost_of,
     descend,
+    land,
     misses,
     set_out,
 )
@@ -218,6 +219,14 @@ def _descend(posed, tolerance, tree, work):
 
 
 @compiled
+def _land(posed, tree):
+    """Take what arrives next to an unfinished descent for the best, if it is better."""
+    z = tree.descent.z.copy()
+    if land(posed, z) and cost_of(posed, z) < tree.numbers[VALUE]:
+        tree.numbers[VALUE], tree.best[:] = cost_of(posed, z), z
+
+
+@compiled
 def _cut_at(angle, low, high):
     """Return where to cut a sector: near an angle."""
     middle, width = 0.5 * (low + high), high - low
@@ -309,6 +318,8 @@ def _search(posed, tolerance, tree, most, work):
             status = FULL
         else:
             work = _solve_node(posed, tolerance, tree, take(tree), work)
+    if status == PAUSED and posed.stiff > 0.0 and tree.descent.numbers[ACTIVE] > 0.0:
+        _land(posed, tree)
     numbers[LEAST] = min(least_left(tree), numbers[VALUE])
     return status
 

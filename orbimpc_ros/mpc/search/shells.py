@@ -104,18 +104,9 @@ def _put(posed, z):
 
 @compiled
 def arrive(posed, z):
-    """Set headings that arrive, to either side of the straight way; return whether they do.
-
-    From there they are taken in turn to where they arrive and to the shells.
-    """
+    """Set headings that arrive, to either side of the straight way; return whether they do."""
     (count, n), by = z.shape, np.zeros((z.shape[1], z.shape[1]))
-    square = way = far = 0.0
-    for k in range(count):
-        square += posed.arrival[k] ** 2
-        way += posed.arrival[k]
-    for c in range(n):
-        far += posed.left[c] ** 2
-    far = np.sqrt(far)
+    far, way = np.sqrt((posed.left**2).sum()), posed.arrival.sum()
     by[0, 0] = 1.0
     if far > TINY:
         by[0] = posed.left / far
@@ -126,6 +117,13 @@ def arrive(posed, z):
     for k in range(count):
         for c in range(n):
             z[k, c] = ahead * by[0, c] + (aside if k % 2 == 0 else -aside) * by[1, c]
+    return land(posed, z)
+
+
+@compiled
+def land(posed, z):
+    """Take headings in turn to where they arrive and to the shells; return whether they do both."""
+    (count, n), square = z.shape, (posed.arrival**2).sum()
     for _ in range(PROJECTIONS):
         _put(posed, z)
         if misses(posed, z) <= ARRIVED:
