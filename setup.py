@@ -77,13 +77,11 @@ setup(
         'study': ['distributed>=2024.1'],
         'test': [
             'casadi',
-            'check-jsonschema>=0.29',
             'colcon-core',
             'colcon-package-selection',
             'colcon-ros',
             'colcon-test-result',
             'cvxpy>=1.7',
-            'hypothesis',
             'jsbsim>=1.2',
             'mujoco==4.0.0; python_version >= "3.11"',
             'mujoco-core==4.0.0; python_version >= "3.11"',

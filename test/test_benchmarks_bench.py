@@ -9,13 +9,11 @@ from dataclasses import replace
 import pytest
 
 from benchmarks import bench
-from benchmarks.bench.interleaved import OURS, Samples, interleaved_run
+from benchmarks.bench.interleaved import OURS, interleaved_run
 from benchmarks.bench.problems import COMPARISONS, CVXPY, GUROBI, IPOPT, PACKAGES, SCIP
-from benchmarks.bench.results import BenchRow, growth, rows_of, table
+from benchmarks.bench.results import BenchRow, rows_of, table
 from benchmarks.bench.solvers import Declined, Solution
-from benchmarks.bench.solvers.mixed import MixedInteger
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.tool import cli
 
 FIELDS = [
@@ -94,13 +92,6 @@ def test_a_local_solver_sometimes_finds_the_optimum_and_never_a_better_one(key, 
     assert any(a == pytest.approx(b, rel=each.gap) for a, b in pairs)
 
 
-def test_turns_of_a_quarter_and_more_are_declined():
-    """Beyond them the two quadratic limits of a turn admit longer ones."""
-    problem = Problem(floor=Floor('circle', fraction=0.5), max_rate=1.6)
-    with pytest.raises(Declined, match='a quarter'):
-        MixedInteger.__init__(None, problem, 1e-3, 60.0, closed_loop=False)
-
-
 # --- the interleaved run and its rows
 
 
@@ -151,13 +142,6 @@ def test_objectives_that_differ_are_flagged_and_better_ones_fail_the_run():
     assert rows['same'].note == 'objectives agree'
 
 
-@pytest.mark.parametrize(('gap', 'beaten'), [(1e-3, False), (1e-4, True)])
-def test_a_difference_within_the_gap_is_none(gap, beaten):
-    results = {OURS: Solution(1.0), 'other': Solution(0.9995)}
-    samples = {name: Samples({0: 1.0}, {0: each}) for name, each in results.items()}
-    assert rows_of('p', samples, {}, gap)[1].beaten == beaten
-
-
 def test_a_solver_that_refuses_or_breaks_is_a_row_with_the_reason():
     errors = {'small': Declined('licence'), 'broken': ZeroDivisionError('x')}
     rows = compete({OURS: Fake(), **{name: Fake(error=each) for name, each in errors.items()}})
@@ -168,20 +152,6 @@ def test_a_solver_that_refuses_or_breaks_is_a_row_with_the_reason():
     assert compete({OURS: Fake(error=ZeroDivisionError('x'))})[OURS].failed
 
 
-def test_a_solver_that_has_used_up_its_budget_is_compared_on_what_it_solved():
-    slow, ours = Samples({0: 100.0}, {0: Solution(1.0, 0.1, True)}), Samples()
-    ours.times.update({0: 10.0, 1: 1.0})
-    ours.solutions.update({0: Solution(1.0), 1: Solution(1.0)})
-    row = rows_of('p', {OURS: ours, 'slow': slow}, {})[1]
-    assert row.ratio_p50 == pytest.approx(10.0)
-    assert 'time limit hit on 1' in row.note
-
-
-def test_rivals_meet_some_instances_and_are_compared_on_those():
-    rows = compete({OURS: Fake(), 'rival': Fake()}, 7, every=3)
-    assert (rows[OURS].n, rows['rival'].n) == (7, 3)
-
-
 def test_requirements_are_least_ratios_and_most_of_everything_else():
     row = BenchRow(
         'p', OURS, 1, p50_ms=2.0, ratio_p50=5.0, required={'p50_ms': 1.0, 'ratio_p50': 4.0}
@@ -189,30 +159,6 @@ def test_requirements_are_least_ratios_and_most_of_everything_else():
     assert row.missed == ['p50_ms']
     assert 'MISSED' in table([row])
     assert 'met' in table([BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
-
-
-def test_a_table_is_as_wide_as_a_terminal():
-    note = 'no solution on 12, worse on 100, BETTER than ours on 100, time limit hit on 100'
-    required = dict.fromkeys(('p50_ms', 'p99_ms', 'worst_gap', 'ratio_p50', 'ratio_p99'), 1.2345e-5)
-    figures = dict.fromkeys(required, 9876.543)
-    rows = [
-        BenchRow(
-            each.title, name, 10_000, objective=-1234.5678, required=required, note=note, **figures
-        )
-        for each in COMPARISONS
-        for name in (OURS, *PACKAGES)
-    ]
-    lines = table(rows).splitlines()
-    assert max(map(len, lines)) <= 80
-    assert all(word in ' '.join(lines) for word in note.split())
-
-
-def test_growth_is_the_exponent_of_n():
-    rows = [BenchRow(f'SE(2) hull N={n}', OURS, 1, p50_ms=0.1 * n**1.5) for n in (5, 10, 50)]
-    (row,) = growth(rows)
-    assert row.objective == pytest.approx(1.5)
-    assert row.missed == ['objective']
-    assert growth(rows[:2]) == []
 
 
 # --- the command
@@ -258,13 +204,6 @@ def test_a_solver_that_is_not_installed_is_listed_with_a_hint(run, monkeypatch):
         assert rows[name]['required']['ratio_p50'] > 1.0
 
 
-@pytest.mark.parametrize(('most', 'code'), [(1.0, 1), (3.0, 0)])
-def test_a_requirement_that_is_missed_fails_the_run(run, monkeypatch, most, code):
-    row = BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': most})
-    monkeypatch.setattr(bench, 'compared', lambda *_: [row])
-    assert run('--only', 'square')[0] == code
-
-
 @pytest.fixture
 def second(monkeypatch):
     """Return a function that replaces the second measurement."""
@@ -276,13 +215,6 @@ def second(monkeypatch):
         )
 
     return put
-
-
-def test_rows_are_on_disk_before_the_next_measurement_begins(run, second, tmp_path):
-    file, seen = tmp_path / 'result.json', []
-    second(lambda: seen.extend(json.loads(file.read_text())['rows']) or [])
-    run('--only', 'hull', 'square')
-    assert [row['contender'] for row in seen] == [OURS]
 
 
 def test_a_measurement_that_fails_is_a_row_and_loses_no_other(run, second):
@@ -306,34 +238,3 @@ def test_an_interruption_keeps_what_was_measured(run, second):
     assert (code, err.splitlines()[-1]) == (cli.INTERRUPTED, 'orbimpc: interrupted')
     assert [row['problem'] for row in result['rows']] == [comparison('hull').title]
     assert OURS in out
-
-
-# --- nodes over DDS
-
-
-def test_two_planners_answer_in_time(monkeypatch):
-    pytest.importorskip('rclpy')
-    from benchmarks.bench import live
-
-    monkeypatch.setattr(live, 'WARM_UP', 0.2)
-    (row,) = live.fleet(2, 1.0)
-    assert row.n == 10
-    assert row.p50_ms > 0.0
-    assert row.objective <= row.n
-
-
-def test_a_planner_is_timed_beside_a_node_that_only_answers():
-    pytest.importorskip('rclpy.experimental.events_executor')
-    from benchmarks.bench import live
-
-    rows = live.latency('latency', 20.0, 'events', 1.0)
-    whole, _, beside, bare, added = rows[:5]
-    lost, ours, theirs = rows[5:]
-    assert lost.n == 20
-    assert whole.n + lost.objective == lost.n
-    assert bare.n > 0
-    assert added.p50_ms == pytest.approx(max(0.0, beside.p50_ms - bare.p50_ms))
-    assert added.p99_ms == pytest.approx(max(0.0, beside.p99_ms - bare.p99_ms))
-    assert not added.required  # limits are for 50 Hz
-    assert [row.problem for row in (ours, theirs)] == ['latency: processor [ms]'] * 2
-    assert ours.objective > theirs.objective >= 0.0

@@ -1,15 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The fault matrix: what the monitor notices, how rows are judged, and the short form itself."""
 
-import gc
 import json
 import math
-import signal
-import subprocess
 import time
 
 import pytest
-from harness import PATIENCE, TOOL, alive, children_of, orbimpc, wait_for
+from harness import orbimpc
 
 pytest.importorskip('rclpy')
 
@@ -20,8 +17,6 @@ from benchmarks.faults import inputs, processes
 from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
-from benchmarks.machine import uncollected
-from orbimpc_ros.tool import cli
 
 MATRIX = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
 LIMITS = Limits(speed=1.0, rate=3.0)
@@ -48,21 +43,6 @@ def heard(*commands):
     monitor = Monitor(LIMITS)
     monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, rate)) for at, speed, rate in commands]
     return monitor
-
-
-def test_the_monitor_knows_when_it_was_safe():
-    monitor = heard((1.0, 0.5, 0.1), (2.0, 0.0, 0.1), (3.0, 0.0, 0.0), (4.0, 0.0, 0.0))
-    assert monitor.first_safe(1.0) == 3.0
-    assert monitor.first_safe(3.5) == 4.0
-    assert monitor.first_safe(5.0) == INF
-    assert monitor.moving(0.5) == 2
-    assert monitor.moving(2.5) == 0
-
-
-def test_what_moves_again_or_never_stops_is_unsafe():
-    assert heard((1.0, 0.5, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0)).moving_again(0.5, 1.5) == 0
-    assert heard((1.0, 0.0, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 9.0) == 2
-    assert heard((1.0, 0.5, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 1.5) == 2
 
 
 def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
@@ -136,21 +116,6 @@ def test_a_row_is_as_good_as_its_worst_case(outcome, ok):
     json.dumps(found.as_json(), allow_nan=False)
 
 
-def test_a_row_without_cases_is_not_ok():
-    assert not row().ok
-
-
-def test_collections_wait_until_a_measurement_is_over():
-    def measured():
-        with uncollected():
-            assert not gc.isenabled()
-            raise OSError('over')
-
-    with pytest.raises(OSError, match='over'):
-        measured()
-    assert gc.isenabled()
-
-
 # --- the command
 
 
@@ -187,23 +152,3 @@ def test_the_table_says_what_the_rows_say(short):
         assert half.returncode == (0 if all(found['ok'] for found in rows) else 1)
         assert all(found['title'] in out for found in rows)
         assert 'Traceback' not in err
-
-
-def test_rows_are_listed(capsys):
-    assert cli.main(['faults', '--list']) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == [case.name for case in MATRIX]
-
-
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_an_interrupted_matrix_leaves_no_process(number):
-    words = [*TOOL, 'faults', '--only', 'odometry']
-    child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    wait_for(lambda: children_of(child.pid))
-    nodes = children_of(child.pid)
-    time.sleep(1.0)  # into the run
-    child.send_signal(number)
-    _, err = child.communicate(timeout=PATIENCE)
-    assert child.returncode == (-number if number == signal.SIGKILL else 130)
-    assert b'Traceback' not in err
-    wait_for(lambda: not any(alive(node) for node in nodes))

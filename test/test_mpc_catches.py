@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.proof.refute import catches_refuted
 RADIUS = 0.4
 FREE = Problem(horizon=6)
 WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
-SLOWER = replace(WING, floor=Floor('circle', fraction=0.5))
 
 
 def jumping(rng):

@@ -9,9 +9,7 @@ from orbimpc_ros.mpc.geometry import orbitopes
 from orbimpc_ros.mpc.geometry import rotations as so
 from orbimpc_ros.mpc.geometry.cells import cap, icosahedron
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.geometry.outline import sphere
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 
 SEEDS = range(30)
@@ -148,24 +146,6 @@ def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, f
     limit = largest_fraction(n, faces)
     assert covered.min() >= limit - 1e-9
     assert covered.min() <= limit + 0.02
-
-
-@pytest.mark.parametrize(('faces', 'edges'), [(6, 12), (12, 30), (20, 30)])
-def test_a_solid_has_its_edges(faces, edges):
-    lines = np.array(Floor('polygon', faces, 0.5).outline(3))
-    assert lines.shape == (edges, 2, 3)
-    on = np.isclose(lines @ normals(3, faces).T, 0.5).all(axis=1)
-    assert (on.sum(axis=1) == 2).all()  # every edge belongs to two faces
-
-
-@pytest.mark.parametrize('dimension', [2, 3])
-def test_round_floors_and_hulls_are_round(dimension):
-    for lines, radius in (
-        (sphere(dimension, 1.0), 1.0),
-        (Floor('circle', fraction=0.7).outline(dimension), 0.7),
-    ):
-        assert np.allclose(np.linalg.norm(np.concatenate(lines), axis=1), radius)
-    assert Floor().outline(dimension) == ()
 
 
 def covered(patches, axes):

@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Interception: catches are what they are said to be, and steps that are excluded have none."""
 
-from collections import Counter
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -13,24 +12,21 @@ from problems import floor, needs_machine_code, rotation
 from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.compensation import Response
-from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.intercept import (
     AIM,
     EFFORT,
     GRAZE,
     Interception,
-    InterceptQuery,
-    Target,
     catching,
     defect,
 )
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.task import Solvers, Task
+from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp, log
-from orbimpc_ros.mpc.model.dynamics import drift, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import command_of
 from orbimpc_ros.mpc.problem import (
     Approach,
@@ -165,22 +161,6 @@ def circles_until_caught(goal, beyond):
 
 
 @needs_machine_code
-def test_who_means_to_catch_a_goal_does_not_put_it_off():
-    goal = np.array([-10.0, 5.0])
-    controller = Stepped(replace(WING, discretisation='exact'), capture_radius=2.0)
-    position, heading, course, meant = np.zeros(2), 0.0, np.array([12.0, 0.0]), []
-    for k in range(16):
-        here = odometry(position, heading, np.linalg.norm(course), 0.5 * k)
-        tick = controller.tick(here, *still(goal))
-        meant.append(0.5 * k + tick.catch.time)
-        heading += 0.5 * tick.command.body_rate[0]
-        turned = 15.0 * tick.command.speed_fraction * np.array([np.cos(heading), np.sin(heading)])
-        position, course = position + 0.25 * (course + turned), turned
-    assert np.all(np.diff(meant) <= 0.5 + 1e-9)
-    assert meant[-1] <= meant[0] + 1.0
-
-
-@needs_machine_code
 @pytest.mark.parametrize('place', [(35.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
 def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
     """A fifth of a step later, and again; a goal that has moved on too far is not flown at."""
@@ -268,18 +248,6 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
 
 
 @needs_machine_code
-def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps():
-    """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
-    bird = replace(WING, floor=floor('circle', 1.0))
-    goal, here = np.array([11.0, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
-    tick = Stepped(bird, capture_radius=RADIUS).tick(here, *still(goal))
-    assert 0.5 < tick.catch.time < 1.0
-    assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
-    blind = Stepped(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
-    assert not blind.catch.time < 1.0  # where the goal is in between is not known
-
-
-@needs_machine_code
 def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     here, later = odometry([0.0, 0.0], 0.0, 15.0), odometry([7.5, 0.0], 0.0, 15.0, time=0.5)
 
@@ -349,34 +317,6 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
             assert np.linalg.norm(flown.position - goal) <= radius
     assert found >= 12
     assert far > 5
-
-
-@needs_machine_code
-@pytest.mark.parametrize('away', [30.0, 33.0, 36.0])
-def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_help(
-    monkeypatch, away
-):
-    """The speed is 10 of 15 m/s, and lags by 0.8 s: who flies a plan ends metres before its end."""
-    exact, asked = replace(WING, discretisation='exact'), Counter()
-    wing = Interception(exact, RADIUS, Solvers(exact, 'thrust_aligned', 1e-4), 0.8)
-    solved = Task.solved
-    start = State.at([0.0, 0.0], np.eye(2) * 2.0 / 3.0)
-    goal = np.array([away, 0.0])
-
-    def noted(task):
-        asked[task.problem.horizon, task.problem.step] += 1
-        reach = np.abs(task.problem.maps.reach[-1]).sum()
-        assert np.linalg.norm(goal - drift(task.problem, start)[-1]) <= reach + RADIUS
-        return solved(task)
-
-    monkeypatch.setattr(Task, 'solved', noted)
-    still = GoalTrajectory(np.zeros(1), goal[None].copy())
-    task = Task(exact, start, np.tile(goal, (8, 1)), np.arange(1.0, 9.0))
-    _, (plan, _, _), catch = wing.earliest(InterceptQuery(task, still, 0.0))
-    ended = plan.positions[-1] + defect(wing.problem(Target(catch.time / 0.5)), start, plan, 0.8)
-    assert np.linalg.norm(ended - goal) <= AIM * RADIUS
-    assert any(step != exact.step for _, step in asked)
-    assert max(asked.values()) == 2  # the defect is that of full speed at once
 
 
 @needs_machine_code

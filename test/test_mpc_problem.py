@@ -133,23 +133,6 @@ def test_a_huge_value_is_cut_short_in_the_message():
     assert len(str(caught.value)) < 200
 
 
-def same(x=0.0):
-    """Return a new state, box and problem; equal ones for equal numbers."""
-    box = Box([x, 1.0], [2.0, 3.0])
-    state = State.at([x, 1.0], np.eye(2), coasted=np.eye(2))
-    return state, box, Problem(obstacles=(box,))
-
-
-def test_values_are_equal_by_content_and_serve_as_keys():
-    for value, twin, other in zip(same(), same(-0.0), same(0.5), strict=True):
-        assert value == twin
-        assert hash(value) == hash(twin)
-        assert value != other
-        assert value != 'value'
-        assert {value: 1}[twin] == 1
-    assert State.at([0.0, 1.0], np.eye(2)) != same()[0]  # without what it coasts to
-
-
 # --- files
 
 CASE = {

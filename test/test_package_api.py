@@ -67,3 +67,6 @@ def test_values_of_other_content_differ_and_cannot_be_changed():
             assert not array.flags.writeable
     moved = dataclasses.replace(measured(), position=np.array([1e-9, 0.0]))
     assert moved != measured()
+    state, zero = State.at([0.0, 0.0], np.eye(2)), State.at([-0.0, 0.0], np.eye(2))
+    assert {state: 1}[zero] == 1  # the same number with another sign
+    assert dataclasses.replace(state, coasted=np.eye(2)) != state

@@ -50,16 +50,6 @@ def full(name, profile):
     return f'{ns}/{profile.get("node")}{name[1:]}' if name[0] == '~' else f'{ns}/{name}'
 
 
-def test_every_node_has_an_enclave_of_its_own(policy):
-    enclaves = policy.findall('enclaves/enclave')
-    profiles = [enclave.findall('profiles/profile') for enclave in enclaves]
-    assert [len(each) for each in profiles] == [1, 1, 1]
-    nodes = [each[0].get('node') for each in profiles]
-    assert sorted(nodes) == ['planner', 'recorder', 'sim']
-    assert [enclave.get('path') for enclave in enclaves] == [f'/{node}' for node in nodes]
-    assert {each[0].get('ns') for each in profiles} == {'/'}
-
-
 @pytest.fixture(scope='module')
 def endpoints(shared, tmp_path_factory):
     """Return what three real nodes have, by node and kind of endpoint.

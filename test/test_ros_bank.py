@@ -9,7 +9,6 @@ pytest.importorskip('rclpy')
 from planners import settings
 from stepping import targets
 
-from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros.messages import SECOND
@@ -70,23 +69,3 @@ def test_another_forecast_begins_with_the_last_goal():
     np.testing.assert_allclose(targets(watched.inputs, EPOCH / SECOND + watched.ahead(), 1.0), held)
     watched.inputs.forget()
     assert 'goal_model' not in watched.inputs.heard
-
-
-class Away:
-    """A forecast of somebody else's: a metre a second away from where the goal was seen last."""
-
-    def observe(self, observation):
-        self.last = observation
-
-    def at(self, times):
-        return self.last.position + np.outer(times - self.last.time, [1.0, 0.0])
-
-    def reset(self):
-        self.last = None
-
-
-def test_a_forecast_of_ones_own_takes_a_class_and_a_line(monkeypatch):
-    monkeypatch.setitem(FORECASTS, 'away', Away)
-    watched = Watched(goal_prediction='away')
-    report = watched.watch(lambda time: np.array([5.0, 0.0]), 3)
-    np.testing.assert_allclose(report.goals[:, 0], 5.0 + 0.1 * np.arange(1, 6), atol=1e-6)

@@ -148,19 +148,6 @@ def poison(monkeypatch, **changes):
     monkeypatch.setattr(planners, 'command_violations', lambda *_: [])
 
 
-def test_a_command_with_a_flaw_is_not_sent(monkeypatch):
-    driven = Driven()
-    driven.odometry(0.0, 0.0)
-    driven.goal(0.0, 0.0)
-    poison(monkeypatch, body_rate=np.array([np.nan]))
-    answer = driven.tick(0.0)
-    assert (answer.fallback, answer.status) == ('safe command', 'failed')
-    assert answer.reason == 'not sent: the command is not finite'
-    assert answer.plan is None
-    assert answer.command.speed_fraction == 0.0
-    assert answer.command.body_rate.tolist() == [0.0]
-
-
 ATTITUDE = exp(np.array([0.4]))
 
 

@@ -18,19 +18,6 @@ WING = {
 }  # fmt: skip
 
 
-def test_one_line_says_what_vehicle_the_planner_believes_in():
-    assert summary(settings(**WING), simulated=True) == (
-        '15 m/s, at least 10 m/s (circle), at most 25 deg/s, 0.1 s x 10, 2D, rotation order 1, '
-        'translation order 1, planned at each odometry, time of /clock, '
-        'goals stale after 1 s once they stream, safe command loiter'
-    )
-    thrust = {'translation_order': 2, 'dimension': 3, 'mass': 7.0, 'goal_timeout': -1.0}
-    assert summary(settings(**thrust), simulated=False) == (
-        '1 m/s^2, 7 kg, 1 s x 5, 3D, rotation order 1, translation order 2, planned every step, '
-        "the system's time, goals never stale, safe command stop"
-    )
-
-
 HOVERING = {'dimension': 3, 'translation_order': 2, 'forward': 20.0, 'gravity': 9.81}
 LANDER = {**HOVERING, 'forward': 3.6, 'gravity': 1.62, 'tilt': 0.2618, 'glide_slope': 0.8727}
 FLOORED = {**HOVERING, 'floor.shape': 'circle', 'floor.fraction': 0.6}

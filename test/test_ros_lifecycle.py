@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from planners import QUICK, Bench, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParameters
@@ -89,17 +89,6 @@ def active(manager):
     for number in steps[manager.state]:
         assert manager.change(number)
     return manager
-
-
-def test_it_starts_itself(active):
-    assert active.state == 'active'
-    response = active.observer.call(
-        GetAvailableTransitions,
-        '/planner/get_available_transitions',
-        GetAvailableTransitions.Request(),
-    )
-    possible = {each.transition.label for each in response.available_transitions}
-    assert possible == {'deactivate', 'shutdown'}
 
 
 def test_deactivated_in_flight_it_commands_what_is_safe_once_and_is_silent(active):
@@ -299,17 +288,6 @@ def test_a_failure_is_said_in_a_line_and_answered(worker, capfd):
     answer = worker._service_change_state.callback(request, ChangeState.Response())
     assert not answer.success
     assert 'configure failed: ValueError: the solver is missing' in capfd.readouterr().err
-
-
-def test_work_waits_until_it_is_active(worker):
-    heard = []
-    hear = worker.at_work(heard.append)
-    hear('before')
-    worker.begin()
-    hear('meanwhile')
-    worker.trigger_deactivate()
-    hear('after')
-    assert heard == ['meanwhile']
 
 
 def test_a_mode_that_changes_while_it_is_inactive_is_known_when_it_is_activated(launch, observer):

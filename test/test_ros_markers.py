@@ -18,7 +18,6 @@ from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.world import departure
 
 STAMP = Stamp(1_500_000_000, Frames('odom', 'base_link'))
-HALF = Floor('polygon', 4, 0.5)
 
 
 def solved(dimension, **changes):

@@ -21,34 +21,6 @@ from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.ros.process import executor_named
 from orbimpc_ros.sim.parameters import SIM
 
-COLLECTING = """
-    import gc, sys
-    from orbimpc_ros.ros.planner import node as planner
-    from orbimpc_ros.ros.process import run
-
-    class Counting(planner.PlannerNode):
-        def __init__(self):
-            super().__init__()
-            self.made = len(gc.get_objects())
-            self.every(0.01, self.count)
-
-        def count(self):
-            print(self.made, gc.get_freeze_count(), *sys.modules)
-            self.exit_code = 0
-
-    sys.exit(run(Counting, sys.argv))
-"""
-
-
-def test_a_start_loads_little_and_no_collection_looks_through_it():
-    """What plots, records, replays and simulates stays out; CVXPY waits for its first problem."""
-    made, frozen, *modules = python(COLLECTING).stdout.split()
-    assert int(frozen) > 0.9 * int(made) > 50_000
-    rare = {'cvxpy', 'clarabel', 'scipy.optimize', 'scipy.sparse', 'matplotlib', 'PIL', 'mcap'}
-    rare |= {'rosbags', 'orbimpc_ros.sim', 'orbimpc_ros.tool', 'launch'}
-    assert not rare.intersection(modules)
-
-
 SLOW = """
     import sys, time
     from orbimpc_ros.ros.planner import node as planner

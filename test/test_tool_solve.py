@@ -240,11 +240,6 @@ def test_on_a_terminal_a_plan_is_a_table(solve, monkeypatch, name):
     assert rows[:, 1 + dimension] == pytest.approx(answer['speed_fraction'], abs=1e-3)
 
 
-def test_help_and_version():
-    assert 'solve' in orbimpc('--help').stdout
-    assert orbimpc('--version').stdout.startswith('orbimpc_ros ')
-
-
 def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
     def interrupt(words):
         raise KeyboardInterrupt
@@ -269,31 +264,6 @@ def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
         done = run(*words, capture_output=False, stdout=full, stderr=subprocess.PIPE)
     assert done.returncode == cli.FAILED
     assert done.stderr == 'orbimpc: output: no space left on device\n'
-
-
-@pytest.mark.parametrize(
-    ('problem', 'complaint'),
-    [
-        (
-            case() | {'horizn': 10},
-            "orbimpc: unknown case field 'horizn'; did you mean 'horizon'?\n",
-        ),
-        (case(step=...), 'orbimpc: case field step: missing; all of dimension, rotation_order,'),
-        (case(floor={'fraction': 0.5}), 'orbimpc: floor field shape: missing; shape is needed\n'),
-    ],
-)
-def test_where_nothing_is_a_value_the_message_says_what_to_do(solve, problem, complaint):
-    code, _, err = solve(problem)
-    assert code == 2
-    assert err.startswith(complaint)
-
-
-def test_what_is_no_case_is_told_the_fields_of_one_once_each(solve):
-    code, _, err = solve('hello')
-    assert code == 2
-    fields = err.partition('a mapping of ')[2].strip().split(', ')
-    assert 'weights' in fields
-    assert len(set(fields)) == len(fields)
 
 
 def test_a_search_that_would_take_hours_ends_at_its_limit_with_a_bound(tool, tmp_path):

@@ -18,7 +18,6 @@ from harness import TOOL, wait_for
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import view
-from orbimpc_ros.tool.bags import fields
 
 # --- drawing
 
@@ -49,19 +48,6 @@ def test_every_odometry_moves_the_vehicle_at_its_own_time(drawn):
         )
 
 
-def test_thrust_points_are_the_steps_of_the_plan(drawn):
-    drawing, flight = drawn['retrieval']
-    plans = [content for topic, content in flight.messages if topic == 'plan']
-    assert len(drawing.drawn['thrust/plan']) == len(plans) > 10
-    full = flight.values['forward'] * flight.values['step']
-    for number, plan in enumerate(plans):
-        places = [each.pose.position for each in plan.poses]
-        steps = np.diff([[p.x, p.y, p.z] for p in places], axis=0) / full
-        points = drawing.numbers('thrust/plan', number, 'positions')
-        assert np.allclose(points[:-1], steps, atol=1e-6)
-        assert (np.linalg.norm(points, axis=1) <= 1.0 + 1e-6).all()
-
-
 def test_every_part_is_drawn(drawn):
     for drawing, flight in drawn.values():
         for entity in ('world/flown', 'world/goal', 'world/plan', 'thrust/hull', 'tick'):
@@ -70,16 +56,6 @@ def test_every_part_is_drawn(drawn):
             assert len(drawing.drawn[f'charts/{entity}']) > 10, entity
         assert bool(drawing.drawn['charts/floor']) == (flight.values['floor.shape'] != 'none')
         assert drawing.layouts == 1
-
-
-def test_catches_are_timed(drawn):
-    drawing, flight = drawn['fixed_wing']
-    ticks = [fields(m) for topic, m in flight.messages if topic == 'tick']
-    times = [each['earliest_catch'] for each in ticks]
-    found = [drawing.numbers('charts/earliest_catch', k, 'scalars')[0] for k in range(3)]
-    assert found == times[:3]
-    assert len(drawing.drawn['charts/catch_bound']) == len(ticks)
-    assert not drawn['retrieval'][0].drawn['charts/catch_bound']
 
 
 def test_obstacles_are_drawn_where_they_are(drawn):
@@ -116,21 +92,6 @@ def test_what_moves_is_drawn_until_it_is_gone(drawn):
     assert np.allclose(numbers('boxes', 'centers'), [[4.5, 5.0, 0.0]])
     assert np.allclose(numbers('boxes', 'half_sizes')[0, :2], [0.5, 1.0])
     assert not any(len(numbers(name, 'centers', 1)) for name in ('balls', 'boxes'))
-
-
-def test_distances_are_those_of_one_moment(drawn):
-    drawing, flight = drawn['retrieval']
-    odometry, goals = ([m for t, m in flight.messages if t == each] for each in ('odom', 'goal'))
-    found = [drawing.numbers('charts/distance', k, 'scalars')[0] for k in range(25)]
-    pairs = [(o.pose.pose.position, g.pose.position) for o, g in zip(odometry, goals, strict=True)]
-    assert np.allclose(found, [np.hypot(o.x - g.x, o.y - g.y) for o, g in pairs][:25])
-
-
-def test_the_goal_leaves_a_trail(drawn):
-    drawing, flight = drawn['retrieval']
-    goals = [m.pose.position for topic, m in flight.messages if topic == 'goal'][:5]
-    trail = drawing.numbers('world/goal', 4, 'strips', place=1)[0]
-    assert np.allclose(trail, [[p.x, p.y, p.z] for p in goals])
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):

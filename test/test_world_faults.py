@@ -5,11 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import fly, fly_disturbed
-from scenarios import retrieval, retrieval3d, retrieval_problem
+from flying import fly_disturbed
+from scenarios import retrieval, retrieval3d
 
-from orbimpc_ros.loop.goal.forecast import FORECASTS
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
@@ -45,13 +43,6 @@ def test_a_seed_decides_everything():
     )
     assert str(first) == str(same)  # as text: NaN equals nothing
     assert str(first) != str(other)
-
-
-def test_one_fault_does_not_change_the_luck_of_another():
-    plain = views(Faults(dropout=0.3), ticks=50)
-    noisy = views(Faults(dropout=0.3, position_noise=1.0, attitude_noise=0.1), ticks=50)
-    for (_, a), (_, b) in zip(plain, noisy, strict=True):
-        assert [type(s.content) for s in a] == [type(s.content) for s in b]
 
 
 @pytest.mark.parametrize('scenario', [retrieval(), retrieval3d()])
@@ -133,11 +124,6 @@ def test_the_goal_is_hidden_once_in_a_period():
     assert all(of_kind(sent, odometry=True) for _, sent in seen)
 
 
-def test_clocks_jump_from_a_tick_on():
-    faults = Faults(clock_jump=-3.0, clock_jump_tick=5)
-    assert [faults.jumped(tick) for tick in (0, 4, 5, 9)] == [0.0, 0.0, -3.0, -3.0]
-
-
 @pytest.mark.parametrize('length', [11.0, -1.0])
 def test_an_occlusion_longer_than_its_period_is_refused(length):
     with pytest.raises(BadInput, match=r'faults\.occlusion_length'):
@@ -145,23 +131,6 @@ def test_an_occlusion_longer_than_its_period_is_refused(length):
 
 
 RETRIEVAL = {'floor.shape': 'polygon'}
-
-
-def test_a_flight_without_faults_is_the_flight():
-    scenario = retrieval()
-    log_ = fly(Planner(retrieval_problem()), scenario, FORECASTS['hold']())
-    end = fly_disturbed(RETRIEVAL, scenario, View(Faults(), 0, 1.0))
-    assert end.ticks == len(log_.ticks)
-    np.testing.assert_allclose(end.vehicle.position, log_.flights[-1].vehicle.position, atol=1e-6)
-
-
-def test_the_rope_is_caught_through_noise_and_losses():
-    """A fifth of all messages lost, 5 cm and 2 degrees of noise: at least 95 of 100 runs."""
-    scenario, harmonic = replace(retrieval(), capture_radius=0.3), {'goal_prediction': 'harmonic'}
-    faults = Faults(position_noise=0.05, attitude_noise=np.radians(2.0), dropout=0.2)
-    views = [View(faults, seed, scenario.model.step) for seed in range(100)]
-    ends = [fly_disturbed(RETRIEVAL | harmonic, scenario, view) for view in views]
-    assert sum(end.captured for end in ends) >= 95
 
 
 def quick(seed):

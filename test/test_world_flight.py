@@ -268,13 +268,6 @@ def test_who_flew_through_a_box_has_not_done_the_job(vehicle):
         assert flight.touched == (frozenset() if done else {0})
 
 
-def test_boxes_of_another_dimension_are_refused():
-    pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
-    values = settings.resolve(config('retrieval.yaml'))
-    with pytest.raises(BadInput, match='obstacles'):
-        sim_settings(values | {'obstacles': (1.0, 2.0, 3.0)})
-
-
 @pytest.mark.parametrize('dimension', [2, 3])
 def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
     rng = np.random.default_rng([91, dimension])
