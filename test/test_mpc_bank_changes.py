@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from bank_motions import AHEAD, START, drawn, shown, sighted
 
-from orbimpc_ros.loop.goal.bank import BELIEVED, Bank
+from orbimpc_ros.loop.goal.bank import BELIEVED, MEMORY, Bank
 from orbimpc_ros.loop.goal.motion import GoalObservation
 
 CHANGED = START + 12.0  # [s]
@@ -29,6 +29,22 @@ def test_a_second_after_a_change_of_course_the_new_one_is_known(turned, rate, no
         bank = shown(CHANGED + since[:, 0], seen)
         missed.append(np.linalg.norm(bank.at(np.array([CHANGED + 4.0]))[0] - 4.0 * new))
     assert np.quantile(missed, 0.9) < 3.5
+
+
+def test_no_forecast_is_faster_than_what_was_seen():
+    rng = np.random.default_rng(16)
+    for n, rate in ((2, 2.0), (3, 10.0)):
+        bank, place, velocity, fastest = Bank(), np.zeros(n), np.zeros(n), 0.0
+        for k in range(200):
+            if rng.uniform() < 0.1:
+                velocity = rng.uniform(0.0, 3.0) * rng.normal(size=n)
+            fastest = max(fastest, float(np.linalg.norm(velocity)))
+            place = place + velocity / rate
+            time = START + k / rate
+            bank.observe(GoalObservation(time, place.copy()))
+            ahead = bank.at(time + np.array([0.0, 1.0, 4.0]))
+            moved = np.linalg.norm(ahead - ahead[0], axis=1)
+            assert (moved <= fastest * np.array([0.0, 1.0, 4.0]) + 1e-6).all()
 
 
 def test_a_swing_that_becomes_another_is_known_soon():
@@ -69,6 +85,19 @@ def test_a_goal_that_stays_elsewhere_is_believed_to_be_there():
     np.testing.assert_allclose(bank.at(later + AHEAD), 40.0, atol=1e-3)
 
 
+def test_what_noise_sightings_have_is_not_forgotten_with_the_motion():
+    """Three sightings that agree by chance are not exact, for the hundred before were not."""
+    rng = np.random.default_rng(13)
+    times, seen = START + 0.1 * np.arange(100), 0.2 * rng.normal(size=(100, 2))
+    seen[-BELIEVED:] = 40.0
+    bank, fresh = shown(times, seen), shown(times[-BELIEVED:], seen[-BELIEVED:])
+    np.testing.assert_allclose([bank.at(times[-1:]), fresh.at(times[-1:])], 40.0, atol=1e-6)
+    for each in (bank, fresh):  # a deviation and a half aside
+        shown(times[-1:] + 0.1, seen[-1:] + 0.3, each)
+    assert bank.at(times[-1:] + 0.1)[0, 0] > 40.01
+    np.testing.assert_allclose(fresh.at(times[-1:] + 0.1), 40.0, atol=1e-6)
+
+
 def test_two_sightings_at_once_are_no_velocity():
     """A nanosecond apart, a centimetre is no 10,000 km/s."""
     times = START + np.array([0.0, 1e-6, 0.1, 0.100001])
@@ -103,6 +132,16 @@ def test_a_goal_lost_for_long_is_held_where_it_is_seen_again():
     bank = shown(times, np.outer(times - START, [1.0, 0.0]))
     shown([START + 1e6], np.array([[7.0, 7.0]]), bank)
     np.testing.assert_allclose(bank.at(START + 1e6 + np.arange(3.0)), 7.0, atol=1e-9)
+
+
+@pytest.mark.parametrize('family', ['still', 'carrier', 'turn'])
+def test_a_long_watch_loses_nothing(family):
+    """Four times as many sightings as are kept: the forecast stays exact."""
+    motion = drawn(family, 2, np.random.default_rng(10))
+    times = START + 0.5 * np.arange(4 * MEMORY)
+    bank, ahead = shown(times, motion(times)), times[-1] + np.arange(0.0, 4.0)
+    np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
+    assert bank.motion.model == family
 
 
 @pytest.mark.parametrize('seed', range(8))

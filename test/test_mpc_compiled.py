@@ -1,14 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Machine code finds what plain Python does, is compiled once, and is forgotten when it is old."""
 
-import json
-import os
 import subprocess
 import sys
 import textwrap
 
 import pytest
-from harness import python
 
 from orbimpc_ros.mpc import kernels
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -16,27 +13,6 @@ from orbimpc_ros.mpc.kernels import COMPILED
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
 )
-PLAIN = """
-    import json, numpy as np
-    from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
-    from orbimpc_ros.mpc.solve.solver import Solver
-
-    found = []
-    for n, floor in ((2, Floor()), (2, Floor('circle', 4, 0.6)), (2, Floor('polygon', 4, 0.6)),
-                     (3, Floor('circle'))):
-        problem = Problem(n, horizon=3, floor=floor, weights=Weights(input=0.05 * (n == 2)))
-        goals = np.tile([0.4, 0.3, 0.2][:n], (3, 1))
-        plan = Solver(problem).solve(State.at(np.zeros(n), np.eye(n)), goals)
-        found += [plan.objective, plan.lower_bound]
-    print(json.dumps(found))
-"""
-
-
-def test_plain_python_finds_what_machine_code_does():
-    def found(disabled):
-        return json.loads(python(PLAIN, env={**os.environ, 'NUMBA_DISABLE_JIT': disabled}).stdout)
-
-    assert found('0') == pytest.approx(found('1'), rel=1e-6)
 
 
 ONCE = """

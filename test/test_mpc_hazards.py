@@ -99,32 +99,6 @@ def test_plans_stay_clear_at_all_times(model):
     assert plans >= 2
 
 
-def test_the_optimum_is_that_of_a_fine_enumeration():
-    """One disc, one step decided, two to choose: fast headings on a grid, each flown on its own."""
-    problem = Problem(horizon=3, step=1.0, forward=1.0)
-    disc = MovingObstacle.drifting(Ball([1.6, 0.1], 0.5), [-0.2, 0.0])
-    start, goals = (
-        State.at([0.0, 0.0], 0.1 * np.eye(2), hazards=(disc,)),
-        np.tile([3.0, 0.0], (3, 1)),
-    )
-    plan = Solver(problem, gap_tolerance=2e-3).solve(start, goals)
-    assert plan.status == 'optimal'
-    angles = np.linspace(-1.0, 1.0, 201)
-    units = np.column_stack([np.cos(angles), np.sin(angles)])
-    ways = units
-    s_1, z_0 = np.array([0.1, 0.0]), np.array([0.1, 0.0])
-    best = np.inf
-    for z_1 in ways[apart(disc, s_1, s_1 + ways, 1.0) >= 0.5]:
-        s_2 = s_1 + z_1
-        z_2 = ways[apart(disc, s_2, s_2 + ways, 2.0) >= 0.5]
-        turned = ((z_1 - z_0) ** 2).sum() + ((z_2 - z_1) ** 2).sum(axis=1)  # z_3 may stay as z_2
-        cost = 11.0 * ((s_2 + z_2 - goals[0]) ** 2).sum(axis=1) + 2.0 * 0.05 * turned
-        best = min(best, ((s_2 - goals[0]) ** 2).sum() + float(cost.min(initial=np.inf)))
-    best += ((s_1 - goals[0]) ** 2).sum()
-    assert plan.lower_bound <= best
-    assert plan.objective == pytest.approx(best, rel=0.01)
-
-
 def apart(hazard, begin, end, time):
     """How near ways of one second come to a hazard, by many moments."""
     found = np.full(len(end), np.inf)

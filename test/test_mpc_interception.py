@@ -348,3 +348,15 @@ def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
             if np.linalg.norm(motion.position - goal) <= RADIUS:
                 return
     pytest.fail(f'not caught in {0.5 * (k + 1)} s')
+
+
+@needs_machine_code
+def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps():
+    """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
+    bird = replace(WING, floor=floor('circle', 1.0))
+    goal, here = np.array([11.0, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
+    tick = Stepped(bird, capture_radius=RADIUS).tick(here, *still(goal))
+    assert 0.5 < tick.catch.time < 1.0
+    assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
+    blind = Stepped(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
+    assert not blind.catch.time < 1.0  # where the goal is in between is not known

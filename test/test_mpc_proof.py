@@ -249,21 +249,6 @@ def held_against(least, points, g, length, curve):
 
 
 @pytest.mark.parametrize('seed', range(25))
-def test_the_least_over_a_sector(seed):
-    rng = np.random.default_rng([7, seed])
-    low = rng.uniform(-7.0, 7.0)
-    high, slow = low + rng.choice([rng.uniform(0.0, 6.5), 0.01, math.pi]), rng.uniform(0.0, 1.0)
-    fast = rng.uniform(slow, 1.0)
-    span = np.array([[low, high], [slow, fast]])
-    known = np.array([0, -1]), span, 1
-    angles, speeds = np.meshgrid(np.linspace(low, high, 801), np.linspace(slow, fast, 101))
-    points = (speeds * [np.cos(angles), np.sin(angles)]).reshape(2, -1).T
-    g, length, curve = rng.normal(size=2), rng.choice([0.0, rng.uniform()]), rng.normal()
-    least = sets.over_stage(stated_sets(least=slow), known, None, 0, g, length, curve, 2)
-    assert held_against(least, points, g, length, curve) < 1e-3
-
-
-@pytest.mark.parametrize('seed', range(25))
 def test_the_least_beyond_a_polygon(seed):
     rng = np.random.default_rng([8, seed])
     faces = int(rng.integers(3, 9))

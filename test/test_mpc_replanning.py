@@ -46,18 +46,6 @@ def test_a_shrinking_horizon_ends_when_it_ended_before(period):
     assert sorted(counts, reverse=True) == counts
 
 
-def test_an_arrival_is_on_time_with_four_ticks_a_step():
-    problem = Problem(horizon=6, terminal='constraint', discretisation='exact')
-    controller, plant = Stepped(problem, shrinking=True), Craft()
-    motion, goal = at_rest(2, 0.0, 1.0, plant), np.array([3.0, 2.0])
-    for k in range(24):
-        ends = controller.ends(0.25 * k)
-        tick = controller.tick(measured(0.25 * k, motion), np.tile(goal, (len(ends), 1)))
-        command = tick.command
-        motion = flown(plant, motion, command.speed_fraction, command.body_rate, 0.25)
-    assert np.linalg.norm(motion.position - goal) < 0.02
-
-
 def test_a_plan_of_long_steps_stands_in_for_two_ticks_however_short_they_are(monkeypatch):
     controller, plant = Stepped(Problem(horizon=5)), Craft()
     motion, goals = at_rest(2, 0.0, 1.0, plant), np.tile([4.0, 1.0], (5, 1))

@@ -305,3 +305,14 @@ def test_a_mode_that_changes_while_it_is_inactive_is_known_when_it_is_activated(
     assert manager.change(ACTIVATE)
     manager.feed_until(lambda: 'planning' in manager.health[-1].status[0].message, 'plans')
     assert manager.commands_of(10) == []
+
+
+def test_work_waits_until_it_is_active(worker):
+    heard = []
+    hear = worker.at_work(heard.append)
+    hear('before')
+    worker.begin()
+    hear('meanwhile')
+    worker.trigger_deactivate()
+    hear('after')
+    assert heard == ['meanwhile']

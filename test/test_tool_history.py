@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import animation, bags, demo, figures, plot, settings, style, summary
+from orbimpc_ros.tool import animation, bags, figures, plot, settings, style, summary
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.settings import config
 
@@ -294,15 +294,6 @@ def test_paths_have_equal_axes_units_and_a_legend(caught, captured, shape):
     assert ('goal when caught' in labels(figure)) == captured
 
 
-def test_space_is_drawn_to_scale():
-    figure = paths({'': flight('retrieval3d', line([6.0, 3.0, 4.0], 9))})
-    space = next(axes for axes in figure.axes if hasattr(axes, 'get_zlim'))
-    limits = [np.ptp(getattr(space, f'get_{axis}lim')()) for axis in 'xyz']
-    box = space.get_box_aspect()
-    assert np.allclose(np.array(limits) / box, limits[0] / box[0])
-    assert {'body x', 'body y', 'body z', 'goal when caught'} <= labels(figure)
-
-
 def test_two_flights_are_told_apart_by_name_and_dashes():
     both = {
         name: flight('dubins', line([5.0, 10.0, 0.0], 21), f'floor.shape={name}')
@@ -322,20 +313,6 @@ def test_obstacles_are_where_the_parameters_say():
     corners = [p.get_bbox().extents for p in patches]
     for box in np.reshape(flown.values['obstacles'], (-1, 4)):
         assert any(np.allclose(box, corner) for corner in corners)
-
-
-def test_a_fleet_has_its_names_and_the_distance_of_the_closest_pair():
-    values, own = demo.fleet(3, ['avoid_radius=1.0'])
-    ways = ([[-3.0, 0, 0], [3.0, 0, 0]], [[0, -3.0, 0], [0, 3.2, 0]], [[9.0, 9, 0], [9.0, 8, 0]])
-    flown = {
-        name: replace(flight('fleet', np.linspace(*way, 31)), values=values | each)
-        for (name, each), way in zip(own.items(), map(np.array, ways), strict=True)
-    }
-    figure = paths(flown)
-    assert {name.strip('/') for name in own} <= {t.get_text() for t in figure.axes[0].texts}
-    _, apart = charts(figure)['Closest pair [m]'].get_lines()[0].get_data()
-    assert apart.min() == pytest.approx(0.0, abs=0.11)
-    assert apart[0] == pytest.approx(np.sqrt(18.0))
 
 
 # --- numbers over time
@@ -363,14 +340,3 @@ def test_ticks_without_a_plan_leave_holes_not_zeros(caught):
     assert len(times) == len(gaps) == (len(holes) + 1) // 2
     planned, fallen = panels(flown)['Time of each tick [ms]'].get_lines()[:2]
     assert len(planned.get_xdata()) == 2 * len(fallen.get_xdata())
-
-
-def test_frames_pass_every_sighting_and_end_with_the_capture(caught):
-    seen = list(animation.instants(caught))
-    places = np.array([instant['flown'][-1] for instant in seen])
-    for place in caught.positions[:-1]:
-        instant = seen[int(np.argmin(np.linalg.norm(places - place, axis=1)))]
-        assert np.allclose(instant['vehicle'][0], place)
-        assert np.linalg.norm(instant['plan'] - place, axis=1).min() < 1e-9
-    assert np.allclose(seen[-1]['flown'][-1], caught.capture.vehicle)
-    assert np.allclose(seen[-1]['goal'], caught.capture.rope)

@@ -38,6 +38,7 @@ SHAPES = {
     'deep JSON': ('{"a":' * (HALF // 5), 'malformed'),
     'laughs': ('a: &a [x]\n' + '\n'.join(f'b{i}: [*a, *a]' for i in range(9)), 'aliases'),
     'itself': ('&a [*a]', 'aliases'),
+    'a list for a key': ('? [a]\n: b', 'malformed'),
     'merged': ('<<: ' * 1000 + '{}', 'malformed'),
     'too large': ('#' * (files.LARGEST + 1), f'at most {files.LARGEST} bytes'),
 }

@@ -15,8 +15,6 @@ from bags import GOLDEN
 from drawing import INSTALL, Drawing, needs_rerun
 from harness import TOOL, wait_for
 
-from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import view
 
 # --- drawing
@@ -65,33 +63,6 @@ def test_obstacles_are_drawn_where_they_are(drawn):
     halves = drawing.numbers('world/obstacles', 0, 'half_sizes')
     assert np.allclose((centers - halves)[:, :2], low)
     assert np.allclose((centers + halves)[:, :2], high)
-
-
-def test_what_moves_is_drawn_until_it_is_gone(drawn):
-    pytest.importorskip('rclpy')
-    from orbimpc_ros.ros.markers import plan_markers
-    from orbimpc_ros.ros.messages import Frames, Stamp
-    from orbimpc_ros.tool.view.scene import Scene
-
-    problem = Problem(horizon=4, step=0.5)
-    plan = Solver(problem).solve(State.at(np.zeros(2), np.eye(2)), np.ones((4, 2)))
-    away = np.array([-1.0, 0.5])
-    ball = MovingObstacle.drifting(Ball(np.array([3.0, 1.0]), 0.5), away)
-    box = MovingObstacle.drifting(Box([4.0, 4.0], [5.0, 6.0]), away)
-    drawing = Drawing()
-    scene = Scene(drawing, drawn['retrieval'][1].values)
-    for second, hazards in enumerate(((ball, box), ())):
-        stamp = Stamp(second * 10**9, Frames('odom', 'base_link'))
-        scene.take('plan_markers', plan_markers(stamp, problem, plan, hazards))
-
-    def numbers(name, field, which=0):
-        return drawing.numbers(f'world/hazards/{name}', which, field)
-
-    assert np.allclose(numbers('balls', 'centers'), [[3.0, 1.0, 0.0]])
-    assert np.allclose(numbers('balls', 'half_sizes')[0, :2], 0.5)
-    assert np.allclose(numbers('boxes', 'centers'), [[4.5, 5.0, 0.0]])
-    assert np.allclose(numbers('boxes', 'half_sizes')[0, :2], [0.5, 1.0])
-    assert not any(len(numbers(name, 'centers', 1)) for name in ('balls', 'boxes'))
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):

@@ -53,14 +53,6 @@ def test_a_rope_swings_about_its_center():
         Rope([5.0, 0.0], [0.5], 0.1, [0.0, 0.0])
 
 
-def test_a_flight_that_starts_later_is_the_same_flight():
-    early, late = departure(retrieval()), departure(retrieval(), 30.0)
-    np.testing.assert_array_equal(early.goal, late.goal)
-    early, late = (each.after(0.9, np.array([0.1])) for each in (early, late))
-    assert early.miss == late.miss
-    assert late.missed_at == early.missed_at + 30.0
-
-
 @pytest.fixture(scope='module')
 def controller():
     return Planner(retrieval_problem())
