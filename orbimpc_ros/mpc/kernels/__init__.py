@@ -13,6 +13,7 @@ from fcntl import LOCK_EX, LOCK_UN, lockf
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from zlib import crc32
 
@@ -98,12 +99,7 @@ else:
         @property
         def codegen(self) -> Any:
             """Return what the environment of running code is set in: nothing runs here."""
-            return _NoCode
-
-    class _NoCode:
-        @staticmethod
-        def set_env(name: str, environment: Any) -> None:
-            """Do nothing."""
+            return SimpleNamespace(set_env=lambda name, environment: None)
 
     class _PartCompiler(Compiler):
         """Compiles a function to a part of what calls it."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
 from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
@@ -32,7 +31,6 @@ CANCELLED = 1e-12  # what a bound allows for of the largest numbers that cancel 
 LARGEST = 1e7  # sigma, in proportion to the first
 SLICE = 2000  # steps of the horizon times steps of the method, in about a millisecond
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
-NO_WISH = np.zeros(3)
 
 
 class HullRiccati:
@@ -83,19 +81,13 @@ class HullRiccati:
             return found
         return self._general.solve(request)
 
-    def _wish(self, state: State) -> Array:
-        """Return the weight on the last heading, and what it is to be, shape (3,)."""
-        if self._steadying == 0.0:
-            return NO_WISH
-        return np.append(self._steadying, wanted_coordinates(self._problem, state))
-
     def relaxed(self, request: Request) -> tuple[Found, bool]:
         """Return the best within the disks and its bound, and whether that is the optimum."""
         state, goals = request.state, request.goals
         targets = goals - adrift(self._problem, state)
         start = np.zeros((len(self._along), 2))
         start[-1] = state.rotation[:, 0]
-        wish = self._wish(state)
+        wish = np.append(self._steadying, wanted_coordinates(self._problem, state))
         chain = Chain(self._along, start, self._turning, self._weights, targets, wish)
         constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets)) + self._steadying
         rounding = ROUNDING * constant

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_de
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.regions import Regions
-from orbimpc_ros.mpc.solve.registry import method_among, method_for
+from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 try:
@@ -59,8 +59,8 @@ class PacedSpeeds:
         self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
     ) -> None:
         self._problem, self._condensed = problem, Condensed(problem)
-        freed, made = replace(problem, max_acceleration=0.0), method_among if among else method_for
-        self._method = made(freed, tolerance, coasting=coasting)
+        freed = replace(problem, max_acceleration=0.0)
+        self._method = method_for(freed, tolerance, coasting=coasting, among=among)
         self._statement, self._stiff = Statement(problem), np.full((problem.horizon,) * 2, np.inf)
 
     @staticmethod

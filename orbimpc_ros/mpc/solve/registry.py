@@ -17,44 +17,30 @@ METHODS = [
     ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
     ('search.round_floor', 'RoundFloor'),
-    ('solve.planar_catch', 'PlanarCatch'),
+    ('solve.planar_way', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
 
 
-def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) -> Method:
+def method_for(
+    problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
+) -> Method:
     """Return the fastest method for a problem in natural units, compiled for it.
 
     Args:
         problem: what to solve.
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
+        among: whether states come with hazards, which the last method alone knows.
     """
-    for place, name in [PACED, *METHODS] if problem.max_acceleration else METHODS:
+    methods, given = (METHODS[-1:], {'among': True}) if among else (METHODS, {})
+    for place, name in [PACED, *methods] if problem.max_acceleration else methods:
         method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
-        if method.solves(problem):
-            made: Method = method(problem, tolerance, coasting=coasting)
+        if among or method.solves(problem):
+            made: Method = method(problem, tolerance, coasting=coasting, **given)
             return made
     raise AssertionError('the last method solves every problem')
-
-
-def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) -> Method:
-    """Return the method for a problem in natural units whose states come with hazards.
-
-    Args:
-        problem: what to solve.
-        tolerance: relative gap at which a search stops.
-        coasting: whether states come with a ``coasted`` rotation.
-    """
-    if problem.max_acceleration:
-        place, name = PACED
-        paced = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
-        within: Method = paced(problem, tolerance, coasting=coasting, among=True)
-        return within
-    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # may take Clarabel
-
-    return BranchAndBound(problem, tolerance, coasting=coasting, among=True)
 
 
 class General:

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
 from orbimpc_ros.mpc.proof.tree import in_users_units
 from orbimpc_ros.mpc.proof.verify import Verifier
-from orbimpc_ros.mpc.solve.registry import method_among, method_for
+from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
@@ -84,8 +84,7 @@ class Solver:
         self._verifier = Verifier(problem) if problem.floor.shape in SPEEDS else None
         self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
-        tolerance = SEARCH_SHARE * gap_tolerance
-        self._method = method_for(self._units.problem, tolerance, coasting=coasting)
+        self._method = self._made(among=False)
         self._among: Method | None = None  # which solves among hazards, made when it is needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
         prepare()
@@ -200,9 +199,11 @@ class Solver:
     def expect_hazards(self) -> None:
         """Make now what the first state with hazards would have to wait for, a second or so."""
         if self._among is None:
-            self._among = method_among(
-                self._units.problem, SEARCH_SHARE * self._tolerance, coasting=self._coasting
-            )
+            self._among = self._made(among=True)
+
+    def _made(self, *, among: bool) -> Method:
+        known = self._units.problem, SEARCH_SHARE * self._tolerance
+        return method_for(*known, coasting=self._coasting, among=among)
 
     def _method_for(self, state: State) -> Method:
         """Return the method for a state: where something moves, the general one."""
