@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A vehicle in continuous time, in the plane or in space: lags, gain, wind. No code of the package.
+"""A vehicle in continuous time, in the plane or in space: lags, gain, wind.
 
 Rates and speed (or thrust) follow their commands with first-order lags as soon as a command comes,
 which is how airframes, rovers and spacecraft behave, and not what the paper's discrete model says.
@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SUBSTEP = 0.01  # [s]
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -50,47 +52,26 @@ class Motion:
 
 def at_rest(n=2, heading=0.0, fraction=0.0, plant=None):
     """A motion at the origin in the plane or in space, turned about z by a heading [rad]."""
-    attitude = turned(np.array([heading]) if n == 2 else np.array([0.0, 0.0, heading]))
+    attitude = exp(np.array([heading]) if n == 2 else np.array([0.0, 0.0, heading]))
     velocity = np.zeros(n)
     if plant is not None and not plant.inertial:
         velocity = plant.forward * fraction * attitude[:, 0] + plant.blown
     return Motion(np.zeros(n), velocity, attitude, np.zeros(1 if n == 2 else 3), fraction)
 
 
-def flown(plant, motion, fraction, rate, time, substep=SUBSTEP):
+def flown(plant, motion, fraction, rate, time):
     """The motion after a time [s] under one command."""
-    size = float(np.linalg.norm(rate))
-    wanted = np.asarray(rate) * min(1.0, plant.turns / size) if size else np.asarray(rate)
-    steps = max(1, round(time / substep))
-    dt = time / steps
-    s, p, q, w, f = motion.position, motion.velocity, motion.attitude, motion.rate, motion.fraction
-    keep = [math.exp(-dt / lag) if lag else 0.0 for lag in (plant.rate_lag, plant.speed_lag)]
-    half = [math.exp(-0.5 * dt / lag) if lag else 0.0 for lag in (plant.rate_lag, plant.speed_lag)]
-    for _ in range(steps):
-        # Rate, share of speed and direction are taken in the middle of each short step.
-        turning, pushing = wanted + half[0] * (w - wanted), fraction + half[1] * (f - fraction)
-        axis = (q @ turned(0.5 * dt * turning))[:, 0]
-        push = plant.gain * plant.forward * pushing * axis + plant.blown
-        if plant.inertial:
-            s, p = s + dt * p + 0.5 * dt * dt * push, p + dt * push
-        else:
-            s = s + dt * push
-        q = q @ turned(dt * turning)
-        w, f = wanted + keep[0] * (w - wanted), fraction + keep[1] * (f - fraction)
-    if not plant.inertial:
-        p = plant.gain * plant.forward * f * q[:, 0] + plant.blown
-    return Motion(s, p, q, w, f)
-
-
-def turned(angle):
-    """The rotation by a vector [rad], after Rodrigues."""
-    if len(angle) == 1:
-        c, s = math.cos(angle[0]), math.sin(angle[0])
-        return np.array([[c, -s], [s, c]])
-    x, y, z = angle
-    cross, size = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]), math.sqrt(angle @ angle)
-    if size < 1e-9:
-        return np.eye(3) + cross
-    return (
-        np.eye(3) + math.sin(size) / size * cross + (1.0 - math.cos(size)) / size**2 * cross @ cross
+    n, turns = len(motion.position), plant.turns if math.isfinite(plant.turns) else 0.0
+    model = Plant(
+        n,
+        translation_order=1 + plant.inertial,
+        forward=plant.forward,
+        speed_lag=plant.speed_lag,
+        rate_lag=plant.rate_lag,
+        gain=plant.gain,
+        disturbance=tuple(np.zeros(n) + plant.blown),
+        max_rate=turns,
     )
+    begun = motion.position, motion.velocity, motion.attitude, motion.rate, motion.fraction
+    end = model.flown(Vehicle(0.0, *begun), time, fraction, rate, 0.0)[-1]
+    return Motion(end.position, end.velocity, end.attitude, end.body_rate, end.fraction)

@@ -46,7 +46,7 @@ class Watched:
             rate = 0.4 * self.rng.normal(size=len(self.motion.rate))
             command = Command(self.rng.uniform(0.5, 1.0), rate, np.eye(len(self.motion.position)))
             self.history.add(command, self.time)
-            self.motion = flown(self.plant, self.motion, command.speed_fraction, rate, STEP, 0.001)
+            self.motion = flown(self.plant, self.motion, command.speed_fraction, rate, STEP)
             self.time += STEP
         return np.array(innovations)
 
@@ -128,7 +128,7 @@ def test_a_wind_that_turns_about_is_followed_within_two_seconds(step):
         estimator.observe(measured(step * k, motion, noise), history)
         rate = np.array([0.4 * math.sin(step * k)])
         history.add(Command(0.9, rate, motion.attitude), step * k)
-        motion = flown(replace(plant, blown=blown), motion, 0.9, rate, step, 0.002)
+        motion = flown(replace(plant, blown=blown), motion, 0.9, rate, step)
     assert np.linalg.norm(estimator.disturbance + plant.blown) < 0.1 * np.linalg.norm(
         2 * plant.blown
     )

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous import Craft, Motion, at_rest, flown, turned
+from continuous import Craft, Motion, at_rest, flown
 from scenarios import spacecraft_problem
 from stepping import Stepped, measured
 
 from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
 
@@ -31,11 +32,11 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
     problem = Problem(dimension, forward=2.0, discretisation='exact')
     settled = Compensator(problem, Response(lag, lag)).start(measured(0.0, start)).odometry
     assert settled.time == lag
-    end = flown(plant, start, 0.7, rate, LONG, 0.002)
+    end = flown(plant, start, 0.7, rate, LONG)
     ideal = replace(start, position=settled.position, attitude=settled.attitude)
-    there = flown(Craft(2.0), ideal, 0.7, rate, LONG - lag, 0.002)
+    there = flown(Craft(2.0), ideal, 0.7, rate, LONG - lag)
     np.testing.assert_allclose(end.attitude, there.attitude, atol=1e-4)
-    steady = flown(plant, replace(start, rate=rate), 0.7, rate, lag, 0.0005)
+    steady = flown(plant, replace(start, rate=rate), 0.7, rate, lag)
     seen = measured(0.0, replace(start, rate=rate))
     settled = Compensator(problem, Response(lag, lag)).start(seen).odometry
     np.testing.assert_allclose(settled.position, steady.position, atol=1e-4)
@@ -51,13 +52,11 @@ def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
     for share, at in ((0.9, -LONG), (0.3, 0.0)):
         compensator.history.add(Command(share, np.zeros(1), np.eye(2)), at)
     settled = compensator.start(measured(0.0, start)).odometry
-    end = flown(plant, start, 0.3, np.zeros(1), LONG, 0.002)
+    end = flown(plant, start, 0.3, np.zeros(1), LONG)
     ideal = Motion(
         settled.position, settled.attitude @ settled.body_velocity, np.eye(2), np.zeros(1), 0.3
     )
-    there = flown(
-        Craft(3.0, True, blown=plant.blown), ideal, 0.3, np.zeros(1), LONG - lags[1], 0.002
-    )
+    there = flown(Craft(3.0, True, blown=plant.blown), ideal, 0.3, np.zeros(1), LONG - lags[1])
     np.testing.assert_allclose(end.velocity, there.velocity, atol=5e-3)
     np.testing.assert_allclose(end.position, there.position, atol=2e-2)
 
@@ -91,7 +90,7 @@ def test_the_applied_thrust_follows_what_was_commanded():
     shares = []
     for (_, fraction), time in zip(sent, (0.5, 0.4, 0.3), strict=True):
         before = motion.velocity[0]
-        motion = flown(plant, motion, fraction, np.zeros(1), time, 0.001)
+        motion = flown(plant, motion, fraction, np.zeros(1), time)
         shares.append((motion.velocity[0] - before) / time)
     assert history.applied(1.2, lag) == pytest.approx(motion.fraction, abs=1e-9)
     assert history.mean(0.5, 0.9, lag) == pytest.approx(shares[1], abs=1e-6)
@@ -109,7 +108,7 @@ def arrived(problem, plant, motion, goal, response):
         ticks.append(controller.tick(odometry, np.tile(goal, (len(ends), 1))))
         command = ticks[-1].command
         controller.sent(command, time)
-        motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step, 0.02)
+        motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step)
         time += problem.step
     return np.linalg.norm(motion.position - goal), np.linalg.norm(motion.velocity), ticks
 
@@ -120,7 +119,7 @@ def test_a_lagging_spacecraft_arrives_at_rest(seed, gain):
     rng = np.random.default_rng(seed)
     problem = replace(spacecraft_problem(), rotation_order=1, discretisation='exact')
     plant = Craft(1.0, True, 0.2, 0.3, gain)
-    motion = replace(at_rest(3), attitude=turned(np.array([0.0, 0.0, np.pi])))
+    motion = replace(at_rest(3), attitude=exp(np.array([0.0, 0.0, np.pi])))
     goal = np.array([5.0, 10.0, 25.0]) + rng.uniform(-2.0, 2.0, 3)
     miss, speed, ticks = arrived(problem, plant, motion, goal, Response(0.2, 0.3))
     assert miss < 0.05

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from continuous import Craft, at_rest, flown, turned
+from continuous import Craft, at_rest, flown
 from pages import blocks_of
 from problems import needs_machine_code
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
@@ -83,7 +84,7 @@ def test_a_fixed_wing_meets_what_drifts_and_never_flies_too_slowly(course):
     assert max(abs(command.body_rate[0]) for *_, command, _ in log) <= 0.4363 * (1.0 + 1e-9)
 
 
-UPRIGHT = turned(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
+UPRIGHT = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
 HOVERING = replace(at_rest(3, fraction=0.5), attitude=UPRIGHT)
 
 
