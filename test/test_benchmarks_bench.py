@@ -227,14 +227,3 @@ def test_a_measurement_that_fails_is_a_row_and_loses_no_other(run, second):
     assert 'failed: OSError: the wind has turned' in out
     solves = {row['problem']: row['n'] for row in result['rows']}
     assert solves == {comparison('hull').title: 1, comparison('square').title: 0}
-
-
-def test_an_interruption_keeps_what_was_measured(run, second):
-    def interrupt():
-        raise KeyboardInterrupt
-
-    second(interrupt)
-    code, out, err, result = run('--only', 'hull', 'square')
-    assert (code, err.splitlines()[-1]) == (cli.INTERRUPTED, 'orbimpc: interrupted')
-    assert [row['problem'] for row in result['rows']] == [comparison('hull').title]
-    assert OURS in out

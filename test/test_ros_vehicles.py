@@ -111,16 +111,6 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
         assert not any(np.all((m.position > low) & (m.position < high)) for _, m, *_ in log)
 
 
-@needs_machine_code
-@pytest.mark.parametrize('place', [(-0.4, 2.5, 8.0), (1.2, -0.2, -6.4)])
-def test_a_multirotor_stops_above_and_below_at_twice_its_lags(place):
-    """To brake there is to turn over, which takes longer than plans know."""
-    craft = Craft(19.6, True, 0.1, 0.1, 1.0, np.array([0.0, 0.0, -9.81]), turns=3.84)
-    log = flight(recipe('multirotor'), craft, HOVERING, lambda now: place, 20.0)
-    late = [motion.position for now, motion, *_ in log if now > 12.0]
-    assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.05
-
-
 def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
     from orbimpc_ros.sim.parameters import sim_settings
