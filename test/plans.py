@@ -52,10 +52,3 @@ def only_complaint(problem, plan, start=START, goals=GOALS):
     found = violations(problem, start, goals, plan)
     assert len(found) == 1, found
     return found[0]
-
-
-def only_complaint_but_the_cost(problem, plan, start=START, goals=GOALS):
-    """Return what is wrong beside the cost, which changes with places and goals."""
-    found = [f for f in violations(problem, start, goals, plan) if 'the objective is' not in f]
-    assert len(found) == 1, found
-    return found[0]

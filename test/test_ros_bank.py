@@ -51,15 +51,6 @@ def test_a_swing_on_a_moving_carrier_is_planned_for_and_named():
     assert values(report)['goal_model'] == 'carrier'
 
 
-def test_the_name_changes_when_the_goal_does():
-    watched = Watched(goal_prediction='auto')
-    report = watched.watch(lambda time: np.array([time, 0.0]), 60)
-    assert values(report)['goal_model'] == 'velocity'
-    report = watched.watch(lambda time: np.array([6.0, 0.0]), 20)
-    assert values(report)['goal_model'] == 'still'
-    np.testing.assert_allclose(report.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
-
-
 def test_another_forecast_begins_with_the_last_goal():
     watched = Watched()
     watched.watch(carried, 10)
