@@ -7,8 +7,7 @@ from problems import rotation
 
 from orbimpc_ros.mpc.geometry import orbitopes
 from orbimpc_ros.mpc.geometry import rotations as so
-from orbimpc_ros.mpc.geometry.cells import cap, icosahedron
-from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.faces import cap, icosahedron, normals
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 

@@ -161,6 +161,14 @@ def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
     assert flown > 20
 
 
+def test_a_plan_that_misses_by_rounding_costs_no_less_than_its_bound():
+    drawn = adversary.flight(np.random.default_rng([817735, 10637]))
+    assert drawn is not None
+    problem, state, goals = drawn.case
+    plan = Solver(problem).solve(state, goals)
+    assert plan.lower_bound <= plan.objective
+
+
 # --- certificates
 
 

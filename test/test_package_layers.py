@@ -99,6 +99,7 @@ def test_a_pure_layer_imports_without_ros(layer):
 
 # What a node's process must not load, but for the packages that lie above its own.
 FOREIGN = {'ros.planner': ('sim', 'tool'), 'sim': ('ros.planner', 'tool')}
+HEAVY = {'cvxpy', 'clarabel', 'scipy.linalg', 'matplotlib', 'PIL', 'rosbags', 'mcap'}
 
 
 @pytest.mark.parametrize('node', FOREIGN)
@@ -110,6 +111,7 @@ def test_a_node_loads_nothing_of_the_other_nor_of_the_tool(node):
     for name in FOREIGN[node]:
         above = f'orbimpc_ros.{name}'
         assert not [each for each in loaded if each == above or each.startswith(f'{above}.')]
+    assert not HEAVY & {*loaded}
 
 
 def test_no_modules_import_each_other_in_a_circle():

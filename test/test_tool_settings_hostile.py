@@ -39,6 +39,8 @@ SHAPES = {
     'laughs': ('a: &a [x]\n' + '\n'.join(f'b{i}: [*a, *a]' for i in range(9)), 'aliases'),
     'itself': ('&a [*a]', 'aliases'),
     'a list for a key': ('? [a]\n: b', 'malformed'),
+    'no time': ('a: !!timestamp x', 'malformed'),
+    'no truth': ('- !!bool x', 'malformed'),
     'merged': ('<<: ' * 1000 + '{}', 'malformed'),
     'too large': ('#' * (files.LARGEST + 1), f'at most {files.LARGEST} bytes'),
 }

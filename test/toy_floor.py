@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from orbimpc_ros.mpc.geometry.cells import Cell
+from orbimpc_ros.mpc.geometry.faces import Cell
 from orbimpc_ros.mpc.problem.floor import Shape
 
 

@@ -124,7 +124,7 @@ def parse(text: str, name: str) -> Any:
         where = f' in line {mark.line + 1}' if mark else ''
         problem = f'malformed{where} ({getattr(error, "problem", None) or error})'
         raise BadInput.stating(name, problem, ALLOWED) from None
-    except (RecursionError, ValueError, TypeError) as error:
+    except (RecursionError, ValueError, TypeError, LookupError, AttributeError) as error:
         raise BadInput.stating(name, f'malformed ({error})', ALLOWED) from None
     return content
 

@@ -1,11 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The faces of the paper's floor: a polygon in the disk, a Platonic solid in the ball.
+"""Faces of floors: a polygon in the disk, a Platonic solid in the ball; their outlines.
 
-Mathematics: docs/mathematics.md, 3.3.
+Also the patches of the sphere that directions are cut into.
+
+Mathematics: docs/mathematics.md, 3.3 and 3.5.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,6 +18,13 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 
 _GOLDEN = (1.0 + 5.0**0.5) / 2.0
+TOUCH = 1e-4  # [rad]
+STEEPEST_CAP = 1.0  # [rad]: patches that share a corner are too long for a wider one
+QUARTERS = 4  # triangles about +z, to begin with
+ROUND = 96  # corners of what is drawn for a circle
+CLOSE = 1e-9
+
+Lines = tuple[Array, ...]
 
 
 @lru_cache(maxsize=64)
@@ -45,3 +57,87 @@ def _dodecahedron_vertices() -> Array:
     cube = [(a, b, c) for a in signs for b in signs for c in signs]
     plane = [(0.0, a / _GOLDEN, b * _GOLDEN) for a in signs for b in signs]
     return np.array(cube + [tuple(np.roll(p, shift)) for shift in range(3) for p in plane])
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A half-space normal . v >= offset.
+
+    Attributes:
+        normal: unit vector, shape (n,).
+        offset: smallest value of normal . v.
+    """
+
+    normal: Array
+    offset: float
+
+
+def cap(tilt: float) -> Array:
+    """Return the corners of four triangles that cover a cap of the sphere, shape (4, 3, 3).
+
+    They share the corner +z. Their outer sides touch the circle at an angle ``tilt`` from it [rad];
+    they are a little wider, for rounding.
+    """
+    wide = math.atan(math.tan(tilt + TOUCH) / math.cos(math.pi / QUARTERS))
+    around = 2.0 * np.pi * np.arange(QUARTERS + 1) / QUARTERS
+    height = np.full(len(around), math.cos(wide))
+    outer = np.column_stack(
+        [math.sin(wide) * np.cos(around), math.sin(wide) * np.sin(around), height]
+    )
+    up = np.array([0.0, 0.0, 1.0])
+    return np.array([[up, outer[i], outer[i + 1]] for i in range(QUARTERS)])
+
+
+@lru_cache(maxsize=1)
+def icosahedron() -> Array:
+    """Return the corners of the icosahedron's faces, shape (20, 3, 3)."""
+    vertices = normals(3, 12)  # the dodecahedron's normals are the icosahedron's vertices
+    # Its faces are told by their vertices: ``normals(3, 20)`` belong to one turned against it.
+    adjacent = vertices @ vertices.T > 0.0
+    triples = itertools.combinations(range(len(vertices)), 3)
+    faces = [
+        vertices[[i, j, k]]
+        for i, j, k in triples
+        if adjacent[i, j] and adjacent[j, k] and adjacent[i, k]
+    ]
+    return sealed(np.array(faces))
+
+
+# --- outlines, as lines to draw
+
+
+def sphere(dimension: int, radius: float) -> Lines:
+    """Return a closed circle (n = 2), or three around a ball (n = 3)."""
+    angles = np.linspace(0.0, 2.0 * np.pi, ROUND + 1)
+    circle = radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)])
+    return tuple(sealed(np.roll(circle, shift, axis=1)) for shift in range(2 * dimension - 3))
+
+
+def edges(outward: Array, distances: Array) -> Lines:
+    """Return the edges, shape (2, 3) each, of a polygon or solid.
+
+    Args:
+        outward: unit normals of its faces, shape (m, n).
+        distances: of the faces from the origin, shape (m,).
+    """
+    dimension = outward.shape[1]
+    corners = _corners(outward, distances)
+    on = np.abs(corners @ outward.T - distances) < CLOSE
+    padded = np.pad(corners, ((0, 0), (0, 3 - dimension)))
+    return tuple(
+        sealed(padded[[a, b]])
+        for a, b in itertools.combinations(range(len(corners)), 2)
+        if (on[a] & on[b]).sum() >= dimension - 1
+    )
+
+
+def _corners(outward: Array, distances: Array) -> Array:
+    """Return where n faces meet and none is passed, shape (K, n), each once."""
+    count, dimension = outward.shape
+    chosen = np.array(list(itertools.combinations(range(count), dimension)), dtype=int)
+    chosen = chosen.reshape(-1, dimension)
+    chosen = chosen[np.abs(np.linalg.det(outward[chosen])) > CLOSE]
+    points = np.linalg.solve(outward[chosen], distances[chosen][:, :, None])[:, :, 0]
+    points = points[(points @ outward.T <= distances + CLOSE).all(axis=1)]
+    _, first = np.unique(points.round(6), axis=0, return_index=True)
+    return points[first]

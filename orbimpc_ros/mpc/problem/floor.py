@@ -19,9 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.cells import Cell
-from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.geometry.outline import Lines, edges, sphere
+from orbimpc_ros.mpc.geometry.faces import Cell, Lines, edges, normals, sphere
 
 SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_FACES = 64

@@ -20,7 +20,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP
+from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.limits import END, ENDS, STEP, Body, Cone, Limits, limits_of

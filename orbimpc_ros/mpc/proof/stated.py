@@ -18,8 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP, cap, icosahedron
-from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root, roots

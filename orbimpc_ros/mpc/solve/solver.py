@@ -226,7 +226,10 @@ class Solver:
 
     def _assembled(self, query: _Query, x: Array, proof: Proof) -> Plan:
         known = self.problem, query.state, query.goals
-        return assemble(*known, x, projection=self._projection, proof=proof)
+        plan = assemble(*known, x, projection=self._projection, proof=proof)
+        if plan.objective < proof.lower_bound:  # it may miss constraints by rounding
+            plan = replace(plan, proof=replace(proof, lower_bound=plan.objective))
+        return plan
 
     def _proof(self, query: _Query, found: Found) -> Proof:
         """Return the proof of a bound in natural units; no term of the objective is negative.
@@ -243,7 +246,6 @@ class Solver:
             bound, tree = (proved, tree) if checked else (bound, None)
         else:
             tree = None
-        bound = min(bound, cost * found.cost)  # which may miss constraints by rounding
         known = float(bound) if 0.0 < bound < np.inf else 0.0
         known, checked = known * (1.0 - OUTWARD), checked or known == 0.0
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.outline import sphere
+from orbimpc_ros.mpc.geometry.faces import sphere
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import (
     SECOND,
