@@ -161,12 +161,15 @@ def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
     assert flown > 20
 
 
-def test_a_plan_that_misses_by_rounding_costs_no_less_than_its_bound():
-    drawn = adversary.flight(np.random.default_rng([817735, 10637]))
+@pytest.mark.parametrize('index', [10637, 27479, 36727])
+def test_bounds_leave_what_rounding_takes(index):
+    """A plan that arrives but for rounding, one at its goal, and a cost far below its unit."""
+    drawn = adversary.flight(np.random.default_rng([817735, index]))
     assert drawn is not None
-    problem, state, goals = drawn.case
-    plan = Solver(problem).solve(state, goals)
+    (problem, state, goals), coasting = drawn.case, drawn.case.state.coasted is not None
+    plan = Solver(problem, coasting=coasting).solve(state, goals)
     assert plan.lower_bound <= plan.objective
+    assert verified(parsed(certificate_of(*drawn.case, plan.proof).text().encode())).holds
 
 
 # --- certificates

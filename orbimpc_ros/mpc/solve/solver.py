@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 SURELY = 1e-3  # of a step's length, or of 1 rad: an end so far out of reach takes no search
 OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
+ROUNDED = 1e-15  # of the unit of costs: and by what states and goals are rounded by
 NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan that took no search stands in'
 GOES_ON = 'the plan before goes on: no better one was found in time'
@@ -246,8 +247,8 @@ class Solver:
             bound, tree = (proved, tree) if checked else (bound, None)
         else:
             tree = None
-        known = float(bound) if 0.0 < bound < np.inf else 0.0
-        known, checked = known * (1.0 - OUTWARD), checked or known == 0.0
+        known = max(0.0, float(bound) * (1.0 - OUTWARD) - ROUNDED * cost) if bound < np.inf else 0.0
+        checked = checked or known == 0.0
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
