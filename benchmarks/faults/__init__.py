@@ -69,15 +69,15 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixR
     """
     from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.matrix import MatrixRow, Outcome, table
+    from orbimpc_ros.mpc.kernels.__main__ import PARTS
     from orbimpc_ros.tool.run.progress import ProgressLine
 
     rows, progress = [MatrixRow(case) for case in cases], ProgressLine(len(cases))
     try:
-        with (
-            tempfile.TemporaryDirectory() as name,
-            _terminated(),
-            Fixtures(Path(name), executor) as fixtures,
-        ):
+        with tempfile.TemporaryDirectory() as name, _terminated():
+            fixtures = Fixtures(Path(name), executor)
+            for part in PARTS:  # a planner that compiles answers nothing meanwhile
+                part()
             for number, row in enumerate(rows):
                 begin = time.monotonic()
                 try:
@@ -88,7 +88,6 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixR
                         progress.show(number, f'{row.case.title}: {count} cases')
                 except OrbimpcError as error:
                     row.outcomes.append(Outcome('then', failure=str(error)))
-                    fixtures.clear()
             progress.close()
     finally:
         print(table([row for row in rows if row.outcomes]))

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 import random
+import tempfile
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -22,7 +22,6 @@ from rosgraph_msgs.msg import Clock
 from benchmarks.faults import stimulus
 from benchmarks.faults.monitor import Limits, Monitor
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.mpc.kernels.__main__ import PARTS
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
@@ -58,7 +57,8 @@ class Session(Observer):
     """
 
     def __init__(self, fixtures: Fixtures, limits: Limits) -> None:
-        self.folder, self.executor = fixtures.folder(), fixtures.executor
+        self.folder = Path(tempfile.mkdtemp(dir=fixtures.root))
+        self.executor = fixtures.executor
         self.monitor = Monitor(limits)
         super().__init__(discovery.isolate(self.folder))
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
@@ -206,49 +206,12 @@ class Harness(Session):
             raise OrbimpcError(f'refused: {refused}')
 
 
-class Fixtures(AbstractContextManager['Fixtures']):
-    """Makes harnesses; those that rows share live until the fixtures are closed.
+class Fixtures(NamedTuple):
+    """Makes harnesses, each for its user to close."""
 
-    Machine code is compiled first: a planner that has to do so itself answers nothing for so long.
-
-    Args:
-        folder: takes parameters and logs.
-        executor: of the nodes.
-    """
-
-    def __init__(self, folder: Path, executor: str = 'wait_set') -> None:
-        self._folder, self.executor, self._count = folder, executor, 0
-        self._shared: dict[str, Harness] = {}
-        self._stack = ExitStack()
-        for part in PARTS:
-            part()
-
-    def folder(self) -> Path:
-        """Return a new folder."""
-        self._count += 1
-        folder = self._folder / f'{self._count:03}'
-        folder.mkdir()
-        return folder
+    root: Path  # takes a folder of parameters and logs for each session
+    executor: str = 'wait_set'  # of the nodes
 
     def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
-        """Return a new harness, to be closed."""
+        """Return a new harness."""
         return Harness(self, parameters, **more)
-
-    def shared(self, parameters: Mapping[str, Any], *, simulated: bool = False) -> Harness:
-        """Return the shared harness of some parameters; its planner runs."""
-        key = repr((parameters, simulated))
-        if key not in self._shared:
-            made = self.harness(parameters, simulated=simulated)
-            self._shared[key] = self._stack.enter_context(made)
-        harness = self._shared[key]
-        if not harness.planner.running:
-            harness.start()
-        return harness
-
-    def clear(self) -> None:
-        """Close the shared harnesses; new ones are made on demand."""
-        self._shared.clear()
-        self._stack.close()
-
-    def __exit__(self, *_error: object) -> None:
-        self.clear()

@@ -8,7 +8,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.matrix import FaultCase, Outcome
@@ -68,9 +67,8 @@ def fault_case(
     allowed: float = 1.0,
     unit: str = 'ticks',
     simulated: bool = False,
-    **own: Any,
 ) -> FaultCase:
-    """Return a row of faults that are injected into a running planner.
+    """Return a row of faults that are injected into a running planner of the row's own.
 
     Args:
         name: for ``--only``.
@@ -80,7 +78,6 @@ def fault_case(
         allowed: latest reaction.
         unit: of reactions.
         simulated: whether the harness is the planner's clock as well.
-        own: of harnesses of the row's own; without any it shares those of others.
     """
 
     def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
@@ -88,15 +85,12 @@ def fault_case(
         every = [(fault, when) for fault in made for when in fault.times]
         pairs = every if long else [*zip(itertools.cycle(made), short)]
         for seed in SEEDS if long else SEEDS[:1]:
-            if own:
-                with fixtures.harness(seed=seed, **own) as harness:
-                    yield from (injected(harness, *pair, UNITS[unit]) for pair in pairs)
-            else:
-                for fault, when in pairs:
-                    slow = SLOW if when == SOLVING else {}
-                    harness = fixtures.shared(slow, simulated=simulated)
-                    harness.draw.seed(f'{fault.name} {when} {seed}')
-                    yield injected(harness, fault, when, UNITS[unit])
+            for solving in (False, True):
+                some = [pair for pair in pairs if (pair[1] == SOLVING) == solving]
+                slow = SLOW if solving else {}
+                if some:
+                    with fixtures.harness(slow, simulated=simulated, seed=seed) as harness:
+                        yield from (injected(harness, *pair, UNITS[unit]) for pair in some)
 
     return FaultCase(name, title, allowed, run, unit)
 

@@ -178,7 +178,7 @@ FAULT_CASES = (
     fault_case('frozen', 'clock frozen: safe after odom_timeout', _frozen, simulated=True),
     fault_case('jumps', 'clock jumps or is reset', _jumps, (MIDWAY, MIDWAY), simulated=True),
     fault_case('twist', 'velocities in the wrong frame: reported', _velocities, allowed=TURNED,
-               unit='s', parameters={}),
+               unit='s'),
     fault_case('infeasible', 'no plan: shifted plan, then safe', _infeasible),
     fault_case('qos', 'a quality of service that does not match: reported', _mismatch,
                allowed=REPORT, unit='s'),

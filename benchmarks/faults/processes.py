@@ -52,16 +52,15 @@ SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy
 
 def _no_time(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """Searches that cannot end: every tick has its command all the same."""
-    for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
-        harness = fixtures.shared(SLOW)
-        harness.set_live(deadline=0.0)
-        harness.until_planned()
-        harness.set_live(deadline=deadline)
-        begin = time.monotonic()
-        harness.spin(10 * STEP)
-        unsafe = harness.monitor.broken(begin)
-        yield Outcome(f'deadline {deadline:g} s', unsafe, _slowest(harness, begin))
-    harness.set_live(deadline=0.0)
+    with fixtures.harness(SLOW) as harness:
+        for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
+            harness.set_live(deadline=0.0)
+            harness.until_planned()
+            harness.set_live(deadline=deadline)
+            begin = time.monotonic()
+            harness.spin(10 * STEP)
+            unsafe = harness.monitor.broken(begin)
+            yield Outcome(f'deadline {deadline:g} s', unsafe, _slowest(harness, begin))
 
 
 def _slowest(harness: Harness, since: float) -> float:
