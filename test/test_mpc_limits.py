@@ -66,6 +66,14 @@ def test_a_heading_that_vanishes_has_no_direction():
     assert approach_margin(problem, start, np.array([0.0, -1.0])) < -1.0
 
 
+def test_a_floor_that_leaves_headings_without_direction_leaves_none_at_an_approach():
+    limits = {'max_rate': 0.5, 'approach': Approach(0.1, (-1.0, 0.0))}
+    problem = Problem(horizon=3, floor=Floor('circle', fraction=0.5 * SLOWEST), **limits)
+    start = State.at(np.zeros(2), -0.5 * SLOWEST * np.eye(2), attitude=-np.eye(2))
+    plan = Solver(problem).propose(start, np.zeros((3, 2)))  # before any other stands in for it
+    assert violations(problem, start, np.zeros((3, 2)), plan) == []
+
+
 @pytest.mark.parametrize('n', [2, 3])
 def test_a_plan_that_ends_out_of_the_cone_fails_the_check(n):
     rng = np.random.default_rng(n)

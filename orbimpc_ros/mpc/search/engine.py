@@ -128,6 +128,7 @@ class Engine:
             and (straight or (floor.shape == 'circle' and changes))
             and problem.terminal == 'penalty'
             and not problem.obstacles
+            and not (problem.approach.exists and floor.fraction < problem.least_heading)
             and problem.horizon <= LONGEST
         )
 
