@@ -6,6 +6,7 @@ import sys
 import textwrap
 
 import pytest
+from harness import python
 
 from orbimpc_ros.mpc import kernels
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -40,6 +41,17 @@ def test_processes_that_need_the_same_code_at_once_compile_it_once(tmp_path):
     options = {'cwd': tmp_path, 'stdout': subprocess.PIPE, 'text': True}
     pair = [subprocess.Popen([*command, *names], **options) for names in ('ab', 'ba')]
     assert sorted(each.communicate(timeout=60)[0] for each in pair) == ['0\n', '1\n']
+
+
+def test_kept_code_is_loaded_without_what_numba_compiles_with():
+    script = """
+        import sys
+        from orbimpc_ros import Problem, Solver
+        Solver(Problem())
+        print('scipy.linalg' in sys.modules)
+    """
+    python(script)  # compiles, perhaps
+    assert python(script).stdout == 'False\n'
 
 
 def test_code_from_other_sources_is_forgotten(tmp_path):
