@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_777,
-    'orbimpc_ros/mpc': 19_072,
+    'orbimpc_ros': 36_776,
+    'orbimpc_ros/mpc': 19_071,
     'orbimpc_ros/loop': 4_050,
     'orbimpc_ros/ros': 4_993,
     'orbimpc_ros/sim': 3_122,

@@ -87,7 +87,6 @@ else:
         def finalize(self) -> None:
             """Take up what the function calls; callers' code is optimised as a whole."""
             for library in dict.fromkeys(self._linking_libraries):
-                self._reload_init.update(library._reload_init)
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
             self._finalized = True
 
