@@ -6,6 +6,7 @@ import numpy as np
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.sim.vehicle import launched
 
 
 def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
@@ -17,10 +18,16 @@ def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
     return Odometry(time, np.array(position, float), attitude.copy(), speed * np.eye(n)[0], still)
 
 
-def measured(time, motion, noise=0.0):
-    """Return odometry of a vehicle in motion, its position off by noise."""
-    velocity = motion.attitude.T @ motion.velocity
-    return Odometry(time, motion.position + noise, motion.attitude, velocity, motion.rate)
+def started(plant, heading=0.0, fraction=0.0):
+    """Return a plant's vehicle that moves ahead from the origin, at a heading in the plane."""
+    turn = [heading] if plant.dimension == 2 else [0.0, 0.0, heading]
+    place, attitude = np.zeros(plant.dimension), exp(np.array(turn))
+    return plant.begun(launched(plant, place, attitude, fraction=fraction))
+
+
+def flown(plant, vehicle, fraction, rate, time):
+    """Return a vehicle after a time [s] under one command."""
+    return plant.flown(vehicle, time, fraction, rate, 0.0)[-1]
 
 
 class Motion:

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc import check
 from orbimpc_ros.mpc.check import TOLERANCE, margins, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.plan import UNPROVED, shifted
+from orbimpc_ros.mpc.plan import UNPROVED
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -37,20 +37,6 @@ def test_not_finite(name, value):
     broken = replace(plan, **{name: changed(getattr(plan, name), -1, value)})
     assert only_complaint(problem, broken) == 'plan is not finite'
     assert only_complaint(problem, replace(plan, objective=value)) == 'plan is not finite'
-
-
-def test_the_rest_of_a_plan_turns_no_faster_than_the_vehicle_between_its_steps():
-    """On the chord of a turn as wide as may be, headings turn faster in its middle."""
-    problem = Problem(floor=floor('circle', 0.5), max_rate=0.3, discretisation='exact')
-    start, behind = State.at([0.0, 0.0], np.eye(2)), np.tile([-3.0, 2.0], (5, 1))
-    plan = solved(problem, start, behind)
-    knots = 0.2 + np.arange(1, 6)
-    for off in (-0.05, 0.0, 0.05):
-        here = State.at([0.2, 0.0], exp(np.array([0.06 + off])))
-        moved = shifted(problem, here, behind, plan, knots, projection='nearest')
-        assert violations(problem, here, behind, moved) == []
-        turned = np.arctan2(moved.rotations[1:4, 1, 0], moved.rotations[1:4, 0, 0])
-        np.testing.assert_allclose(turned, 0.3 * knots[:3], atol=0.06)
 
 
 @pytest.mark.parametrize('what', ['position', 'rotation', 'rotation_rate', 'velocity'])

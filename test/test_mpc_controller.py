@@ -50,16 +50,6 @@ def test_every_model_flies_to_its_goal_in_closed_loop(orders):
     assert np.linalg.norm(vehicle.position - goal) < 0.1
 
 
-def flown(controller, count):
-    """Fly a controller for some ticks towards a goal far ahead; return the last odometry."""
-    model = model_of(controller.problem)
-    vehicle = launched(model, np.zeros(2), np.eye(2))
-    for _ in range(count):
-        command = controller.tick(measured(vehicle), np.tile([9.0, 3.0], (5, 1))).command
-        vehicle = advance(model, vehicle, command.speed_fraction, command.body_rate)
-    return measured(vehicle)
-
-
 def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
     controller = Stepped(Problem())
     honest, first = Solver._assembled, iter([True])
@@ -96,24 +86,49 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
     assert len(controller.ends(0.0)) == 6
 
 
-def test_a_goal_out_of_reach_from_the_start_is_not_flown_at_softly():
-    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
-    tick = controller.tick(odometry(), np.tile([30.0, 0.0], (6, 1)))
+def arriving(horizon=6):
+    """A controller and the goal that it sets off to."""
+    controller = Stepped(Problem(horizon=horizon, terminal='constraint'), shrinking=True)
+    controller.tick(odometry(), np.tile([0.5 * horizon, 2.0], (horizon, 1)))
+    return controller
+
+
+@pytest.mark.parametrize('period', [0.1, 0.25, 0.3, 1.0])
+def test_a_shrinking_horizon_ends_when_it_ended_before(period):
+    """Its steps are never longer than a step, and become fewer."""
+    controller = Stepped(Problem(horizon=4), shrinking=True)
+    time, counts = 7.0, []
+    while time < 10.95:
+        ends = controller.ends(time)
+        assert ends[-1] == pytest.approx(11.0)
+        assert np.diff([time, *ends]).max() <= 1.0 + 1e-9
+        counts.append(len(ends))
+        controller.tick(odometry(speed=0.0, time=time), np.tile([3.0, 1.0], (len(ends), 1)))
+        time += period
+    assert counts[0] == 4
+    assert counts[-1] == 1
+    assert sorted(counts, reverse=True) == counts
+
+
+@pytest.mark.parametrize(
+    ('begun', 'told'),
+    [
+        (False, 'beyond what 6 steps can reach'),
+        (True, 'the goal has jumped by 27.1 m, the nearest plan misses by'),
+    ],
+)
+def test_a_goal_out_of_reach_is_not_flown_at_softly(begun, told):
+    controller = arriving()
+    if not begun:
+        controller.reset()
+    far = np.tile([30.0, 0.0], (6 - begun, 1))
+    tick = controller.tick(odometry((1.0 * begun, 0.0), time=1.0 * begun), far)
     assert (tick.status, tick.fallback) == ('infeasible', 'safe command')
-    assert 'beyond what 6 steps can reach' in tick.reason
-
-
-def test_a_goal_that_jumps_out_of_reach_under_way_is_not_flown_at_softly():
-    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
-    controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
-    tick = controller.tick(odometry((1.0, 0.0), time=1.0), np.tile([30.0, 0.0], (5, 1)))
-    assert tick.fallback == 'safe command'
-    assert 'the goal has jumped by 27.1 m, the nearest plan misses by' in tick.reason
+    assert told in tick.reason
 
 
 def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
-    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
-    controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
+    controller = arriving()
     tick = controller.tick(odometry((0.0, -6.0), time=1.0), np.tile([3.0, 2.0], (5, 1)))
     assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
     away = np.array([3.0, 8.0])
@@ -123,9 +138,7 @@ def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
 
 
 def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
-    controller = Stepped(Problem(horizon=3, terminal='constraint'), shrinking=True)
-    controller.tick(odometry(), np.tile([2.0, 0.5], (3, 1)))
-    solve = Solver.solve
+    controller, solve = arriving(), Solver.solve
 
     def fails(self, *arguments):
         if self.problem.terminal == 'constraint':
@@ -134,14 +147,13 @@ def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
 
     monkeypatch.setattr(Solver, 'solve', fails)
     carried = odometry((1.0, 0.6), time=1.0)  # so that the shifted plan does not arrive
-    tick = controller.tick(carried, np.tile([2.0, 0.5], (2, 1)))
+    tick = controller.tick(carried, np.tile([3.0, 2.0], (5, 1)))
     assert (tick.status, tick.fallback) == ('failed', 'soft arrival')
     assert 'a test wants it' in tick.reason
 
 
 def test_another_controller_goes_on_from_what_this_one_remembers():
-    first = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
-    first.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
+    first = arriving()
     second = Stepped(replace(first.problem, max_rate=1.5), shrinking=True)
     second.continue_from(first)
     assert len(second.ends(1.0)) == len(first.ends(1.0)) == 5

@@ -3,13 +3,16 @@
 
 import numpy as np
 import pytest
+from plans import START, assembled
 from problems import ORDERS, floor
 from problems import state as random_state
 from stepping import Stepped, odometry
-from test_mpc_controller import flown
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal, reach
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -25,31 +28,75 @@ def failing(monkeypatch, error):
 @pytest.mark.parametrize(
     ('error', 'status'), [(Infeasible('walled in'), 'infeasible'), (SolverFailure('no'), 'failed')]
 )
-@pytest.mark.parametrize(('horizon', 'stand_ins'), [(1, 0), (2, 1), (3, 2), (5, 2)])
+@pytest.mark.parametrize(
+    ('horizon', 'period', 'stand_ins'),
+    [(1, 1.0, 0), (2, 1.0, 1), (3, 1.0, 2), (5, 1.0, 2), (5, 0.1, 2)],
+)
 def test_without_a_plan_the_one_before_serves_twice_and_never_past_its_horizon(
-    monkeypatch, horizon, stand_ins, error, status
+    monkeypatch, horizon, period, stand_ins, error, status
 ):
-    controller = Stepped(Problem(horizon=horizon))
-    goals = np.tile([9.0, 3.0], (horizon, 1))
-    controller.tick(odometry(), goals)
+    controller, goals = Stepped(Problem(horizon=horizon)), np.tile([9.0, 0.0], (horizon, 1))
+    first = controller.tick(odometry(), goals)
     failing(monkeypatch, error)
-    ticks = [controller.tick(odometry(), goals) for _ in range(4)]
+    ahead = [odometry((k * period, 0.0), time=k * period) for k in (1, 2, 3, 4)]
+    ticks = [controller.tick(seen, goals) for seen in ahead]
     assert {(tick.status, tick.reason) for tick in ticks} == {(status, str(error))}
     fallbacks = ['shifted plan'] * stand_ins + ['safe command'] * (4 - stand_ins)
     assert [tick.fallback for tick in ticks] == fallbacks
+    for tick in ticks[:stand_ins]:
+        np.testing.assert_allclose(tick.plan.rotations, first.plan.rotations, atol=1e-9)
     assert (ticks[-1].plan, ticks[-1].command.speed_fraction) == (None, 0.0)
 
 
 def test_without_a_goal_the_last_plan_is_held_and_then_the_vehicle_stops():
-    controller = Stepped(Problem())
-    measured = flown(controller, 3)
-    ticks = [controller.hold(measured) for _ in range(4)]
+    controller, goals = Stepped(Problem()), np.tile([9.0, 3.0], (5, 1))
+    controller.tick(odometry(), goals)
+    here = odometry((1.0, 0.1), 0.3, time=1.0)
+    ticks = [controller.hold(here) for _ in range(4)]
     assert [t.fallback for t in ticks] == ['shifted plan'] * 2 + ['safe command'] * 2
     assert all((t.status, t.reason) == ('failed', 'there is no goal') for t in ticks)
     held = ticks[0]
     assert violations(controller.problem, held.state, held.goals, held.plan) == []
-    again = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
+    again = controller.tick(here, goals)
     assert (again.status, again.fallback) == ('optimal', '')
+
+
+# --- the rest of a plan
+
+BEHIND = np.tile([-3.0, 2.0], (5, 1))
+
+
+@pytest.mark.parametrize('share', [0.2, 0.5, 0.9])
+@pytest.mark.parametrize('rate', [0.0, 0.3])
+@pytest.mark.parametrize('off', [-0.05, 0.0, 0.05])
+def test_the_rest_of_a_plan_is_legal_and_leads_where_the_plan_did(share, rate, off):
+    """On the chord of a turn headings are below the floor, and turn faster in its middle."""
+    problem = Problem(floor=floor('circle', 0.9), max_rate=rate, discretisation='exact')
+    plan = Solver(problem).solve(START, BEHIND)
+    angles = np.unwrap(np.arctan2(plan.rotations[:, 1, 0], plan.rotations[:, 0, 0]))
+    knots = share + np.arange(1, 6)
+    here = State.at([share, 0.0], exp(np.array([share * angles[1] + off])))
+    rest = shifted(problem, here, BEHIND, plan, knots, projection='nearest')
+    assert violations(problem, here, BEHIND, rest) == []
+    assert rest.speed_fraction[1:].min() >= 0.9 - 1e-9
+    turned = np.unwrap(np.arctan2(rest.rotations[1:, 1, 0], rest.rotations[1:, 0, 0]))
+    np.testing.assert_allclose(turned, np.interp(knots, np.arange(6), angles), atol=0.06)
+    whole = shifted(problem, START, BEHIND, plan, np.arange(1.0, 6.0), projection='nearest')
+    np.testing.assert_allclose(whole.positions, plan.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize('speed', [0.3, 1.0])
+def test_the_rest_of_a_plan_in_space_keeps_the_floor_and_is_in_the_hull(speed):
+    problem = Problem(3, floor=floor('circle', 0.3))
+    start, goals = State.at(np.zeros(3), speed * np.eye(3)), np.zeros((5, 3))
+    turns = np.array([exp(np.array([0.0, 0.1 * k, 0.0])) for k in range(1, 6)])
+    plan = assembled(problem, start, goals, coordinates(speed * turns))
+    rest = shifted(problem, start, goals, plan, 0.5 + np.arange(1, 6), projection='nearest')
+    assert violations(problem, start, goals, rest) == []
+    assert rest.speed_fraction[1:] == pytest.approx(speed, rel=2e-3)
+
+
+# --- without a goal, and with one beyond all reach
 
 
 def test_without_a_goal_ever_the_vehicle_stops():

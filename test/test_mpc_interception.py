@@ -2,14 +2,12 @@
 """Interception: catches are what they are said to be, and steps that are excluded have none."""
 
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from continuous import Craft, at_rest, flown
-from problems import floor, needs_machine_code, rotation
-from stepping import Stepped, odometry
+from problems import floor, needs_machine_code, polled, rotation
+from stepping import Stepped, flown, odometry, started
 
 from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.loop.intercept import (
@@ -20,7 +18,6 @@ from orbimpc_ros.loop.intercept import (
     catching,
     defect,
 )
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
@@ -39,7 +36,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import Vehicle
+from orbimpc_ros.sim.vehicle import measured
 
 RADIUS = 3.0
 WING = Problem(
@@ -299,22 +296,20 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     rope = Problem(horizon=5, step=1.0, forward=1.0, floor=floor('circle', 1.0))
     rope = replace(rope, discretisation='exact')
     rng, radius, far, found = np.random.default_rng(5), 0.05, 0, 0
-    vehicle = Plant(dimension=2, step=1.0, forward=1.0)
+    plant = Plant()
     for _ in range(20):
         goal = rng.uniform(1.0, 2.5) * exp(rng.uniform(-3.1, 3.1, 1))[:, 0]
         known = np.tile(goal, (5, 1)), None, lambda times, at=goal: np.tile(at, (len(times), 1))
         tick = Stepped(rope, capture_radius=radius).tick(odometry([0, 0], 0.0, 1.0), *known)
-        flown = Vehicle(0.0, np.zeros(2), np.array([1.0, 0.0]), np.eye(2), np.zeros(1), 1.0)
+        vehicle = started(plant, 0.0, 1.0)
         for step in range(tick.plan.horizon):
             told = command_of(tick.problem, tick.state, tick.plan, step)
-            flown = vehicle.flown(
-                flown, tick.problem.step, told.speed_fraction, told.body_rate, flown.time
-            )[-1]
-        gap = flown.position - tick.plan.positions[-1]
+            vehicle = flown(plant, vehicle, told.speed_fraction, told.body_rate, tick.problem.step)
+        gap = vehicle.position - tick.plan.positions[-1]
         np.testing.assert_allclose(defect(tick.problem, tick.state, tick.plan, 0.0), gap, atol=1e-6)
         if not np.isnan(tick.catch.time):
             found, far = found + 1, far + (np.linalg.norm(gap) > radius)
-            assert np.linalg.norm(flown.position - goal) <= radius
+            assert np.linalg.norm(vehicle.position - goal) <= radius
     assert found >= 12
     assert far > 5
 
@@ -323,31 +318,26 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
 @pytest.mark.parametrize('bearing', [[-1.0, 0.0, 0.0], [-0.9, 0.3, 0.3], [-0.2, 0.0, 1.0]])
 def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
     """Right behind, behind, and above; the searches end after so many polls, on any machine."""
-    plant = Craft(15.0, speed_lag=0.5, rate_lag=0.4, turns=WING.max_rate)
-    controller = Stepped(
-        replace(WING, dimension=3, floor=floor('circle', 0.8)),
-        capture_radius=RADIUS,
-        response=Response(speed=0.5, rate=0.4),
-    )
-    motion, drift = at_rest(3, 0.0, 1.0, plant), np.array([0.0, 2.0, -1.0])
-    for k in range(40):
-        here = Odometry(
-            0.5 * k, motion.position, motion.attitude, np.array([15.0, 0.0, 0.0]), motion.rate
-        )
+    response = Response(speed=0.5, rate=0.4)
+    lags = {'speed_lag': response.speed, 'rate_lag': response.rate}
+    plant = Plant(3, forward=15.0, max_rate=WING.max_rate, **lags)
+    wing = replace(WING, dimension=3, floor=floor('circle', 0.8))
+    controller = Stepped(wing, capture_radius=RADIUS, response=response)
+    vehicle, drift = started(plant, 0.0, 1.0), np.array([0.0, 2.0, -1.0])
 
-        def ahead(times):
-            return 70.0 * np.array(bearing) + np.outer(times, drift)
+    def ahead(times):
+        return 70.0 * np.array(bearing) + np.outer(times, drift)
 
-        late = partial(next, iter([False] * 200), True)
-        tick = controller.tick(here, None, late, ahead)
+    for _ in range(40):
+        tick = controller.tick(measured(vehicle), None, polled(200), ahead)
         assert tick.plan is not None, tick.reason
-        for part in range(5):
+        for _ in range(5):
             command = tick.command
-            motion = flown(plant, motion, command.speed_fraction, command.body_rate, 0.1)
-            goal = ahead(np.array([0.5 * k + 0.1 * (part + 1)]))[0]
-            if np.linalg.norm(motion.position - goal) <= RADIUS:
+            vehicle = flown(plant, vehicle, command.speed_fraction, command.body_rate, 0.1)
+            goal = ahead(np.array([vehicle.time]))[0]
+            if np.linalg.norm(vehicle.position - goal) <= RADIUS:
                 return
-    pytest.fail(f'not caught in {0.5 * (k + 1)} s')
+    pytest.fail(f'not caught in {vehicle.time} s')
 
 
 @needs_machine_code

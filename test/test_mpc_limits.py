@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of, shifted
+from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,
@@ -301,14 +301,3 @@ def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
     tick = controller.tick(odometry((3.0, 0.0, 90.0), UPRIGHT, 0.0), PAD)
     assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
     assert tick.plan.gap < 1e-3
-
-
-def test_the_rest_of_a_plan_keeps_the_least_thrust_where_a_share_of_a_step_has_passed():
-    """Between two directions of the least thrust a chord leads below it."""
-    problem = lander(floor=THRUST, tilt=0.0, glide_slope=0.0)
-    start = falling([0.0, 0.0, 30.0], fraction=0.3)
-    turns = np.array([UPRIGHT @ exp(np.array([0.0, 0.1 * k, 0.0])) for k in range(1, 9)])
-    plan = assembled(problem, start, PAD, coordinates(0.3 * turns))
-    rest = shifted(problem, start, PAD, plan, 0.5 + np.arange(1, 9), projection='thrust_aligned')
-    assert violations(problem, start, PAD, rest) == []
-    assert rest.speed_fraction[1:] == pytest.approx(0.3)

@@ -5,58 +5,63 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous import Craft, Motion, at_rest, flown
 from scenarios import spacecraft_problem
-from stepping import Stepped, measured
+from stepping import Stepped, flown, started
 
 from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.vehicle import measured
 
 LONG = 6.0  # [s] twenty time constants: by then lags are over
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]
 
 
+def settled(compensator, vehicle):
+    """Return the vehicle without lags that a compensator takes for a lagging one."""
+    seen = compensator.start(measured(vehicle)).odometry
+    velocity = seen.attitude @ seen.body_velocity
+    return replace(
+        vehicle, time=seen.time, position=seen.position, attitude=seen.attitude, velocity=velocity
+    )
+
+
 @pytest.mark.parametrize('dimension', [2, 3])
 def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(dimension):
     """About one axis, and at a steady rate, exactly: attitude and position."""
-    rng = np.random.default_rng(1)
-    lag, rates = 0.3, 1 if dimension == 2 else 3
-    plant = Craft(2.0, speed_lag=lag, rate_lag=lag)
-    rate = rng.normal(size=rates)
-    start = at_rest(dimension, 0.4, 0.7, plant)
-    start = replace(start, rate=0.5 * rate)
+    lag, ideal = 0.3, Plant(dimension, forward=2.0)
+    plant = replace(ideal, speed_lag=lag, rate_lag=lag)
+    rate = np.random.default_rng(1).normal(size=plant.rates)
+    start = replace(started(plant, 0.4, 0.7), body_rate=0.5 * rate)
     problem = Problem(dimension, forward=2.0, discretisation='exact')
-    settled = Compensator(problem, Response(lag, lag)).start(measured(0.0, start)).odometry
-    assert settled.time == lag
+    compensator = Compensator(problem, Response(lag, lag))
+    begun = settled(compensator, start)
+    assert begun.time == lag
     end = flown(plant, start, 0.7, rate, LONG)
-    ideal = replace(start, position=settled.position, attitude=settled.attitude)
-    there = flown(Craft(2.0), ideal, 0.7, rate, LONG - lag)
+    there = flown(ideal, begun, 0.7, rate, LONG - lag)
     np.testing.assert_allclose(end.attitude, there.attitude, atol=1e-4)
-    steady = flown(plant, replace(start, rate=rate), 0.7, rate, lag)
-    seen = measured(0.0, replace(start, rate=rate))
-    settled = Compensator(problem, Response(lag, lag)).start(seen).odometry
-    np.testing.assert_allclose(settled.position, steady.position, atol=1e-4)
+    turning = replace(start, body_rate=rate)
+    steady = flown(plant, turning, 0.7, rate, lag)
+    np.testing.assert_allclose(settled(compensator, turning).position, steady.position, atol=1e-4)
 
 
-@pytest.mark.parametrize('lags', LAGS)
-def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
+@pytest.mark.parametrize(('speed', 'rate'), LAGS)
+def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(speed, rate):
     """Position and velocity, whatever the thrust was before; gravity acts all the while."""
-    plant = Craft(3.0, True, *lags, blown=np.array([0.2, -0.4]))
-    start = Motion(np.array([1.0, 2.0]), np.array([0.5, -0.3]), np.eye(2), np.zeros(1), 0.9)
+    ideal = Plant(2, 1, 2, forward=3.0, disturbance=(0.2, -0.4))
+    plant, still = replace(ideal, speed_lag=speed, rate_lag=rate), np.zeros(1)
+    start = replace(started(plant, 0.0, 0.9), velocity=np.array([0.5, -0.3]))
     problem = Problem(translation_order=2, forward=3.0, discretisation='exact')
-    compensator = Compensator(problem, Response(*lags), plant.blown)
+    compensator = Compensator(problem, Response(speed, rate), plant.blown)
     for share, at in ((0.9, -LONG), (0.3, 0.0)):
-        compensator.history.add(Command(share, np.zeros(1), np.eye(2)), at)
-    settled = compensator.start(measured(0.0, start)).odometry
-    end = flown(plant, start, 0.3, np.zeros(1), LONG)
-    ideal = Motion(
-        settled.position, settled.attitude @ settled.body_velocity, np.eye(2), np.zeros(1), 0.3
+        compensator.history.add(Command(share, still, np.eye(2)), at)
+    end = flown(plant, start, 0.3, still, LONG)
+    there = flown(
+        ideal, replace(settled(compensator, start), fraction=0.3), 0.3, still, LONG - rate
     )
-    there = flown(Craft(3.0, True, blown=plant.blown), ideal, 0.3, np.zeros(1), LONG - lags[1])
     np.testing.assert_allclose(end.velocity, there.velocity, atol=5e-3)
     np.testing.assert_allclose(end.position, there.position, atol=2e-2)
 
@@ -70,7 +75,7 @@ def test_half_a_step_of_a_lag_is_in_the_euler_model():
 
 
 def test_no_lag_changes_nothing():
-    odometry = measured(1.0, at_rest(2))
+    odometry = measured(started(Plant()))
     assert Compensator(Problem()).start(odometry).odometry is odometry
 
 
@@ -86,31 +91,16 @@ def test_the_applied_thrust_follows_what_was_commanded():
     sent = [(0.0, 0.2), (0.5, 1.0), (0.9, 0.4)]
     for at, fraction in sent:
         history.add(Command(fraction, np.zeros(1), np.eye(2)), at)
-    plant, motion = Craft(1.0, True, speed_lag=lag), at_rest(2)
-    shares = []
+    plant, shares = Plant(2, 1, 2, speed_lag=lag), []
+    vehicle = started(plant)
     for (_, fraction), time in zip(sent, (0.5, 0.4, 0.3), strict=True):
-        before = motion.velocity[0]
-        motion = flown(plant, motion, fraction, np.zeros(1), time)
-        shares.append((motion.velocity[0] - before) / time)
-    assert history.applied(1.2, lag) == pytest.approx(motion.fraction, abs=1e-9)
+        before = vehicle.velocity[0]
+        vehicle = flown(plant, vehicle, fraction, np.zeros(1), time)
+        shares.append((vehicle.velocity[0] - before) / time)
+    assert history.applied(1.2, lag) == pytest.approx(vehicle.fraction, abs=1e-9)
     assert history.mean(0.5, 0.9, lag) == pytest.approx(shares[1], abs=1e-6)
-    assert history.mean(0.0, 1.2, lag) == pytest.approx(motion.velocity[0] / 1.2, abs=1e-6)
+    assert history.mean(0.0, 1.2, lag) == pytest.approx(vehicle.velocity[0] / 1.2, abs=1e-6)
     assert history.mean(-0.5, 1.2, lag) is None
-
-
-def arrived(problem, plant, motion, goal, response):
-    """Fly to an arrival; return the miss [m], the speed left [m/s] and the ticks."""
-    controller = Stepped(problem, shrinking=True, response=response)
-    ticks, time = [], 0.0
-    for _ in range(problem.horizon):
-        odometry = measured(time, motion)
-        ends = controller.ends(odometry.time + controller.lead)
-        ticks.append(controller.tick(odometry, np.tile(goal, (len(ends), 1))))
-        command = ticks[-1].command
-        controller.sent(command, time)
-        motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step)
-        time += problem.step
-    return np.linalg.norm(motion.position - goal), np.linalg.norm(motion.velocity), ticks
 
 
 @pytest.mark.parametrize(('seed', 'gain'), [(0, 0.97), (1, 1.03)])
@@ -118,13 +108,20 @@ def test_a_lagging_spacecraft_arrives_at_rest(seed, gain):
     """The paper's spacecraft in continuous time: thrust lag 0.2 s, rate lag 0.3 s, thrust off."""
     rng = np.random.default_rng(seed)
     problem = replace(spacecraft_problem(), rotation_order=1, discretisation='exact')
-    plant = Craft(1.0, True, 0.2, 0.3, gain)
-    motion = replace(at_rest(3), attitude=exp(np.array([0.0, 0.0, np.pi])))
+    plant = Plant(3, 1, 2, speed_lag=0.2, rate_lag=0.3, gain=gain)
     goal = np.array([5.0, 10.0, 25.0]) + rng.uniform(-2.0, 2.0, 3)
-    miss, speed, ticks = arrived(problem, plant, motion, goal, Response(0.2, 0.3))
-    assert miss < 0.05
-    assert speed < 0.05
-    assert 'safe command' not in {tick.fallback for tick in ticks}
+    controller = Stepped(problem, shrinking=True, response=Response(0.2, 0.3))
+    vehicle, fallbacks = started(plant, np.pi), set()
+    for _ in range(problem.horizon):
+        ends = controller.ends(vehicle.time + controller.lead)
+        tick = controller.tick(measured(vehicle), np.tile(goal, (len(ends), 1)))
+        fallbacks.add(tick.fallback)
+        controller.sent(tick.command, vehicle.time)
+        command = tick.command.speed_fraction, tick.command.body_rate
+        vehicle = flown(plant, vehicle, *command, problem.step)
+    assert np.linalg.norm(vehicle.position - goal) < 0.05
+    assert np.linalg.norm(vehicle.velocity) < 0.05
+    assert 'safe command' not in fallbacks
 
 
 @pytest.mark.parametrize('rotation_order', [1, 2])

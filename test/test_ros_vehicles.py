@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from continuous import Craft, at_rest, flown
 from pages import blocks_of
 from problems import needs_machine_code
+from stepping import flown, started
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
@@ -31,25 +31,21 @@ def recipe(name):
     return yaml.safe_load(block.text)['/**/planner']['ros__parameters']
 
 
-def flight(parameters, craft, motion, goal, seconds, band=0.0):
-    """Motions at every tick, with the commands, of a vehicle that sets off from a motion."""
+def flight(parameters, plant, vehicle, goal, seconds, band=0.0):
+    """A vehicle at every tick from here on, with the commands."""
     from orbimpc_ros.tool.offline import aboard
 
     planner, log = aboard(parameters, clock=time.process_time), []
+    source = parameters.get('velocity_source', 'ground')
     for k in range(round(seconds / planner.settings.period)):
         now = k * planner.settings.period
-        velocity = motion.velocity
-        if parameters.get('velocity_source') == 'air':
-            velocity = velocity - craft.blown
-        seen = motion.attitude.T @ velocity
         planner.sense(now, GoalObservation(now, np.array(goal(now))))
-        planner.sense(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
-        report = planner.report(now)
-        command = report.command
-        log.append((now, motion, command, report))
+        planner.sense(now, replace(measured(vehicle, source), time=now))
+        command = planner.report(now).command
+        log.append((now, vehicle, command))
         wanted = command.speed_fraction
-        held = wanted if wanted * craft.forward >= band else 0.0
-        motion = flown(craft, motion, held, command.body_rate, planner.settings.period)
+        held = wanted if wanted * plant.forward >= band else 0.0
+        vehicle = flown(plant, vehicle, held, command.body_rate, planner.settings.period)
     return log
 
 
@@ -65,27 +61,30 @@ def test_a_recipe_is_a_vehicle_without_doubts(name):
 
 @needs_machine_code
 def test_a_rover_comes_to_rest_at_its_goal_against_a_current():
-    craft = Craft(1.5, False, 0.3, 0.15, 0.93, np.array([0.15, 0.1]), turns=1.5)
+    craft = Plant(
+        forward=1.5, speed_lag=0.3, rate_lag=0.15, gain=0.93, disturbance=(0.15, 0.1), max_rate=1.5
+    )
     place = np.array([-6.0, 4.0])
-    log = flight(recipe('rover'), craft, at_rest(plant=craft), lambda now: place, 30.0, band=0.1)
-    late = [motion.position for now, motion, *_ in log if now > 22.0]
+    log = flight(recipe('rover'), craft, started(craft), lambda now: place, 30.0, band=0.1)
+    late = [motion.position for now, motion, _ in log if now > 22.0]
     assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.15
 
 
 @needs_machine_code
 @pytest.mark.parametrize('course', [0.3, 2.4])
 def test_a_fixed_wing_meets_what_drifts_and_never_flies_too_slowly(course):
-    craft = Craft(15.0, False, 0.8, 0.3, 1.0, np.array([-3.0, 2.0]), turns=0.4363)
-    start = at_rest(heading=course, fraction=0.8, plant=craft)
+    craft = Plant(
+        forward=15.0, speed_lag=0.8, rate_lag=0.3, disturbance=(-3.0, 2.0), max_rate=0.4363
+    )
+    start = started(craft, course, 0.8)
     log = flight(recipe('fixed wing'), craft, start, lambda now: [60.0 + now, 30.0 - now], 40.0)
-    away = [np.linalg.norm(motion.position - [60.0 + now, 30.0 - now]) for now, motion, *_ in log]
+    away = [np.linalg.norm(motion.position - [60.0 + now, 30.0 - now]) for now, motion, _ in log]
     assert min(away) < 3.0
-    assert min(command.speed_fraction for *_, command, _ in log) >= 0.6667
-    assert max(abs(command.body_rate[0]) for *_, command, _ in log) <= 0.4363 * (1.0 + 1e-9)
+    assert min(command.speed_fraction for *_, command in log) >= 0.6667
+    assert max(abs(command.body_rate[0]) for *_, command in log) <= 0.4363 * (1.0 + 1e-9)
 
 
 UPRIGHT = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
-HOVERING = replace(at_rest(3, fraction=0.5), attitude=UPRIGHT)
 
 
 @needs_machine_code
@@ -101,12 +100,15 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
     margin = 0.4
     wide = [float(x) for low, high in around for x in (*(low - margin), *(high + margin))]
     parameters |= {'obstacles': tuple(wide), 'no_corner_cutting': boxes}
-    craft = Craft(19.6, True, 0.1, 0.1, 1.0 / 1.2, np.array([0.6, -0.4, -9.81]), turns=3.84)
-    start = replace(HOVERING, fraction=0.6)
+    craft = Plant(
+        3, 1, 2, forward=19.6, speed_lag=0.1, rate_lag=0.1, gain=1.0 / 1.2,
+        disturbance=(0.6, -0.4, -9.81), max_rate=3.84,
+    )  # fmt: skip
+    start = replace(started(craft, 0.0, 0.6), attitude=UPRIGHT)
     log = flight(parameters, craft, start, lambda now: place, 11.0)
     away = [np.linalg.norm(motion.position - place) for _, motion, *_ in log]
     assert max(away[80:]) < 0.05
-    assert max(np.linalg.norm(command.body_rate) for *_, command, _ in log) <= 3.84 * (1.0 + 1e-9)
+    assert max(np.linalg.norm(command.body_rate) for *_, command in log) <= 3.84 * (1.0 + 1e-9)
     for low, high in around:
         assert not any(np.all((m.position > low) & (m.position < high)) for _, m, *_ in log)
 
