@@ -13,11 +13,12 @@ import pytest
 pytest.importorskip('rclpy')
 
 from planners import FRAMES, settings
+from stepping import odometry, targets
 
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision
-from orbimpc_ros.loop.task import Deadline
 from orbimpc_ros.mpc.check import flaw
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -41,46 +42,33 @@ from orbimpc_ros.ros.planner.outputs import (
     values,
 )
 from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 
-START = 1_700_000_000 * SECOND  # [ns]
 
-
-class Driven:
-    """A core whose inputs are stamped and come when the test says."""
+class Driven(OfflinePlanner):
+    """A planner without its node; the test says when its inputs come, and of what time they are."""
 
     def __init__(self, simulated=False, limits=None, **changes):
         given = settings(**{'step': 0.1} | changes)
-        self.core = Core(*planner_of(given), simulated=simulated, **(limits or {}))
+        Core.__init__(self, *planner_of(given), simulated=simulated, **(limits or {}))
 
     def odometry(self, at, now, position=(0.0, 0.0)):
-        vehicle = launched(Model(), np.array(position), np.eye(2))
-        message = messages.odometry_message(Stamp(stamp(at), FRAMES), measured(vehicle))
-        assert self.core.inputs.update('odom', message, now, RosTime(stamp(now))) == ''
+        self.sense(now, odometry(position), at)
 
-    def goal(self, at, now, x=5.0):
-        message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([x, 1.0]))
-        assert self.core.inputs.update('goal', message, now, RosTime(stamp(now))) == ''
-
-    def tick(self, now):
-        report = self.core.decide(now, RosTime(stamp(now)))
-        self.core.planner.sent(report.command, stamp(now) / SECOND)
-        return report
+    def goal(self, at, now, x=5.0, y=1.0):
+        self.sense(now, GoalObservation(at, np.array([x, y])), at)
 
     def tick_again(self, now):
         self.odometry(now, now)
         self.goal(now, now)
-        return self.tick(now)
+        return self.report(now)
 
     def safe(self, cause=Cause.DISABLED):
-        return self.core.decide(0.0, stop=Reason(cause, 'a test wants it'))
-
-    def start_afresh(self):
-        self.core.planner.start_afresh()
-        self.core.inputs.forget()
+        return self.decide(0.0, stop=Reason(cause, 'a test wants it'))
 
 
 def stamp(seconds):
-    return START + round(seconds * SECOND)
+    return EPOCH + round(seconds * SECOND)
 
 
 def test_a_stale_goal_holds_the_last_plan_and_then_stops():
@@ -89,10 +77,12 @@ def test_a_stale_goal_holds_the_last_plan_and_then_stops():
     answers = []
     for k in range(9):
         driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
-        answers.append(driven.tick(0.1 * k))
+        answers.append(driven.report(0.1 * k))
     fallbacks = [answer.fallback for answer in answers]
     assert fallbacks == [''] * 6 + ['shifted plan'] * 2 + ['safe command']
     assert answers[6].reason == 'the goal is 0.60 s old'
+    assert [values(answers[k])['cause'] for k in (0, 6)] == ['', 'goal']
+    assert values(driven.safe(Cause.SOURCES))['cause'] == 'sources'
     assert answers[6].solve_time_ms == 0.0  # nothing was solved
     assert answers[6].command.speed_fraction > 0.5
     assert answers[8].command.speed_fraction == 0.0
@@ -103,12 +93,12 @@ def test_the_state_is_advanced_by_the_age_of_odometry():
     for each in (driven, blind):
         each.odometry(0.0, 0.0)
         each.goal(0.0, 0.0)
-        each.tick(0.0)
+        each.report(0.0)
         each.odometry(0.1, 0.18, position=(0.1, 0.0))
-    answer, other = driven.tick(0.18), blind.tick(0.18)
+    answer, other = driven.report(0.18), blind.report(0.18)
     assert other.advanced == 0.0
     np.testing.assert_allclose(other.plan.positions[0], [0.1, 0.0])
-    took = driven.core.expected
+    took = driven.expected
     assert answer.advanced == pytest.approx(0.08 + took, abs=0.05)
     assert answer.advanced >= 0.08 - 1e-6
     moved = answer.plan.positions[0] - [0.1, 0.0]
@@ -123,7 +113,7 @@ def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
     for at in (0.0, 0.1):
         driven.odometry(at, at + 0.05)
         driven.goal(at, at + 0.05, x=5.0 + at)
-        answer = driven.tick(at + 0.05)
+        answer = driven.report(at + 0.05)
     ahead = 0.1 + answer.advanced + 0.1 * np.arange(1, 6)
     np.testing.assert_allclose(answer.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
@@ -135,9 +125,9 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
         message = messages.odometry_message(
             Stamp(round(seconds * SECOND), FRAMES), measured(vehicle)
         )
-        driven.core.inputs.update('odom', message, seconds, RosTime(stamp(seconds)))
+        driven.inputs.update('odom', message, seconds, RosTime(stamp(seconds)))
         driven.goal(seconds, seconds)
-        assert driven.tick(seconds + 0.05).advanced == 0.0
+        assert driven.report(seconds + 0.05).advanced == 0.0
 
 
 def poison(monkeypatch, **changes):
@@ -213,14 +203,14 @@ def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     driven.goal(0.0, 0.0)
     for k in range(9):
         driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
-        answers.append(driven.tick(0.1 * k))  # planned, shifted, then without a plan
+        answers.append(driven.report(0.1 * k))  # planned, shifted, then without a plan
     answers.append(driven.safe())
     driven.start_afresh()
     answers.append(driven.safe(Cause.AFRESH))
     driven.odometry(2.0, 2.0)
     driven.goal(2.0, 2.0)
     poison(monkeypatch, speed_fraction=0.1)
-    answers.append(driven.tick(2.0))
+    answers.append(driven.report(2.0))
     assert answers[-1].reason.startswith('not sent: a speed fraction of 0.1 is below')
     fallbacks = [answer.fallback for answer in answers]
     assert fallbacks.count('safe command') == 5
@@ -234,22 +224,12 @@ def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
     driven = Driven(safe_command='hold_rate_zero')
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
-    planned = driven.core.decide(0.0, RosTime(stamp(0.0)))
+    planned = driven.decide(0.0, RosTime(stamp(0.0)))
     assert planned.command.speed_fraction > 0.5
     assert driven.safe().command.speed_fraction == 0.0
-    driven.core.planner.sent(planned.command, stamp(0.0) / SECOND)
+    driven.planner.sent(planned.command, stamp(0.0) / SECOND)
     held = driven.safe().command.speed_fraction
     assert held == planned.command.speed_fraction
-
-
-def test_what_kept_a_tick_from_being_planned_is_a_word_to_decide_by():
-    driven = Driven(goal_timeout=0.5)
-    driven.goal(0.0, 0.0)
-    driven.odometry(0.0, 0.0)
-    assert values(driven.tick(0.0))['cause'] == ''
-    driven.odometry(0.6, 0.6)
-    assert values(driven.tick(0.6))['cause'] == 'goal'
-    assert values(driven.safe(Cause.SOURCES))['cause'] == 'sources'
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -275,7 +255,7 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
         now = 0.1 * k
         driven.odometry(now, now, position=tuple(position))
         driven.goal(now, now, x=1e3)
-        report = driven.tick(now)
+        report = driven.report(now)
         share = 0.0 if last is None else last
         wanted = report.command.speed_fraction
         left = (share - wanted) * np.exp(-1.0)
@@ -287,7 +267,7 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert 0.0 <= values(report)['innovation'] < 1.0
     driven.start_afresh()
     assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
-    driven.core.planner.start_afresh(wind=True)
+    driven.planner.start_afresh(wind=True)
     assert not driven.tick_again(now + 0.2).disturbance.any()
 
 
@@ -295,7 +275,7 @@ def test_what_is_given_is_planned_with_and_nothing_is_estimated():
     driven = Driven(wind=(0.1, -0.2, 0.0))
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
-    report = driven.tick(0.0)
+    report = driven.report(0.0)
     assert values(report)['disturbance'] == (0.1, -0.2)
     assert np.isnan(values(report)['innovation'])
 
@@ -308,7 +288,7 @@ def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
         for k in range(3):
             driven.odometry(0.1 * k, 0.1 * k + 0.05)
             driven.goal(0.1 * k, 0.1 * k + 0.05, x=-5.0)
-            report = driven.tick(0.1 * k + 0.05)
+            report = driven.report(0.1 * k + 0.05)
         assert report.advanced == pytest.approx(0.05, abs=1e-6)
         assert report.command.body_rate[0] != 0.0
         turned.append(report.state.attitude[1, 0])
@@ -321,7 +301,7 @@ def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
     driven = Driven(simulated=True, discretisation='exact', **{'response.rate': 0.05})
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
-    report = driven.tick(0.0)
+    report = driven.report(0.0)
     assert report.led == 0.05
     assert report.advanced == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(report.state.position, [0.05, 0.0], atol=1e-6)
@@ -330,7 +310,7 @@ def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
 def turned_to(yaw, at, now, driven):
     message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([0.5, 0.2]))
     message.pose.orientation = messages.quaternion(exp(np.array([yaw])))
-    assert driven.core.inputs.update('goal', message, now, RosTime(stamp(now))) == ''
+    driven.hear('goal', message, now)
 
 
 def test_the_goals_orientation_pulls_where_it_has_a_weight():
@@ -339,7 +319,7 @@ def test_the_goals_orientation_pulls_where_it_has_a_weight():
         driven = Driven(**{'weights.attitude': weight, 'weights.input': 0.001, 'horizon': 8})
         driven.odometry(0.0, 0.0)
         turned_to(2.0, 0.0, 0.0, driven)
-        ends[weight] = driven.tick(0.0).plan.rotations[-1]
+        ends[weight] = driven.report(0.0).plan.rotations[-1]
     off = {weight: np.linalg.norm(end - exp(np.array([2.0]))) for weight, end in ends.items()}
     assert off[20.0] < 0.2 < off[0.0]
 
@@ -348,10 +328,10 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
     for yaw, direction in ((1.0, ()), (-2.0, (np.cos(1.0), np.sin(1.0)))):
         coned = {'approach.cone': 0.3, 'approach.direction': direction}
         driven = Driven(objective='intercept', horizon=8, **coned)
-        driven.core.settings = replace(driven.core.settings, given_deadline=np.inf)
+        driven.settings = replace(driven.settings, given_deadline=np.inf)
         driven.odometry(0.0, 0.0)
         turned_to(yaw, 0.0, 0.0, driven)
-        tick = driven.tick(0.0)
+        tick = driven.report(0.0)
         assert np.isfinite(tick.catch.time)
         heading = tick.plan.projected[-1, :, 0]
         assert np.arctan2(heading[1], heading[0]) == pytest.approx(1.0, abs=0.3 + 1e-6)
@@ -360,7 +340,7 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
 def test_only_what_somebody_listens_to_is_made():
     driven = Driven()
     report = driven.tick_again(1.0)
-    known = driven.core.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    known = driven.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
     everything = report_messages(*known, oriented=True)
     assert everything.keys() == {'tick', 'plan', 'plan_markers', 'rotation'}
     assert report_messages(*known, oriented=True, heard={'plan', 'odom'}) == {
@@ -373,26 +353,19 @@ def test_only_what_somebody_listens_to_is_made():
 def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
     driven = Driven(publish_certificate=True)
     report = driven.tick_again(1.0)
-    known = driven.core.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    known = driven.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
     sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
     assert verdict.claimed == report.plan.lower_bound > 0.0
 
 
-def still(**changes):
-    """Return a core for which no time passes."""
-    driven = Driven(publish_certificate=True, **changes)
-    driven.core._clock = lambda: 0.0
-    return driven
-
-
 def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
-    driven = still(terminal='constraint')
+    shown = [0.0]
+    driven = Driven(limits={'clock': lambda: shown[0]}, terminal='constraint')
     answered = driven.tick_again(1.0)
-    end = driven.core._deadline.end
-    driven.core._deadline = Deadline(lambda: end, end)
-    report = driven.core.proved(answered)
+    shown[0] = np.inf
+    report = driven.proved(answered)
     assert report.status == answered.status == 'infeasible'
     assert report.command == answered.command
     assert values(report)['infeasible_checked'] is False
@@ -411,7 +384,7 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
         search = {'step': 0.5, 'horizon': 10, 'no_corner_cutting': True, 'deadline': deadline}
         driven = Driven(True, limits, **search, **BOXES)
         report = driven.tick_again(0.0)
-        plan = driven.core.proved(report).plan
+        plan = driven.proved(report).plan
         found.append((plan.objective, plan.lower_bound, plan.nodes))
         assert (plan.gap < 1e-6) == (deadline == 0.1)
     assert found[0] == found[1]
@@ -420,20 +393,20 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
 def test_a_plan_needs_no_such_proof():
     driven = Driven()
     report = driven.tick_again(1.0)
-    assert driven.core.proved(report) is report
+    assert driven.proved(report) is report
     assert values(report)['infeasible_checked'] is False
-    assert driven.core.proved(driven.safe()).refutation is None
+    assert driven.proved(driven.safe()).refutation is None
 
 
-CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1}
+CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1, 'publish_certificate': True}
 
 
 def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
-    driven = still(**CAUGHT)
+    driven = Driven(limits={'clock': lambda: 0.0}, **CAUGHT)
     answered = driven.tick_again(1.0)
     assert answered.catch.bound == pytest.approx(0.6)
-    assert driven.core.proved(answered) is answered
-    report = driven.core.proved(answered, catches=True)
+    assert driven.proved(answered) is answered
+    report = driven.proved(answered, catches=True)
     (sent,) = refutation_messages(report).values()
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
@@ -443,21 +416,53 @@ def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
 
 
 def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
-    driven = still(**CAUGHT)
+    shown = [0.0]
+    driven = Driven(limits={'clock': lambda: shown[0]}, **CAUGHT)
     answered = driven.tick_again(1.0)
     assert values(answered)['catch_checked'] is True  # too far away
     word = replace(answered, catch=replace(answered.catch, counted=0.1))
     assert values(word)['catch_checked'] is False
     assert values(word)['catch_bound'] == 0.1  # as far as it was counted
-    refuted = values(driven.core.proved(word, catches=True))
+    refuted = values(driven.proved(word, catches=True))
     assert refuted['catch_checked'] is True
     assert refuted['catch_bound'] == values(answered)['catch_bound'] > 0.1
-    end = driven.core._deadline.end
-    driven.core._deadline = Deadline(lambda: end, end)
-    late = driven.core.proved(word, catches=True)
+    shown[0] = np.inf
+    late = driven.proved(word, catches=True)
     assert values(late)['catch_checked'] is False
     assert late.reason == answered.reason
     assert values(Driven().tick_again(1.0))['catch_checked'] is False
+
+
+# --- goals that move as a bank of models has it
+
+
+def carried(time):
+    return np.array([2.0 + 0.5 * time + np.sin(1.5 * time), 1.0 - 0.2 * time + np.cos(1.5 * time)])
+
+
+def watching(ticks, **changes):
+    """Return a core that has seen a goal on a carrier at 10 Hz, and the last report."""
+    driven = Driven(simulated=True, **changes)
+    for now in 0.1 * np.arange(1, ticks + 1):
+        driven.odometry(now, now)
+        driven.goal(now, now, *carried(now))
+    return driven, driven.report(now), now + 0.1 * np.arange(1, 6)
+
+
+def test_a_swing_on_a_moving_carrier_is_planned_for_and_named():
+    _, report, ahead = watching(100, goal_prediction='auto')
+    np.testing.assert_allclose(report.goals, carried(ahead).T, atol=1e-3)
+    assert values(report)['goal_model'] == 'carrier'
+
+
+def test_another_forecast_begins_with_the_last_goal():
+    driven, _, ahead = watching(10)
+    driven.inputs.adopt(settings(step=0.1, goal_prediction='auto'))
+    assert driven.inputs.heard['goal_model'] != ''
+    held = np.tile(carried(1.0), (5, 1))
+    np.testing.assert_allclose(targets(driven.inputs, EPOCH / SECOND + ahead, 1.0), held)
+    driven.inputs.forget()
+    assert 'goal_model' not in driven.inputs.heard
 
 
 # --- clocks, and what is made of ticks that take too long
@@ -486,15 +491,15 @@ def test_a_clock_that_is_set_is_told(by, monkeypatch):
 def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected(monkeypatch):
     times = iter([0.0, 0.01, 1.0, 1.01, 2.0, 2.3, 3.0, 3.06, 4.0, 4.01])
     driven = Driven(limits={'clock': times.__next__})
-    assert driven.core.expected == 0.0
+    assert driven.expected == 0.0
     decided = reported(Status.OPTIMAL)
     decided = replace(decided, state=State.at([0.0, 0.0], np.eye(2)))
-    monkeypatch.setattr(driven.core.planner, 'step', lambda *_: decided)
+    monkeypatch.setattr(driven.planner, 'step', lambda *_: decided)
     for now in range(5):
         driven.odometry(now, now)
-        driven.core.decide(now, RosTime(stamp(now)))
-    assert driven.core.counts == {'deadline misses': 2, 'overruns': 1}
-    assert driven.core.expected == pytest.approx(0.01)
+        driven.decide(now, RosTime(stamp(now)))
+    assert driven.counts == {'deadline misses': 2, 'overruns': 1}
+    assert driven.expected == pytest.approx(0.01)
 
 
 def test_ticks_that_come_late_are_counted():
