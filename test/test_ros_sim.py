@@ -5,7 +5,6 @@ import contextlib
 import math
 import re
 from functools import reduce
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,12 +21,8 @@ from rosgraph_msgs.msg import Clock
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim import simulation
 from orbimpc_ros.sim.commands import Orders
-from orbimpc_ros.sim.pacing import LockStep
-from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.vehicle import Model
 from orbimpc_ros.tool.replay.recording import stamp_of
 
@@ -47,20 +42,11 @@ LOCKSTEP = {
     'odom_timeout': 5.0,
     'goal_timeout': 5.0,
 }
-WALL = {'clock': 'wall', 'max_ticks': 10_000}
 
 
 def place(message):
     position = message.pose.pose.position
     return [position.x, position.y]
-
-
-def moved(odometry):
-    return len(odometry) > 1 and place(odometry[-1]) != place(odometry[0])
-
-
-def stands(odometry):
-    return len(odometry) > 2 and len({tuple(place(each)) for each in odometry[-3:]}) == 1
 
 
 def complaints(diagnostics, word):
@@ -93,40 +79,6 @@ def flown_through(launch, parameters, domain):
 )
 def test_no_fault_brings_lock_step_to_a_standstill(launch, domain, faults):
     assert 'captured' in flown_through(launch, DISTURBED | faults, domain)
-
-
-@pytest.fixture
-def heard(observer):
-    """Return the odometry and the diagnostics that are heard."""
-    return observer.listen(Odometry, 'odom'), observer.listen(DiagnosticArray, '/diagnostics')
-
-
-@pytest.fixture
-def commanded(launch, observer, heard):
-    """Return what commands a simulator, its odometry and its diagnostics."""
-    odometry, diagnostics = heard
-    publisher = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
-    launch('sim', {**WALL, 'step': 0.1})
-    observer.until(lambda: publisher.get_subscription_count() > 0, 'the simulator')
-
-    def command(speed, rate=0.0, stamp=0):
-        at = Stamp(stamp, Frames('odom', 'base_link'))
-        publisher.publish(messages.twist_message(at, speed, np.array([rate])))
-
-    return command, odometry, diagnostics
-
-
-def test_the_vehicle_stops_when_commands_stop(commanded, observer):
-    command, odometry, diagnostics = commanded
-
-    def flies():
-        command(1.0)
-        return moved(odometry)
-
-    observer.until(flies, 'a vehicle that flies')
-    observer.until(lambda: complaints(diagnostics, 'no command for 0.2 s'), 'a complaint')
-    odometry.clear()
-    observer.until(lambda: stands(odometry), 'a vehicle that stands')
 
 
 # --- who a flight waits for
@@ -170,53 +122,17 @@ def test_a_simulator_says_for_whom_it_has_waited_in_vain(launch):
         assert re.search(rf'waited \d+ s in vain for {said}\(there are 0\)', sim.output)
 
 
-def test_a_simulator_sees_that_a_planner_is_being_configured(launch, observer):
+def test_the_time_that_a_planner_takes_to_be_configured_is_not_counted(launch, observer):
+    """The first start compiles for minutes on a small computer."""
     observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
     observer.node.create_publisher(TransitionEvent, '~/transition_event', qos())
-    sim = launch('sim', {})
+    sim = launch('sim', {'wait_timeout': 5.0})
     awaited = f'waits for {observer.node.get_fully_qualified_name()} to be configured'
     observer.until(lambda: awaited in sim.output, 'the simulator to say so')
+    observer.spin(6.0)
     observer.listen(PoseStamped, 'goal')
-    observer.until(lambda: 'waits for subscribers of odom' in sim.output, 'the next lack')
-
-
-def test_what_a_planner_takes_to_be_configured_is_not_counted(monkeypatch):
-    """The first start compiles for minutes on a small computer."""
-    monkeypatch.setattr(simulation, 'TransformBroadcaster', None)
-    now, lines, readers_of_goals = [0.0], [], []
-    logger = SimpleNamespace(info=lines.append, fatal=lines.append)
-    planner = SimpleNamespace(node_namespace='/', node_name='planner')
-    end = SimpleNamespace(topic_name='/goal', get_subscription_count=lambda: 0)
-    node = SimpleNamespace(
-        steady_now=lambda: now[0],
-        get_logger=lambda: logger,
-        get_namespace=lambda: '/',
-        every=lambda *_: None,
-        at_work=lambda callback: callback,
-        exit_code=None,
-        create_publisher=lambda *_: end,
-        create_subscription=lambda *_: end,
-        count_publishers=lambda _: 1,
-        get_publishers_info_by_topic=lambda _: [planner],
-        get_subscriptions_info_by_topic=lambda _: readers_of_goals,
-    )
-    pace = LockStep(node, sim_settings(completed(SIM, {})))
-
-    def look_until(end):
-        while now[0] < end:
-            now[0] += 1.0
-            pace.look()
-        return node.exit_code
-
-    assert look_until(900.0) is None
-    readers_of_goals.append(planner)
-    assert look_until(1019.0) is None
-    assert look_until(1021.0) == 1
-    assert [line.split()[:3] for line in lines] == [
-        ['waits', 'for', '/planner'],
-        ['waits', 'for', 'subscribers'],
-        ['waited', '121', 's'],
-    ]
+    assert sim.wait() == 1
+    assert re.search(r'waited \d+ s in vain for subscribers of odom', sim.output)
 
 
 def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer):
@@ -261,14 +177,21 @@ def test_a_rate_too_slow_for_a_planners_timeouts_is_told(launch, observer):
     observer.until(lambda: 'odom_timeout and goal_timeout to more than 10 s' in sim.output)
 
 
-def test_bad_commands_are_refused_counted_and_not_flown(commanded, observer):
-    command, odometry, diagnostics = commanded
+# --- the commands that are obeyed, and those that are refused
+
+
+def test_bad_commands_are_refused_counted_and_not_flown(launch, observer):
+    odometry = observer.listen(Odometry, 'odom')
+    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
+    publisher = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    launch('sim', {'clock': 'wall', 'max_ticks': 10_000, 'step': 0.1})
+    observer.until(publisher.get_subscription_count, 'the simulator')
     bad = [(math.nan, 0.0), (1.5, 0.0), (-0.5, 0.0), (1.0, 40.0), (1.0, math.inf)]
 
     def complained():
         for speed, rate in bad:
-            command(speed, rate)
-        command(1.0, stamp=2**31 * 10**9 - 1)
+            publisher.publish(twist(speed, rate, stamp=0))
+        publisher.publish(twist(1.0, 0.0, stamp=2**31 * 10**9 - 1))
         return len(complaints(diagnostics, 'refused')) > 1
 
     observer.until(complained, 'complaints')
@@ -281,9 +204,6 @@ def test_bad_commands_are_refused_counted_and_not_flown(commanded, observer):
         return wanted <= {pair.key for m in diagnostics for s in m.status for pair in s.values}
 
     observer.until(lambda: complained() and counted(), 'each count')
-
-
-# --- the commands that are obeyed, and those that are refused
 
 
 NOW = 5_000_000_000  # [ns]
