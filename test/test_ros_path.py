@@ -17,7 +17,9 @@ from harness import PATIENCE, ROOT
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
+from visualization_msgs.msg import MarkerArray
 
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.planner import node as planner_node
@@ -75,23 +77,31 @@ def planner(unconfigured):
     executor.shutdown()
 
 
+def spin_until(executor, happened):
+    end = time.monotonic() + PATIENCE
+    while not happened():
+        assert time.monotonic() < end, 'in vain'
+        executor.spin_once(timeout_sec=0.1)
+
+
 def calls_on_the_way(executor, goal, odometry):
     """Return the file of each call from odometry to the command that answers it, in order.
 
     ``goal`` and ``odometry`` are publishers: of several on a topic only one could be right.
     """
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
-    trace, sent, end = Trace(), 0.0, time.monotonic() + PATIENCE
+    trace = Trace()
+
+    def answered():  # again and again: the first may be lost in discovery
+        now = time.time_ns()
+        # The goal's stamp is older: odometry that has its goal waits for nothing.
+        goal.publish(messages.goal_message(Stamp(now - 1, FRAMES), np.array([5.0, 0.5])))
+        odometry.publish(messages.odometry_message(Stamp(now, FRAMES), measured(vehicle)))
+        return trace.complete
+
     sys.setprofile(trace)
     try:
-        while trace.complete is None:
-            assert time.monotonic() < end, 'no command'
-            if time.monotonic() - sent > 0.1:  # again: the first may be lost in discovery
-                sent, now = time.monotonic(), time.time_ns()
-                # The goal's stamp is older: odometry that has its goal waits for nothing.
-                goal.publish(messages.goal_message(Stamp(now - 1, FRAMES), np.array([5.0, 0.5])))
-                odometry.publish(messages.odometry_message(Stamp(now, FRAMES), measured(vehicle)))
-            executor.spin_once(timeout_sec=0.02)
+        spin_until(executor, answered)
     finally:
         sys.setprofile(None)
     return trace.complete
@@ -140,3 +150,13 @@ def test_a_planner_can_be_seen_before_it_compiles_and_listens_only_then(unconfig
     node.begin()
     assert '/cmd_vel' in seen
     assert not {'/odom', '/goal'}.intersection(seen)
+
+
+def test_who_may_tell_of_obstacles_has_the_planner_get_ready(planner, monkeypatch):
+    """Before the first message, which is often in flight."""
+    (node, executor), ready = planner, []
+    monkeypatch.setattr(Planner, 'expect_hazards', lambda _: ready.append(True))
+    executor.spin_once(timeout_sec=0.1)
+    assert not ready
+    node.create_publisher(MarkerArray, 'obstacles', 1)
+    spin_until(executor, lambda: ready)

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from planners import QUICK, Bench, goal, moving, odometry, told
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -37,16 +38,6 @@ def flying(veteran):
     assert call(SetBool, '/planner/enable', SetBool.Request(data=True)).success
     assert call(Trigger, '/planner/reset', Trigger.Request()).success
     return veteran
-
-
-def test_without_odometry_and_goal_nothing_moves_and_it_says_what_it_waits_for(bench):
-    bench.says('waits for odometry on /odom and a goal on /goal or /goal_path')
-    bench.odometry.publish(odometry(1.0))
-    bench.says('waits for a goal')
-    assert bench.commands == []
-    assert 'waits for odometry on /odom' in bench.planner.output
-    bench.goal.publish(goal(1.0))  # the odometry still waits for it, and is fresh or stale
-    bench.until(lambda: 'ready' in bench.health[-1].status[0].message or bench.commands, 'a goal')
 
 
 def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
@@ -152,3 +143,23 @@ def test_a_timer_whose_clock_stands_still_is_noticed(launch, observer):
     words = 'the clock has stood still for'  # while odometry, not much ahead of it, stays fresh
     bench.until(lambda: any(words in reason for reason in told_of_later(1e-4, False)), words)
     assert not moving(bench.commands[-1])
+
+
+def test_qos_is_as_documented(launch, observer):
+    launch('planner', {}, 'retrieval')
+    launch('sim', {'wait_subscribers': 9}, 'retrieval')
+    node = observer.node
+    outputs = ('cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick', 'odom', 'goal', 'captured')
+    observer.until(lambda: all(node.count_publishers(t) for t in outputs), 'publishers')
+    observer.until(lambda: node.count_subscribers('goal_path'), 'subscribers')
+    for topic in outputs:
+        profile = node.get_publishers_info_by_topic(topic)[0].qos_profile
+        assert profile.reliability == ReliabilityPolicy.RELIABLE
+        kept = (
+            DurabilityPolicy.TRANSIENT_LOCAL if topic == 'captured' else DurabilityPolicy.VOLATILE
+        )
+        assert profile.durability == kept
+    for topic in ('odom', 'goal', 'goal_path'):
+        for info in node.get_subscriptions_info_by_topic(topic):
+            assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            assert info.qos_profile.durability == DurabilityPolicy.VOLATILE

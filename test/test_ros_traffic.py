@@ -1,26 +1,20 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A live planner among bodies and other vehicles, over DDS."""
 
-import time
-
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
 
-from harness import PATIENCE
 from nav_msgs.msg import Path
 from planners import QUICK, Bench, told
-from rclpy.executors import SingleThreadedExecutor
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import shown
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.planner.node import PlannerNode
-from orbimpc_ros.ros.process import initialised, qos
+from orbimpc_ros.ros.process import qos
 
 OTHER = '/uav2/plan'
 FRAMES = Frames('odom', 'base_link')
@@ -67,24 +61,3 @@ def test_bodies_and_plans_are_planned_with_and_who_is_not_heard_is_told_of(bench
     bench.says('is silent: avoided wherever it may have stopped')
     markers.publish(body(1.0, (5.0, 5.0)))
     assert bench.counts('refused obstacles: stale stamp') == 1
-
-
-def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, default_context, monkeypatch):
-    """Before the first message, which is often in flight."""
-    ready = []
-    monkeypatch.setattr(Planner, 'expect_hazards', lambda _: ready.append(True))
-    with initialised(['planner'], domain=domain, context=default_context):
-        node, executor = PlannerNode(), SingleThreadedExecutor()
-        executor.add_node(node)
-        node.begin()
-        try:
-            executor.spin_once(timeout_sec=0.1)
-            assert not ready
-            node.create_publisher(MarkerArray, 'obstacles', qos(10))
-            end = time.monotonic() + PATIENCE
-            while not ready:
-                assert time.monotonic() < end, 'a publisher that nobody noticed'
-                executor.spin_once(timeout_sec=0.05)
-        finally:
-            executor.shutdown()
-            node.destroy_node()
