@@ -4,11 +4,10 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import write
+from bags import GOLDEN, write
 from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
@@ -22,8 +21,9 @@ from orbimpc_ros.tool.replay.resolving import replayed
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 KINDS = ('UInt8MultiArray', 'MultiArrayLayout')
-HERE = Path(__file__).parent
 
+DISTURBED, WING = (GOLDEN / 'disturbed', '--tick', 3), (GOLDEN / 'fixed_wing', '--tick', 9)
+BEATEN = 1.01 * recording.recording_of(DISTURBED[0]).answers[3].answer['lower_bound']
 FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 
 
@@ -34,26 +34,6 @@ def solve(tool, folder, stated):
     return problem, made, tool('solve', problem, '--certificate', made)
 
 
-@pytest.fixture
-def solved(tmp_path, tool):
-    """Return a problem's file, and that of the certificate of its plan."""
-    problem, made, (code, out, _) = solve(tool, tmp_path, CASES['uav_square_0'])
-    assert code == 0
-    assert json.loads(made.read_text())['lower_bound'] == json.loads(out)['lower_bound']
-    return problem, made
-
-
-@pytest.fixture
-def unsatisfied(tmp_path, tool):
-    """Return a problem's file, and that of the certificate that nothing satisfies it."""
-    problem, made, (code, out, error) = solve(tool, tmp_path, FAR)
-    assert (code, out) == (3, '')
-    assert 'beyond what' in error
-    assert error.count('\n') == 1
-    assert WORD not in error  # it is proved
-    return problem, made
-
-
 def too_high(known):
     known['lower_bound'] *= 1.001
 
@@ -62,23 +42,40 @@ def without_a_pull(known):
     known['refuted']['trees'][0]['pull'] = [[[0.0, 0.0]]]
 
 
+WALLED = CASES['uav_square_0'] | {
+    'floor': {'shape': 'none'},
+    'obstacles': [{'min': [1.5, -1.0], 'max': [2.5, 0.5]}],
+}
+
+
 @pytest.mark.parametrize(
-    ('kind', 'spoil', 'another'),
-    [('solved', too_high, {'step': 0.9}), ('unsatisfied', without_a_pull, {'goal': [61.0, 0.0]})],
+    ('stated', 'spoil', 'another'),
+    [
+        (CASES['uav_square_0'], too_high, {'step': 0.9}),
+        (WALLED, too_high, {'obstacles': []}),
+        (FAR, without_a_pull, {'goal': [61.0, 0.0]}),  # nothing satisfies it
+    ],
 )
-def test_a_certificate_holds_for_its_problem_until_spoilt(tool, request, kind, spoil, another):
-    problem, made = request.getfixturevalue(kind)
+def test_a_certificate_holds_for_its_problem_until_spoilt(tool, tmp_path, stated, spoil, another):
+    problem, made, (code, out, error) = solve(tool, tmp_path, stated)
+    known = json.loads(made.read_text())
+    if stated is FAR:
+        assert (code, out, error.count('\n')) == (3, '', 1)
+        assert 'beyond what' in error
+        assert WORD not in error  # it is proved
+    else:
+        assert (code, known['lower_bound']) == (0, json.loads(out)['lower_bound'])
     code, out, _ = tool('verify', made, '--problem', problem)
     assert code == 0
     assert '1 holds' in out
-    assert out.count('inf') == (2 if kind == 'unsatisfied' else 0)
-    known = json.loads(made.read_text())
+    assert out.count('inf') == (2 if stated is FAR else 0)
     spoil(known)
-    made.write_text(json.dumps(known))
-    code, out, _ = tool('verify', made)
+    spoilt = tmp_path / 'spoilt.json'
+    spoilt.write_text(json.dumps(known))
+    code, out, _ = tool('verify', spoilt)
     assert code == 1
     assert '1 DOES NOT HOLD' in out
-    problem.write_text(json.dumps({**json.loads(problem.read_text()), **another}))
+    problem.write_text(json.dumps({**stated, **another}))
     code, _, error = tool('verify', made, '--problem', problem)
     assert code == 2
     assert 'not of' in error
@@ -98,35 +95,11 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, mon
         raise Unproved('no certificate: one tangent proves 3')
 
     monkeypatch.setattr('orbimpc_ros.tool.solve.certificate_of', unproved)
-    problem = tmp_path / 'problem.json'
-    problem.write_text(json.dumps(CASES['uav_square_0']))
-    code, out, error = tool('solve', problem, '--certificate', tmp_path / 'none.json')
+    _, made, (code, out, error) = solve(tool, tmp_path, CASES['uav_square_0'])
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
     assert 'one tangent proves' in error
-    assert not (tmp_path / 'none.json').exists()
-
-
-@pytest.mark.parametrize('own', [True, False], ids=['with a bound', 'whose bound proves nothing'])
-def test_a_bound_above_what_a_trajectory_costs_fails(tool, monkeypatch, own):
-    known = recording.recording_of(HERE / 'golden' / 'disturbed').answers[3].answer
-    claiming(monkeypatch, 'lower_bound', 1.01 * known['lower_bound'])
-    if not own:
-        monkeypatch.setattr('orbimpc_ros.mpc.plan.Plan.lower_bound', 0.0)
-    code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
-    assert code == 1
-    assert 'DOES NOT HOLD: a trajectory costs' in out
-
-
-@pytest.mark.parametrize('claimed', [{'lower_bound': 1e-3}, {'catch_bound': 3.0}])
-def test_a_claim_about_what_is_not_found_any_more_fails(tool, monkeypatch, claimed):
-    (known,) = claimed.items()
-    claiming(monkeypatch, *known)
-    monkeypatch.setattr('orbimpc_ros.tool.replay.resolving.replayed', lost)
-    code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
-    assert code == 1
-    assert 'DOES NOT HOLD: ' in out
-    assert ' now\n' in out
+    assert not made.exists()
 
 
 def lost(*known):
@@ -140,20 +113,21 @@ def lost(*known):
 BROKEN = ['', '[]', '{"lower_bound": "much"}', '{"refuted": 1}', f'{{"lower_bound": {10**400}}}']
 
 
-def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path, solved):
-    sound = solved[1].read_text()
+def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path):
+    _, certificate, _ = solve(tool, tmp_path, CASES['uav_square_0'])
+    sound = certificate.read_text()
     spoilt = json.loads(sound)
     too_high(spoilt)
     old = json.dumps({'format': OLD})  # what it is about is proved anew
     made, layout = (STORE.types[f'std_msgs/msg/{name}'] for name in KINDS)
     kind = made.__msgtype__
     early = 3 * 10**9  # [ns] three ticks
-    messages = [each for each in bags.raw(HERE / 'golden' / 'spacecraft') if each.stamp < early]
+    messages = [each for each in bags.raw(GOLDEN / 'spacecraft') if each.stamp < early]
     for text in (*BROKEN, sound, json.dumps(spoilt), old):
         message = made(layout([], 0), np.frombuffer(text.encode(), np.uint8))
         data = bytes(STORE.serialize_cdr(message, kind))
         messages.append(messages[0]._replace(topic='/certificate', type=kind, data=data))
-    bag = write(tmp_path / 'bag', messages, bags.notes(HERE / 'golden' / 'spacecraft'))
+    bag = write(tmp_path / 'bag', messages, bags.notes(GOLDEN / 'spacecraft'))
     code, out, _ = tool('verify', bag)
     assert code == 1
     assert f'{len(BROKEN) + 1} DOES NOT HOLD' in out
@@ -169,52 +143,34 @@ def test_where_what_a_search_left_proves_less_there_is_no_certificate(tool, monk
         return Certificate(problem, state, goals, proof.lower_bound, leaf)
 
     monkeypatch.setattr('orbimpc_ros.tool.verify.certificate_of', poor)
-    code, out, _ = tool('verify', HERE / 'golden' / 'retrieval', '--tick', 3)
+    code, out, _ = tool('verify', GOLDEN / 'retrieval', '--tick', 3)
     assert code == 0
     assert '1 no certificate' in out
-
-
-def test_a_certificate_without_the_problems_walls_is_refused(tool, tmp_path):
-    problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
-    box = {'min': [1.5, -1.0], 'max': [2.5, 0.5]}
-    case = {**CASES['uav_square_0'], 'floor': {'shape': 'none'}}
-    problem.write_text(json.dumps({**case, 'obstacles': [box]}))
-    assert tool('solve', problem, '--certificate', made)[0] == 0
-    assert tool('verify', made, '--problem', problem)[0] == 0
-    problem.write_text(json.dumps(case))
-    code, _, error = tool('verify', made, '--problem', problem)
-    assert code == 2
-    assert 'not of' in error
-
-
-def test_ticks_of_a_bag_hold(tool, tmp_path):
-    bag = HERE / 'golden' / 'disturbed'
-    code, out, _ = tool('verify', bag, '--out', tmp_path / 'made')
-    assert code == 0
-    assert '20 holds, 1 nothing claimed' in out
-    assert len(list((tmp_path / 'made').iterdir())) == 20
-    assert tool('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
 
 
 @pytest.mark.parametrize(
     ('bag', 'words', 'said'),
     [
+        ('disturbed', (), '\n20 holds, 1 nothing claimed'),
         ('dubins', (), '\n20 holds, '),
         ('spacecraft', (), '\n19 holds, '),
         ('obstacles', (), '\n30 holds'),
         ('lander', ('--tick', 18), '\n1 holds'),
     ],
 )
-def test_every_tick_of_a_bag_holds(tool, bag, words, said):
-    code, out, _ = tool('verify', HERE / 'golden' / bag, *words)
+def test_every_tick_of_a_bag_holds(tool, tmp_path, bag, words, said):
+    code, out, _ = tool('verify', GOLDEN / bag, *words, '--out', tmp_path)
     assert code == 0
     assert said in out
+    made = sorted(tmp_path.iterdir())
+    assert len(made) == int(said.split()[0])
+    assert tool('verify', made[-1])[0] == 0
     assert 'no certificate' not in out
-    assert out.count('inf') == (2 * 2 if bag == 'obstacles' else 0)  # where nothing was feasible
+    assert out.count('inf') == 2 * {'disturbed': 1, 'obstacles': 2}.get(bag, 0)  # infeasible
 
 
 def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
-    code, out, _ = tool('verify', HERE / 'golden' / 'cessna', '--out', tmp_path)
+    code, out, _ = tool('verify', GOLDEN / 'cessna', '--out', tmp_path)
     assert code == 0
     assert '7 nothing claimed' in out
     # Of 103; the rest are within 1e-5 of what another search proves.
@@ -224,10 +180,8 @@ def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
 
 
 def test_what_is_not_refuted_says_so_and_leaves_no_file(tool, tmp_path, monkeypatch):
-    problem, made = tmp_path / 'problem.json', tmp_path / 'none.json'
-    problem.write_text(json.dumps(FAR))
     monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
-    code, _, error = tool('solve', problem, '--certificate', made)
+    problem, made, (code, _, error) = solve(tool, tmp_path, FAR)
     assert code == 3
     assert 'beyond what' in error
     assert WORD in error
@@ -237,11 +191,8 @@ def test_what_is_not_refuted_says_so_and_leaves_no_file(tool, tmp_path, monkeypa
     assert (code, plainly) == (3, error)
 
 
-WING = HERE / 'golden' / 'fixed_wing'
-
-
 def test_before_which_time_nothing_catches_is_proved(tool, tmp_path):
-    code, out, _ = tool('verify', WING, '--tick', 9, '--out', tmp_path)
+    code, out, _ = tool('verify', *WING, '--out', tmp_path)
     assert code == 0
     assert '2 holds' in out
     code, out, _ = tool('verify', tmp_path / 'tick_00009_catch.json')
@@ -249,44 +200,51 @@ def test_before_which_time_nothing_catches_is_proved(tool, tmp_path):
     assert out.split()[4:8] == ['catch', '2.5', '2.5', '4']
 
 
-def claiming(monkeypatch, name, value):
-    read = recording.fields
-    monkeypatch.setattr(recording, 'fields', lambda tick: read(tick) | {name: value})
-
-
-def test_a_time_before_which_a_plan_catches_fails(tool, monkeypatch):
-    claiming(monkeypatch, 'catch_bound', 3.5)
-    code, out, _ = tool('verify', WING, '--tick', 9)
-    assert code == 1
-    assert 'DOES NOT HOLD: a plan catches it at' in out
-
-
-@pytest.mark.parametrize('flown', [3.0, float('nan')])
-def test_a_bound_on_another_catch_is_not_held_against_this_one(tool, monkeypatch, flown):
-    claiming(monkeypatch, 'lower_bound', 1e3)
-    assert 'DOES NOT HOLD: a trajectory costs' in tool('verify', WING, '--tick', 9)[1]
-    claiming(monkeypatch, 'earliest_catch', flown)
-    code, out, _ = tool('verify', WING, '--tick', 9)
-    assert code == 0
-    assert 'it was about another catch, or none' in out
-    assert '1 no certificate, 1 holds' in out
-
-
-def test_a_time_without_a_proof_is_no_failure(tool, monkeypatch):
+def without_refutations(monkeypatch):
     monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
-    code, out, _ = tool('verify', WING, '--tick', 9)
-    assert code == 0
-    assert 'no refutation of a catch at step 1 was found' in out
-    assert '1 holds, 1 no certificate' in out
+
+
+def without_plans(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.tool.replay.resolving.replayed', lost)
+
+
+def without_bounds(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.mpc.plan.Plan.lower_bound', 0.0)
+
+
+FALSE, PLAN = 'DOES NOT HOLD: ', 'a trajectory costs'
+OTHER = 'it was about another catch, or none'
+# What a tick claims, what is missing when it is verified, and what is said of it.
+CLAIMS = [
+    (DISTURBED, {'lower_bound': BEATEN}, None, (FALSE + PLAN,)),
+    (DISTURBED, {'lower_bound': BEATEN}, without_bounds, (FALSE + PLAN,)),
+    (DISTURBED, {'lower_bound': 1e-3}, without_plans, (FALSE, ' now\n')),
+    (DISTURBED, {'catch_bound': 3.0}, without_plans, (FALSE, ' now\n')),
+    (DISTURBED, {'status': 'infeasible'}, None, (f'{FALSE}it is optimal now',)),
+    (WING, {'lower_bound': 1e3}, None, (FALSE + PLAN,)),
+    *((WING, {'lower_bound': 1e3, 'earliest_catch': at}, None, (OTHER, '1 no certificate, 1 holds'))
+      for at in (3.0, float('nan'))),
+    (WING, {'catch_bound': 3.5}, None, (f'{FALSE}a plan catches it at',)),
+    (WING, {}, without_refutations,
+     ('no refutation of a catch at step 1 was found', '1 holds, 1 no certificate')),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(('at', 'claims', 'lacking', 'said'), CLAIMS)
+def test_a_claim_fails_where_a_plan_is_against_it(tool, monkeypatch, at, claims, lacking, said):
+    claiming(monkeypatch, claims)
+    if lacking:
+        lacking(monkeypatch)
+    code, out, _ = tool('verify', *at)
+    assert code == said[0].startswith(FALSE)
+    assert all(words in out for words in said)
+
+
+def claiming(monkeypatch, claims):
+    read = recording.fields
+    monkeypatch.setattr(recording, 'fields', lambda tick: {**read(tick), **claims})
 
 
 def test_a_time_that_excludes_no_step_has_no_row(tool, monkeypatch):
-    claiming(monkeypatch, 'catch_bound', 0.5)
-    assert 'catch' not in tool('verify', WING, '--tick', 9)[1]
-
-
-def test_a_tick_that_was_infeasible_and_has_a_plan_fails(tool, monkeypatch):
-    claiming(monkeypatch, 'status', 'infeasible')
-    code, out, _ = tool('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
-    assert code == 1
-    assert 'DOES NOT HOLD: it is optimal now' in out
+    claiming(monkeypatch, {'catch_bound': 0.5})
+    assert 'catch' not in tool('verify', *WING)[1]
