@@ -3,7 +3,6 @@
 
 import math
 import time
-from dataclasses import replace
 from importlib.util import find_spec
 from types import SimpleNamespace
 
@@ -15,21 +14,14 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
 from planners import odometry, settings
-from rclpy.serialization import serialize_message
-from rosbags.typesys import Stores, get_typestore
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inverse, matrix, stated
-from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.offline import OfflinePlanner
-from orbimpc_ros.tool.replay.recording import recording_of
-from orbimpc_ros.tool.replay.resolving import replayed
-from orbimpc_ros.tool.topics import TREE, topics_of
 
 OTHER = '/uav2/plan'
 QUARTER = math.pi / 2
@@ -257,57 +249,3 @@ def test_a_planner_hears_the_transforms_of_its_machine(launch, observer):
         return 'waits for odometry' in process.output
 
     observer.until(step, 'a goal in map that is taken')
-
-
-# --- recordings
-
-
-TREE_STORE = get_typestore(Stores.ROS2_JAZZY)
-
-
-def as_recorded(message):
-    """Return a TFMessage in CDR, as a machine with tf2 writes it."""
-    types = TREE_STORE.types
-    stamped = []
-    for each in message.transforms:
-        at, moved, turned = each.header.stamp, each.transform.translation, each.transform.rotation
-        head = types['std_msgs/msg/Header'](
-            types['builtin_interfaces/msg/Time'](at.sec, at.nanosec), each.header.frame_id
-        )
-        transform = types['geometry_msgs/msg/Transform'](
-            types['geometry_msgs/msg/Vector3'](moved.x, moved.y, moved.z),
-            types['geometry_msgs/msg/Quaternion'](turned.x, turned.y, turned.z, turned.w),
-        )
-        kind = types['geometry_msgs/msg/TransformStamped']
-        stamped.append(kind(head, each.child_frame_id, transform))
-    kind = 'tf2_msgs/msg/TFMessage'
-    return bytes(TREE_STORE.serialize_cdr(types[kind](stamped), kind))
-
-
-def test_a_recording_with_tf_is_answered_as_it_was(tmp_path):
-    known = settings(tf=True, trigger='odom', avoid=(), avoid_radius=0.0)
-    planner = OfflinePlanner(known)
-    writer = BagWriter(tmp_path / 'bag', (*TREE, *topics_of()), {})
-    expected = []
-    with writer:
-        for second in range(1, 4):
-            drift, sent = tf(second, 'map', 'odom', (0.5 * second, 0.3, 0.0), 0.1), second * SECOND
-            came = {TF: drift, 'goal': goal(second, 6.0, 2.0), 'odom': odometry(second)}
-            for k, (topic, message) in enumerate(came.items()):
-                at = sent + k
-                assert not planner.inputs.update(topic, message, at / SECOND, RosTime(at))
-                data = as_recorded(drift) if topic == TF else serialize_message(message)
-                writer.write(TF if topic == TF else f'/{topic}', at, data)
-            answer = planner.plan((sent + 10) / SECOND, 0.0, 1.0)
-            planner.went_out((sent + 10) / SECOND)
-            expected.append(answer['cmd_vel'].twist.angular.z)
-            for topic in ('cmd_vel', 'tick'):
-                writer.write(f'/{topic}', sent + 10, serialize_message(answer[topic]))
-    recording = recording_of(tmp_path / 'bag')
-    ticks = list(replayed(recording, known, simulated=False))
-    assert [tick.refusals for tick in ticks] == [()] * 3
-    found = [tick.messages['cmd_vel'].twist.angular.z for tick in ticks]
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    untold = replace(known, tf=False)
-    (refused,) = next(iter(replayed(recording, untold, simulated=False))).refusals
-    assert refused.startswith('goal refused: header.frame_id')

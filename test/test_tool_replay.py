@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,19 +15,28 @@ from bags import GOLDEN, rewritten, ros2_bag, write
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import (
+    PoseStamped,
+    QuaternionStamped,
+    Transform,
+    TransformStamped,
+    TwistStamped,
+    WrenchStamped,
+)
 from nav_msgs.msg import Odometry
+from planners import settings as settings_of
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import shown
 from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp
-from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields
@@ -43,6 +53,7 @@ from orbimpc_ros.tool.replay.recording import (
 from orbimpc_ros.tool.replay.resolving import replayed
 
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search ends with a plan.
+ANSWERS = ('/cmd_vel', '/tick', '/rotation')
 FLIGHTS = (
     *('retrieval', 'dubins', 'spacecraft', 'obstacles', 'multirotor'),
     *('disturbed', 'faulty', 'fixed_wing', 'lander', 'cessna', 'servicer'),
@@ -194,82 +205,67 @@ def test_one_difference_does_not_cause_all_that_follow(replay, tmp_path):
     assert ticks <= {4, 5}  # its own, and the one that starts from another thrust
 
 
-def test_of_several_goals_in_a_row_the_newest_are_those_that_were_taken(replay, tmp_path):
-    """Two come before each that is answered, and the counts say that neither was taken."""
-    source, path = GOLDEN / 'obstacles', tmp_path / 'bag'
-    raw, lost = bags.raw(source), []
+def overtaken(raw):
+    """Two goals come before each that is answered, and the counts say that neither was taken."""
     for each in raw:
-        if each.topic == '/goal' and each.stamp > 0:
-            for before in (2, 1):
-                message = deserialize_message(each.data, PoseStamped)
-                message.header.stamp.sec, message.header.stamp.nanosec = divmod(
-                    each.stamp - before, 10**9
-                )
-                message.pose.position.x += before
-                data = serialize_message(message)
-                lost.append(each._replace(data=data, sent=each.sent - before))
-    write(path, [*raw, *lost], bags.notes(source))
-    code, out, _ = replay(path)
+        for before in (2, 1) if each.topic == '/goal' and each.stamp > 0 else ():
+            message = deserialize_message(each.data, PoseStamped)
+            message.header.stamp = messages.time_message(each.stamp - before)
+            message.pose.position.x += before
+            yield each._replace(data=serialize_message(message), sent=each.sent - before)
+        yield each
+
+
+def early(raw):
+    """Each goal comes before the answer before: by when it was sent it would have been known."""
+    for each in raw:
+        later = {'/goal': -500_000_000}.get(each.topic, 700_000_000 * (each.topic in ANSWERS))
+        yield each._replace(sent=max(1, each.sent + later))
+
+
+def repeated(raw):
+    yield from raw
+    yield from (e._replace(sent=e.sent + 10_000_000) for e in raw if e.topic in ANSWERS)
+
+
+def halved(raw):
+    """Odometry as ArduPilot would have it: a pose, and a twist of the world."""
+    for each in raw:
+        if each.topic != '/odom':
+            yield each
+            continue
+        odometry = deserialize_message(each.data, Odometry)
+        pose = PoseStamped(header=odometry.header, pose=odometry.pose.pose)
+        twist = TwistStamped(header=odometry.header, twist=odometry.twist.twist)
+        q, v = pose.pose.orientation, twist.twist.linear
+        turned = from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)
+        twist.twist.linear = messages.vector(turned @ [v.x, v.y, v.z])
+        for topic, half in (('/pose', pose), ('/twist', twist)):
+            kind = f'geometry_msgs/msg/{type(half).__name__}'
+            yield each._replace(topic=topic, type=kind, data=serialize_message(half))
+
+
+HALVES = ('--set', 'odometry=pose_twist', '--set', 'velocity_frame=world')
+
+
+@pytest.mark.parametrize(
+    ('name', 'rewrite', 'words', 'inputs'),
+    [
+        ('obstacles', overtaken, (), 4 * 30 - 2),
+        ('retrieval', early, (), 2 * 26),
+        ('retrieval', repeated, (), 2 * 26),
+        ('retrieval', halved, HALVES, 2 * 26),
+    ],
+)
+def test_what_is_sent_otherwise_is_answered_as_it_was(
+    replay, tmp_path, name, rewrite, words, inputs
+):
+    raw = bags.raw(GOLDEN / name)
+    path = write(tmp_path / 'bag', list(rewrite(raw)), bags.notes(GOLDEN / name))
+    code, out, _ = replay(path, *words)
     assert code == 0, out
-    assert f'inputs        {2 * len(answered(source)) + len(lost)}, 0 refused' in out
-
-
-def answered(path):
-    return [each for each in recording_of(path).inputs if each.topic == 'goal']
-
-
-def test_a_goal_is_known_by_its_stamp_however_early_it_was_sent(replay, tmp_path):
-    """Each comes before the answer before: by when it was sent it would have been known."""
-
-    def shifted(each):
-        if each.topic == '/goal':
-            return each._replace(sent=max(1, each.sent - 500_000_000))
-        told = each.topic in ('/cmd_vel', '/tick', '/rotation')
-        return each._replace(sent=each.sent + 700_000_000) if told else each
-
-    assert replay(rewritten(RETRIEVAL, tmp_path / 'bag', shifted))[0] == 0
-
-
-def test_an_answer_that_is_repeated_counts_once(replay, tmp_path):
-    raw, path = bags.raw(RETRIEVAL), tmp_path / 'bag'
-    answers = [each for each in raw if each.topic in ('/cmd_vel', '/tick', '/rotation')]
-    again = [each._replace(sent=each.sent + 10_000_000) for each in answers]
-    write(path, [*raw, *again], bags.notes(RETRIEVAL))
-    code, out, _ = replay(path)
-    assert code == 0
-    assert 'replayed      26 ticks' in out
-
-
-# --- what is not there
-
-
-def halved(each):
-    """Return odometry as ArduPilot would have it: a pose, and a twist of the world."""
-    if each.topic != '/odom':
-        return [each]
-    odometry = deserialize_message(each.data, Odometry)
-    pose = PoseStamped(header=odometry.header, pose=odometry.pose.pose)
-    twist = TwistStamped(header=odometry.header, twist=odometry.twist.twist)
-    q, v = pose.pose.orientation, twist.twist.linear
-    velocity = from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3) @ [v.x, v.y, v.z]
-    v.x, v.y, v.z = velocity.tolist()
-    kinds = {'/pose': (pose, 'PoseStamped'), '/twist': (twist, 'TwistStamped')}
-    return [
-        each._replace(topic=topic, type=f'geometry_msgs/msg/{kind}', data=serialize_message(half))
-        for topic, (half, kind) in kinds.items()
-    ]
-
-
-def test_odometry_in_halves_is_replayed(replay, tmp_path):
-    notes = bags.notes(RETRIEVAL)
-    values = settings.read(notes['parameters'])
-    notes['parameters'] = settings.text(
-        values | {'odometry': 'pose_twist', 'velocity_frame': 'world'}
-    )
-    halves = [half for each in bags.raw(RETRIEVAL) for half in halved(each)]
-    code, out, _ = replay(write(tmp_path / 'bag', halves, notes))
-    assert code == 0, out
-    assert 'differences   none' in out
+    assert f'replayed      {sum(each.topic == "/odom" for each in raw)} ticks' in out
+    assert f'inputs        {inputs}, 0 refused' in out
 
 
 def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp_path, monkeypatch):
@@ -370,8 +366,7 @@ DIFFERENCES = {
     ('quantity', 'before', 'now', 'given', 'differs'), DIFFERENCES.values(), ids=DIFFERENCES
 )
 def test_answers_differ_beyond_their_tolerances(quantity, before, now, given, differs):
-    values = {row.name: row.default for row in PLANNER} | given
-    problem = planner_settings(values)
+    problem = settings_of(**given)
     apart = distance(quantity, before[quantity], now[quantity], problem.problem.step)
     assert (apart > tolerance(quantity, problem, before, now)) == differs
 
@@ -459,34 +454,39 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     assert '/uav1/odom' in err
 
 
-# --- among traffic: the same hazards, whatever came late
+# --- among traffic, its goal in another frame: the same hazards, whatever came late
 
 
-FRAMES = Frames('odom', 'base_link')
 OTHER = '/uav2/plan'
 MILLISECOND = 10**6
 
 
-def avoiding():
-    values = {row.name: row.default for row in PLANNER}
-    given = {'avoid': ('/uav1/plan', OTHER), 'avoid_radius': 0.5, 'horizon': 2, 'trigger': 'odom'}
-    return planner_settings({**values, **given})
+AVOIDING = settings_of(
+    avoid=('/uav1/plan', OTHER), avoid_radius=0.5, horizon=2, trigger='odom', tf=True
+)
 
 
-def seen(second, place):
-    head = messages.header(second * SECOND, 'odom')
-    return MarkerArray(markers=[shown(Marker(header=head), Ball(np.array(place), 0.4))])
+def tree(second):
+    """Return a frame that drifts, with the fields of a tf2_msgs/TFMessage."""
+    head, turned = messages.header(second * SECOND, 'map'), exp(np.array([0.0, 0.0, 0.1]))
+    moved = Transform(translation=messages.vector(np.array([0.5 * second, 0.3, 0.0])))
+    moved.rotation = messages.quaternion(turned)
+    one = TransformStamped(header=head, child_frame_id='odom', transform=moved)
+    return SimpleNamespace(transforms=[one])
 
 
 def inputs(second):
     """Return what comes with a second's odometry, in the order in which it is sent."""
-    stamp = Stamp(second * SECOND, FRAMES)
+    stamp, in_map = (Stamp(second * SECOND, Frames(each, 'base_link')) for each in ('odom', 'map'))
     vehicle = launched(Model(), np.array([0.5 * second, 0.0]), np.eye(2))
     away = [np.array([3.0 - 0.5 * k, -1.5]) for k in range(4)]
+    ball = Ball(np.array([0.5 * second + 1.5, 1.6 - 0.3 * second]), 0.4)
+    marker = shown(Marker(header=messages.header(second * SECOND, 'odom')), ball)
     found = {
-        'obstacles': seen(second, (0.5 * second + 1.5, 1.6 - 0.3 * second)),
+        TF: tree(second),
+        'obstacles': MarkerArray(markers=[marker]),
         OTHER: messages.goal_path_message(stamp, 1.0, away),
-        'goal': messages.goal_message(stamp, np.array([9.0, 0.0])),
+        'goal': messages.goal_message(in_map, np.array([9.0, 0.0])),
         'odom': messages.odometry_message(stamp, measured(vehicle)),
     }
     sent = second * SECOND
@@ -498,24 +498,26 @@ def flown(late):
 
     What is ``late`` was sent before one and heard after.
     """
-    planner = OfflinePlanner(avoiding(), '/uav1/planner', resolved(avoiding(), '/uav1'))
+    planner = OfflinePlanner(AVOIDING, '/uav1/planner', resolved(AVOIDING, '/uav1'))
     told, answers, pending, clearances = [], [], [], []
+
+    def hear(each):
+        planner.inputs.update(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
+
     for second in range(1, 4):
         for each in inputs(second):
             told.append(each)
             if each.topic in late:
                 pending.append(each)
             else:
-                planner.inputs.update(
-                    each.topic, each.message, each.sent / SECOND, RosTime(each.sent)
-                )
+                hear(each)
         sent = second * SECOND + 50 * MILLISECOND
         answer = planner.plan(sent / SECOND, 0.0, 1.0)
         planner.went_out(sent / SECOND)
         answers.append(RecordedTick(second * SECOND, sent, published(answer)))
         clearances.append(fields(answer['tick'])['clearance'])
         for each in pending:
-            planner.inputs.update(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
+            hear(each)
         pending.clear()
     return Recording(Path('none'), '/uav1', tuple(told), tuple(answers)), clearances
 
@@ -523,7 +525,7 @@ def flown(late):
 @pytest.mark.parametrize('late', [(), ('obstacles',), (OTHER,)], ids=['none', 'markers', 'plans'])
 def test_the_commands_are_those_that_were_given(late):
     recording, clearances = flown(late)
-    ticks = replayed(recording, avoiding(), simulated=False)
+    ticks = replayed(recording, AVOIDING, simulated=False)
     for again, clearance in zip(ticks, clearances, strict=True):
         now, then = published(again.messages), again.recorded.answer
         assert again.refusals == ()
@@ -537,3 +539,19 @@ def test_the_commands_are_those_that_were_given(late):
 def test_what_was_heard_late_makes_a_difference():
     """Else the tests above would pass without the stamps on ``tick``."""
     assert flown(())[1] != flown(('obstacles',))[1]
+
+
+def test_frames_that_are_not_heard_make_a_difference():
+    recording, deaf = flown(())[0], replace(AVOIDING, tf=False)
+    (refused,) = next(iter(replayed(recording, deaf, simulated=False))).refusals
+    assert refused.startswith('goal refused: header.frame_id')
+
+
+def test_frames_are_read_from_a_bag(tmp_path):
+    raw, kind = bags.raw(RETRIEVAL), 'tf2_msgs/msg/TFMessage'
+    data = bytes(bags.store().serialize_cdr(tree(1), kind))
+    heard = raw[0]._replace(topic=TF, type=kind, data=data)
+    path = write(tmp_path / 'bag', [heard, *raw], bags.notes(RETRIEVAL))
+    (found,) = (each.message for each in recording_of(path).inputs if each.topic == TF)
+    assert found.transforms[0].child_frame_id == 'odom'
+    assert found.transforms[0].transform.translation.x == 0.5
