@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The closed loop of planner and vehicle without ROS, with faults in between if wanted."""
+"""The closed loop of planner and vehicle without ROS."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import Flight, Scenario, departure
-
-HELD = 1.5  # steps that a command is in force, as in the simulator by default
 
 
 @dataclass(frozen=True)
@@ -56,13 +54,3 @@ def planned(planner: Planner, flight: Flight, forecast: Forecast) -> Decision:
     decision = planner.step(Snapshot(odometry, goals))
     planner.sent(decision.command)
     return decision
-
-
-def fly_disturbed(parameters: dict, scenario: Scenario, view) -> Flight:
-    """Return the end of a flight whose planner, by its parameters, sees it only through faults."""
-    from orbimpc_ros.tool.offline import aboard, closed_loop
-
-    planner = aboard({'odom_timeout': 5.0, 'goal_timeout': 5.0} | parameters, clock=None)
-    held = HELD * scenario.model.step
-    *_, (flight, _, _) = closed_loop(planner, departure(scenario, 10.0), view, held)
-    return flight

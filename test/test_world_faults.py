@@ -5,15 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import fly_disturbed
 from scenarios import retrieval, retrieval3d
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.vehicle import between, launched
-from orbimpc_ros.sim.world import Rope, departure
+from orbimpc_ros.sim.vehicle import between
+from orbimpc_ros.sim.world import departure
 
 TURN = np.array([0.3])
 
@@ -57,16 +56,6 @@ def test_noise_has_its_deviation(scenario):
     assert abs(np.mean(shifts)) < 0.005
 
 
-def test_a_share_of_each_kind_is_lost():
-    view = View(Faults(dropout=0.2), 7, 1.0)
-    seen = views(Faults(dropout=0.2), seed=7, ticks=2000)
-    for odometry in (True, False):
-        kept = sum(len(of_kind(sent, odometry)) for _, sent in seen)
-        assert kept / 2000 == pytest.approx(0.8, abs=0.03)
-    lost = sum(view.command_lost(tick) for tick in range(2000))
-    assert lost / 2000 == pytest.approx(0.2, abs=0.03)
-
-
 @pytest.mark.parametrize('delay', [0.2, 1.0, 2.5])
 def test_delayed_odometry_shows_the_past(delay):
     seen = views(Faults(delay=delay), ticks=20)
@@ -90,25 +79,28 @@ def test_before_its_start_a_vehicle_stood_there():
     assert odometry.content.time == flight.vehicle.time - 2.5
 
 
-def test_reordered_messages_come_behind_newer_ones():
-    seen = views(Faults(reorder=0.3), ticks=300)
-    late = [(flight, s) for flight, sent in seen for s in sent if s.late]
-    assert len(late) / 600 == pytest.approx(0.3, abs=0.05)
-    assert all(flight.ticks == s.ticks + 1 for flight, s in late)
-    for _, sent in seen:
-        assert [s.late for s in sent] == sorted((s.late for s in sent), reverse=True)
+STRUCK = {
+    'dropout': (0.2, lambda sent: 2 - len(sent)),
+    'reorder': (0.3, lambda sent: sum(each.late for each in sent)),
+    'duplicate': (0.25, lambda sent: len(sent) - 2),
+    'nan': (0.3, lambda sent: sum(np.isnan(each.content.position).all() for each in sent)),
+}
 
 
-def test_duplicates_come_together():
-    counts = [len(sent) for _, sent in views(Faults(duplicate=0.25))]
-    assert sum(counts) / (2 * len(counts)) == pytest.approx(1.25, abs=0.05)
+@pytest.mark.parametrize('name', STRUCK)
+def test_a_fault_strikes_its_share_of_messages(name):
+    share, struck = STRUCK[name]
+    seen = views(Faults(**{name: share}), ticks=1000)
+    assert sum(struck(sent) for _, sent in seen) / 2000 == pytest.approx(share, abs=0.05)
+    for flight, sent in seen:
+        assert [each.late for each in sent] == sorted((each.late for each in sent), reverse=True)
+        assert all(flight.ticks == each.ticks + each.late for each in sent)
 
 
-def test_poisoned_messages_are_not_finite():
-    sent = [s for _, all_sent in views(Faults(nan=0.3)) for s in all_sent]
-    poisoned = [s for s in sent if not s.finite]
-    assert len(poisoned) / len(sent) == pytest.approx(0.3, abs=0.05)
-    assert all(np.isnan(s.content.position).all() for s in poisoned)
+def test_a_share_of_commands_is_lost():
+    view = View(Faults(dropout=0.2), 7, 1.0)
+    lost = sum(view.command_lost(tick) for tick in range(2000))
+    assert lost / 2000 == pytest.approx(0.2, abs=0.03)
 
 
 def test_the_goal_is_hidden_once_in_a_period():
@@ -128,31 +120,3 @@ def test_the_goal_is_hidden_once_in_a_period():
 def test_an_occlusion_longer_than_its_period_is_refused(length):
     with pytest.raises(BadInput, match=r'faults\.occlusion_length'):
         Faults(occlusion_length=length)
-
-
-RETRIEVAL = {'floor.shape': 'polygon'}
-
-
-def quick(seed):
-    """Return a retrieval of five steps a second at 5 m/s, its rope swinging at random."""
-    rng = np.random.default_rng(seed)
-    swing = (rng.uniform(0.3, 0.7, 2), rng.uniform(0.25, 1.0), rng.uniform(0.0, 2.0 * np.pi, 2))
-    model = replace(retrieval().model, step=0.2, forward=5.0)
-    start, rope = launched(model, np.zeros(2), np.eye(2)), Rope(np.array([5.0, 0.0]), *swing)
-    scenario = replace(retrieval(), model=model, start=start, rope=rope)
-    return replace(scenario, capture_radius=0.15, max_ticks=20)  # 12 are enough where it is caught
-
-
-QUICK = {'step': 0.2, 'forward': 5.0, 'weights.input': 0.002, 'goal_prediction': 'harmonic'}
-
-
-@pytest.mark.parametrize('delay', [0.2, 0.3])
-def test_delay_compensation_catches_what_is_missed_without(delay):
-    def caught(compensated):
-        own = RETRIEVAL | QUICK | {'delay_compensation': compensated}
-        views = [View(Faults(delay=delay, position_noise=0.01), seed, 0.2) for seed in range(25)]
-        ends = [fly_disturbed(own, quick(seed), view) for seed, view in enumerate(views)]
-        return sum(end.captured for end in ends)
-
-    assert caught(True) >= 24
-    assert caught(False) <= 15

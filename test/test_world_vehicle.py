@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.plant import Gusts, Plant
 from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
-from orbimpc_ros.sim.world import Airspeeds, Rope, Scenario, departure, fixed
+from orbimpc_ros.sim.world import Airspeeds, Scenario, departure, fixed
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 
@@ -233,17 +233,6 @@ def test_a_flight_catches_between_its_steps_where_it_flew():
     assert flight.captured
 
 
-def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
-    plant = plant_of(speed_lag=0.5, failsafe_fraction=0.7, failsafe_rate=0.1)
-    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2))))
-    after = flight.after(0.2, np.array([0.3]), held=0.2)
-    obeyed = plant.flown(flight.vehicle, 0.2, 0.2, np.array([0.3]), 0.0)[-1]
-    end = plant.flown(obeyed, 0.3, 0.7, np.array([0.1]), 0.2)[-1]
-    np.testing.assert_allclose(after.vehicle.position, end.position, atol=1e-12)
-    assert after.vehicle.fraction == pytest.approx(end.fraction)
-    assert len(after.trail) == 25
-
-
 def test_late_odometry_shows_the_vehicle_where_it_was_on_its_way():
     """Between two ticks, too: with the speed and the rate of that moment, not of a step."""
     plant = plant_of(step=1.0, speed_lag=0.5, rate_lag=0.4)
@@ -260,13 +249,6 @@ def test_late_odometry_shows_the_vehicle_where_it_was_on_its_way():
     for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
         np.testing.assert_allclose(getattr(seen, name), getattr(there, name), atol=0.05)
     assert abs(there.body_velocity[0] - measured(flight.vehicle).body_velocity[0]) > 1.0
-
-
-def test_a_goal_drifts_while_it_swings():
-    still = Rope(np.array([1.0, 2.0]), np.array([0.5, 0.0]), 0.1, np.zeros(2))
-    drifting = replace(still, velocity=np.array([0.3, -0.4]))
-    for t in (0.0, 2.5, 40.0):
-        np.testing.assert_allclose(drifting.at(t), still.at(t) + t * np.array([0.3, -0.4]))
 
 
 LONG = 10_000.0  # [s]
