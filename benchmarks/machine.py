@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.files import WRITABLE, why
@@ -70,6 +72,13 @@ def writable(file: str | None) -> Path | None:
     except OSError as error:
         raise BadInput.stating(f'--json {path}', why(error), WRITABLE) from None
     return path
+
+
+def write(file: Path | None, head: Mapping[str, Any], rows: Sequence[Any]) -> None:
+    """Write rows, below what is in ``head``, as JSON into the file, if there is one."""
+    if file is not None:
+        content = {**head, 'rows': [row.as_json() for row in rows]}
+        file.write_text(json.dumps(content, indent=1, allow_nan=False) + '\n')
 
 
 def resident(pid: int) -> int:

@@ -10,9 +10,9 @@ from importlib.util import find_spec
 
 from benchmarks.bench.interleaved import OURS, interleaved_run
 from benchmarks.bench.problems import CAP, COMPARISONS, PACKAGES, QUICK_CAP, Comparison
-from benchmarks.bench.results import HULLS, BenchRow, Result, growth, rows_of, table
+from benchmarks.bench.results import HULLS, BenchRow, growth, rows_of, table
 from benchmarks.bench.solvers import Solver
-from benchmarks.machine import require_known, writable
+from benchmarks.machine import machine, require_known, versions, writable, write
 from orbimpc_ros.install import command
 from orbimpc_ros.tool.run.progress import ProgressLine
 
@@ -45,19 +45,19 @@ def run(args: argparse.Namespace) -> int:
         KeyboardInterrupt: the run was interrupted; the rows so far are kept.
     """
     require_known(args.only, names())
-    file = writable(args.json)
-    result = Result(file)
+    file, rows = writable(args.json), list[BenchRow]()
+    head = {'machine': machine(), 'versions': versions()}
     try:
-        for title, measure in _measurements(args.only or names(), args.quick, result.rows):
+        for title, measure in _measurements(args.only or names(), args.quick, rows):
             try:
-                rows = measure()
+                rows += measure()
             except Exception as error:  # whatever it is, the others are still worth measuring
                 note = f'failed: {type(error).__name__}: {error}'
-                rows = [BenchRow(title, OURS, note=note, failed=True)]
-            result.add(rows)
+                rows.append(BenchRow(title, OURS, note=note, failed=True))
+            write(file, head, rows)
     finally:
-        print(table(result.rows))
-    return int(any(row.beaten or row.failed or row.missed for row in result.rows))
+        print(table(rows))
+    return int(any(row.beaten or row.failed or row.missed for row in rows))
 
 
 def _measurements(

@@ -8,20 +8,15 @@ the odometry that it answers, so that each latency is from one publish to one re
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
-from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from harness import Observer
 from nav_msgs.msg import Odometry
 from scenarios import retrieval_problem
 
@@ -29,17 +24,15 @@ from benchmarks.bench.instances import around
 from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.results import LATE, BenchRow, percentiles
 from benchmarks.machine import busy, resident
+from benchmarks.session import PLANNER, Session
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.replay.recording import stamp_of
-from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process, Processes
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
@@ -51,7 +44,7 @@ WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
 TRAILING = 10.0  # [s] in which the last answers come, or are lost
 BARE = 'a node that only answers'
-PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'benchmarks.bench.echo'
+ECHO = 'benchmarks.bench.echo'
 PARAMETERS = {
     'trigger': 'odom',
     'floor.shape': 'polygon',
@@ -62,24 +55,24 @@ PARAMETERS = {
 START, AT_ONCE = 'node: start to first command', 'planners at 5 Hz'
 
 
-class Driver(Observer):
-    """Publishes odometry and goals in each namespace, in turns within a period.
+class Driver(Session):
+    """Starts nodes on the paper's UAV problem and publishes odometry and goals for each in turns.
 
     Args:
-        namespaces: of the planners.
-        executor: of this node.
+        modules: of the nodes, by namespace.
+        executor: of all, this one's included.
 
     Attributes:
-        sent: when odometry was published [s], by its stamp [ns], for each namespace.
+        sent: when odometry was published [s], by its stamp [ns], for each node.
     """
 
-    def __init__(self, namespaces: Sequence[str], executor: str) -> None:
-        super().__init__(executor=executor)
-        self.sent = [dict[int, float]() for _ in namespaces]
+    def __init__(self, modules: Mapping[str, str], executor: str = 'wait_set') -> None:
+        super().__init__(executor, executor)
+        self.sent = [dict[int, float]() for _ in modules]
         # When the command that answers a stamp came [s], and the solve time reported then [ms].
         self._came, self._solved = dict[int, float](), dict[int, float]()
         create, self._publishers = self.node.create_publisher, list[tuple[Any, Any]]()
-        for name in namespaces:
+        for name in modules:
             self.subscribe(TwistStamped, f'{name}/cmd_vel', self._on_command, qos(100))
             self.subscribe(DiagnosticArray, f'{name}/tick', self._on_tick, qos(100))
             outputs = (
@@ -89,6 +82,8 @@ class Driver(Observer):
             self._publishers.append(outputs)
         self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
         self._count, self._stamp = 0, 0
+        for name, module in modules.items():
+            self.launch(module, PARAMETERS, name)
 
     def _on_command(self, message: TwistStamped) -> None:
         self._came.setdefault(stamp_of(message), time.monotonic())
@@ -174,38 +169,16 @@ def measurements(
             yield f'{AT_ONCE}, {count} at once', partial(fleet, count, seconds)
 
 
-@contextmanager
-def _driven(
-    nodes: Mapping[str, str], executor: str = 'wait_set'
-) -> Iterator[tuple[Driver, list[Process]]]:
-    """Yield a driver and its nodes, on the paper's UAV problem.
-
-    Args:
-        nodes: their modules by namespace.
-        executor: of all.
-    """
-    # The environment will name the folder, which goes away: it is restored.
-    with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
-        folder = Path(name)
-        discovery.isolate(folder)
-        file = folder / 'planner.yaml'
-        file.write_text(settings.text(PARAMETERS | {'executor': executor}))
-        with closing(Driver([*nodes], executor)) as driver, Processes() as processes:
-            for i, (namespace, module) in enumerate(nodes.items()):
-                processes.start(module, file, folder / f'node-{i}.log', namespace=namespace)
-            yield driver, processes
-
-
 def _start(count: int) -> list[BenchRow]:
     """Return the rows of time to the first command, and memory."""
     times, sizes = [], []
     for _ in range(count):
-        with _driven({'': PLANNER}) as (driver, planners):
+        with closing(Driver({'': PLANNER})) as driver:
             begin = time.perf_counter()
             driver.until_answered(FAST)
             times.append(1e3 * (time.perf_counter() - begin))
             driver.drive(FAST, 1.0)
-            sizes.append(1e-6 * resident(planners[0].pid))
+            sizes.append(1e-6 * resident(driver.processes[0].pid))
     title, limits = 'node: resident memory [MB]', {'objective': 250.0}
     memory = BenchRow(title, OURS, count, objective=max(sizes), required=limits)
     return [BenchRow(START, OURS, count, *percentiles(times), required={'p50_ms': 1000.0}), memory]
@@ -217,11 +190,11 @@ def latency(title: str, rate: float, executor: str, seconds: float) -> list[Benc
     They are driven in turns within a period, so that both meet the same machine: what the planner
     adds to the other's latency, its solve left out, is its own.
     """
-    with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as (driver, processes):
+    with closing(Driver({'/ours': PLANNER, '/bare': ECHO}, executor)) as driver:
         driver.until_answered(FAST)
-        before = [busy(process.pid) for process in processes]
+        before = [busy(process.pid) for process in driver.processes]
         driver.measure(rate, seconds, SETTLED / rate)
-        taken = [busy(each.pid) - begun for each, begun in zip(processes, before, strict=True)]
+        after = [busy(process.pid) for process in driver.processes]
         ours, bare = driver.trips(0), driver.trips(1)[:, 0]
     done = ours[np.isfinite(ours).all(axis=1)]
     beside, floor = percentiles(done[:, 0] - done[:, 1]), percentiles(bare[np.isfinite(bare)])
@@ -239,7 +212,7 @@ def latency(title: str, rate: float, executor: str, seconds: float) -> list[Benc
         BenchRow(f'{title}: lost', OURS, len(ours), objective=lost, required={'objective': 0.0}),
         *(
             BenchRow(f'{title}: processor [ms]', who, len(ours), objective=1e3 * time / ticks)
-            for who, time in zip((OURS, BARE), taken, strict=True)
+            for who, time in zip((OURS, BARE), np.subtract(after, before).tolist(), strict=True)
         ),
     ]
 
@@ -249,7 +222,7 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
 
     A tick is missed if its command takes longer than a period after the odometry, or never comes.
     """
-    with _driven({f'/p{i}': PLANNER for i in range(count)}) as (driver, _):
+    with closing(Driver({f'/p{i}': PLANNER for i in range(count)})) as driver:
         driver.until_answered(SLOW)
         driver.measure(SLOW, seconds, WARM_UP)
         times = np.concatenate([driver.trips(i)[:, 0] for i in range(count)])

@@ -4,19 +4,16 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.bench.interleaved import OURS, Samples
-from benchmarks.machine import machine, versions
 from orbimpc_ros.mpc.arrays import Array
 
 OWN = ('note', 'beaten', 'failed', 'capped')  # fields that the file does not have
@@ -81,35 +78,26 @@ def rows_of(
     gap: float = 0.0,
 ) -> list[BenchRow]:
     """Return a row per solver, ours first; objectives agree that are no farther than ``gap``."""
-    ours, same = samples[OURS], max(SAME, gap)
     return [
-        _row(problem, name, (each, ours), required.get(name), same)
+        _measured(BenchRow(problem, name, required=required.get(name)), each, samples[OURS], gap)
         for name, each in samples.items()
     ]
 
 
-def _row(
-    problem: str,
-    name: str,
-    sides: tuple[Samples, Samples],
-    required: Mapping[str, float] | None,
-    same: float,
-) -> BenchRow:
-    theirs, ours = sides
+def _measured(row: BenchRow, theirs: Samples, ours: Samples, gap: float) -> BenchRow:
+    """Return the row of a solver with what it was measured at beside ours."""
     common = sorted(theirs.times.keys() & ours.times.keys())
-    broken = theirs is ours and bool(ours.refused)
+    row = replace(row, note=theirs.refused, failed=theirs is ours and bool(ours.refused))
     if not common:
-        note = theirs.refused or 'nothing to compare'
-        return BenchRow(problem, name, required=required, note=note, failed=broken)
+        return replace(row, note=theirs.refused or 'nothing to compare')
     p50, p99 = percentiles([theirs.times[i] for i in common])
     base_50, base_99 = percentiles([ours.times[i] for i in common])
-    solutions = theirs.solutions.values()
+    solutions, same = theirs.solutions.values(), max(SAME, gap)
     gaps = [each.gap for each in solutions if not math.isnan(each.gap)]
     off = np.array([_off(theirs, ours, i) for i in common])
     capped = sum(each.capped for each in solutions)
-    return BenchRow(
-        problem=problem,
-        contender=name,
+    return replace(
+        row,
         n=len(theirs.times),
         p50_ms=p50,
         p99_ms=p99,
@@ -117,10 +105,8 @@ def _row(
         objective=float(np.nanmedian([each.objective for each in solutions])),
         ratio_p50=p50 / base_50,
         ratio_p99=p99 / base_99,
-        required=required,
         note=theirs.refused if theirs is ours else _note(off, same, capped, theirs, ours),
         beaten=bool((off < -same).any()),
-        failed=broken,
         capped=capped,
     )
 
@@ -190,24 +176,3 @@ def _required(row: BenchRow) -> str:
         for name, limit in (row.required or {}).items()
     )
     return f'required: {", ".join(limits)}' if row.required else ''
-
-
-class Result:
-    """Everything measured so far, on disk from the first row on.
-
-    Args:
-        file: takes the rows as JSON; None for nowhere.
-    """
-
-    def __init__(self, file: Path | None) -> None:
-        self._file = file
-        self._head = {'machine': machine(), 'versions': versions()}
-        self.rows: list[BenchRow] = []
-
-    def add(self, rows: Sequence[BenchRow]) -> None:
-        """Keep rows: whatever happens later, they are in the file."""
-        self.rows += rows
-        if self._file is not None:
-            content = {**self._head, 'rows': [row.as_json() for row in self.rows]}
-            text = json.dumps(content, indent=1, allow_nan=False) + '\n'
-            self._file.write_text(text)

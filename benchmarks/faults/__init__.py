@@ -4,17 +4,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import signal
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks.machine import machine, require_known, writable
+from benchmarks.machine import machine, require_known, writable, write
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
@@ -50,10 +47,8 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
-    rows = tried(cases, args.long, args.executor)
-    if file is not None:
-        result = {'machine': machine(), 'rows': [row.as_json() for row in rows]}
-        file.write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
+    head, rows = {'machine': machine()}, tried(cases, args.long, args.executor)
+    write(file, head, rows)
     return 0 if all(row.ok for row in rows) else 1
 
 
@@ -67,21 +62,19 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixR
         long: whether to try each at several moments.
         executor: of the nodes.
     """
-    from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.matrix import MatrixRow, Outcome, table
     from orbimpc_ros.mpc.kernels.__main__ import PARTS
     from orbimpc_ros.tool.run.progress import ProgressLine
 
     rows, progress = [MatrixRow(case) for case in cases], ProgressLine(len(cases))
     try:
-        with tempfile.TemporaryDirectory() as name, _terminated():
-            fixtures = Fixtures(Path(name), executor)
+        with _terminated():
             for part in PARTS:  # a planner that compiles answers nothing meanwhile
                 part()
             for number, row in enumerate(rows):
                 begin = time.monotonic()
                 try:
-                    for outcome in row.case.cases(fixtures, long):
+                    for outcome in row.case.cases(executor, long):
                         row.outcomes.append(outcome)
                         row.seconds = time.monotonic() - begin
                         count = len(row.outcomes)

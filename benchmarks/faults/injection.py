@@ -7,9 +7,11 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
+from typing import Any
 
-from benchmarks.faults.harness import STEP, Fixtures, Harness
+from benchmarks.faults.harness import STEP, Harness
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import Monitor, complaint
 
@@ -33,10 +35,6 @@ SLOW = {
 }
 
 
-def _healthy(harness: Harness) -> None:
-    harness.spoiled = {}
-
-
 def _flawless(_harness: Harness, _since: float) -> str:
     return ''
 
@@ -46,8 +44,7 @@ class Fault:
     """A fault, and the reaction that it requires."""
 
     name: str  # of the fault
-    begin: Callable[[Harness], None]  # makes it begin
-    end: Callable[[Harness], None] = _healthy  # makes everything healthy again
+    imposed: Callable[[Harness], AbstractContextManager[Any]]  # it lasts as long as the context
     # time after which no earlier plan may be flown: an input counts as stale, and the plan that
     # outlives it has had its ticks [s]
     wait: float = 0.0
@@ -80,7 +77,7 @@ def fault_case(
         simulated: whether the harness is the planner's clock as well.
     """
 
-    def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    def run(nodes: str, long: bool) -> Iterator[Outcome]:
         made = faults()
         every = [(fault, when) for fault in made for when in fault.times]
         pairs = every if long else [*zip(itertools.cycle(made), short)]
@@ -89,7 +86,7 @@ def fault_case(
                 some = [pair for pair in pairs if (pair[1] == SOLVING) == solving]
                 slow = SLOW if solving else {}
                 if some:
-                    with fixtures.harness(slow, simulated=simulated, seed=seed) as harness:
+                    with closing(Harness(nodes, slow, simulated=simulated, seed=seed)) as harness:
                         yield from (injected(harness, *pair, UNITS[unit]) for pair in some)
 
     return FaultCase(name, title, allowed, run, unit)
@@ -101,17 +98,30 @@ def injected(harness: Harness, fault: Fault, when: str, unit: float) -> Outcome:
     Raises:
         OrbimpcError: it does not recover.
     """
-    begin, late = _begun(harness, fault, when), math.nan
-    due = (time.monotonic() if when == START else begin) + fault.wait
-    harness.spin(due + STEP - time.monotonic())
-    if when != START:
-        late = max(0.0, harness.until_first(fault.event, begin) - due) / unit
-    harness.spin(AFTER * STEP)
-    unsafe = unsafe_commands(harness.monitor, fault, begin, due)
-    if when == START and fault.strict:  # then there is nothing from before to be flown
-        unsafe += harness.monitor.moving(begin, due)
-    failure = fault.flaw(harness, begin)
-    fault.end(harness)
+    late = math.nan
+    if when == START:
+        harness.planner.stop()
+        harness.spin(0.1)
+    else:
+        until_due(harness, when)
+    begin = time.monotonic()
+    with fault.imposed(harness):
+        if when == START:
+            harness.start()
+            waits = complaint('wait')
+            harness.until(lambda: waits(harness.monitor, begin) < math.inf, 'its diagnostics')
+            due = time.monotonic() + fault.wait
+        else:
+            begin = time.monotonic()
+            due = begin + fault.wait
+        harness.spin(due + STEP - time.monotonic())
+        if when != START:
+            late = max(0.0, harness.until_first(fault.event, begin) - due) / unit
+        harness.spin(AFTER * STEP)
+        unsafe = unsafe_commands(harness.monitor, fault, begin, due)
+        if when == START and fault.strict:  # then there is nothing from before to be flown
+            unsafe += harness.monitor.moving(begin, due)
+        failure = fault.flaw(harness, begin)
     harness.planner.require_health()
     harness.until_planned()
     return Outcome(f'{fault.name}, {when}', unsafe, late, failure)
@@ -128,22 +138,6 @@ def unsafe_commands(monitor: Monitor, fault: Fault, begin: float, due: float) ->
     """
     again = monitor.moving_again(due, due + STEP)
     return monitor.broken(begin) + (again if fault.strict else 0)
-
-
-def _begun(harness: Harness, fault: Fault, when: str) -> float:
-    """Make a fault begin and return when that was [s]."""
-    if when == START:
-        harness.planner.stop()
-        harness.spin(0.1)
-        begin = time.monotonic()
-        fault.begin(harness)
-        harness.start()
-        waits = complaint('wait')
-        harness.until(lambda: waits(harness.monitor, begin) < math.inf, 'its diagnostics')
-        return begin
-    until_due(harness, when)
-    fault.begin(harness)
-    return time.monotonic()
 
 
 def until_due(harness: Harness, when: str) -> None:

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -37,10 +39,7 @@ ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
 
 
 def _spoiled(name: str, topic: str, spoil: Spoiler, **more: Any) -> Fault:
-    def begin(harness: Harness) -> None:
-        harness.spoiled = {topic: spoil}
-
-    return Fault(name, begin, **more)
+    return Fault(name, lambda harness: harness.spoiling(topic, spoil), **more)
 
 
 def _odometry(name: str, spoil: Spoiler, **more: Any) -> Fault:
@@ -98,19 +97,19 @@ def _velocities() -> list[Fault]:
 
 
 def _frozen() -> list[Fault]:
-    return [Fault('frozen', Harness.freeze, Harness.thaw, wait=STALE, times=RUNNING)]
+    return [Fault('frozen', Harness.frozen, wait=STALE, times=RUNNING)]
 
 
 def _jumps() -> list[Fault]:
     jumps = {'back 0.5 s': -0.5, 'back 900 s': -900.0, 'reset to 1 s': -INF, 'forward 600 s': 600.0}
 
-    def jumping(by: float) -> Callable[[Harness], None]:
-        def begin(harness: Harness) -> None:
-            harness.jump += max(by, TO_ONE - 1e-9 * harness.now)
+    @contextmanager
+    def jumped(by: float, harness: Harness) -> Iterator[None]:
+        harness.jump += max(by, TO_ONE - 1e-9 * harness.now)
+        yield
 
-        return begin
-
-    return [Fault(name, jumping(by), strict=False, times=RUNNING) for name, by in jumps.items()]
+    return [Fault(name, partial(jumped, by), strict=False, times=RUNNING)
+            for name, by in jumps.items()]  # fmt: skip
 
 
 def _infeasible() -> list[Fault]:
@@ -123,47 +122,42 @@ def _infeasible() -> list[Fault]:
         )
         return '' if reported else 'no reason on tick'
 
-    return [
-        Fault('walled in', lambda harness: harness.set_live(obstacles=WALLED_IN),
-              lambda harness: harness.set_live(obstacles=ELSEWHERE), wait=LADDER, flaw=unreported,
-              times=RUNNING)
-    ]  # fmt: skip
+    @contextmanager
+    def walled(harness: Harness) -> Iterator[None]:
+        harness.set_live(obstacles=WALLED_IN)
+        yield
+        harness.set_live(obstacles=ELSEWHERE)
+
+    return [Fault('walled in', walled, wait=LADDER, flaw=unreported, times=RUNNING)]
 
 
-def _endpoints(
-    name: str, make: Callable[[Harness], Any], destroy: Callable[[Harness, Any], Any], **more: Any
-) -> Fault:
-    """Return the fault of another participant that appears."""
-    made: list[Any] = []
-
-    def end(harness: Harness) -> None:
-        destroy(harness, made.pop())
-
-    return Fault(name, lambda harness: made.append(make(harness)), end, **more)
-
-
-def _mismatch() -> Sequence[Fault]:
+def _mismatch() -> list[Fault]:
     """Return a subscription to commands as latched, which they are not: it would get none."""
     latched = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
 
-    def subscribe(harness: Harness) -> Any:
-        return harness.node.create_subscription(
+    @contextmanager
+    def subscribed(harness: Harness) -> Iterator[None]:
+        made = harness.node.create_subscription(
             TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
         )
+        yield
+        harness.node.destroy_subscription(made)
 
-    return [
-        _endpoints('latched cmd_vel', subscribe, lambda h, it: h.node.destroy_subscription(it),
-                   strict=False, event=Monitor.first_error, times=(MIDWAY,))
-    ]  # fmt: skip
+    return [Fault('latched cmd_vel', subscribed, strict=False, event=Monitor.first_error,
+                  times=(MIDWAY,))]  # fmt: skip
 
 
 def _sources() -> list[Fault]:
     """Return a second publisher of odometry: neither may be believed."""
-    return [
-        _endpoints('another', lambda h: h.node.create_publisher(Odometry, 'odom', qos()),
-                   lambda h, second: h.node.destroy_publisher(second), wait=MEET, times=RUNNING)
-    ]  # fmt: skip
+
+    @contextmanager
+    def published(harness: Harness) -> Iterator[None]:
+        second = harness.node.create_publisher(Odometry, 'odom', qos())
+        yield
+        harness.node.destroy_publisher(second)
+
+    return [Fault('another', published, wait=MEET, times=RUNNING)]
 
 
 FAULT_CASES = (

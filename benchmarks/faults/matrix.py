@@ -6,10 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from benchmarks.faults.harness import Fixtures
+from typing import Any
 
 HEAD = ('row', 'cases', 'unsafe', 'worst', 'allowed', 'unit', 'ok', 'remarks')
 NUMBERS = range(1, 5)  # columns that are flush right
@@ -34,8 +31,8 @@ class FaultCase:
     name: str  # for ``--only``
     title: str  # description
     allowed: float  # latest reaction, in ``unit``
-    # yields the outcomes; of every case in the long form
-    cases: Callable[[Fixtures, bool], Iterator[Outcome]]
+    # yields the outcomes, given the executor of the nodes and whether every case is to be tried
+    cases: Callable[[str, bool], Iterator[Outcome]]
     unit: str = 'ticks'  # of reactions
 
 

@@ -6,14 +6,14 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 
-from orbimpc_ros.ros.messages import ERROR, OK
+from orbimpc_ros.ros.messages import ERROR, WARN
 
 About = Mapping[str, int]  # message information of DDS: time of sending, of the system's clock
 SLACK = 1e-6  # relative, on limits
@@ -105,20 +105,18 @@ class Monitor:
 
     def first_safe(self, since: float) -> float:
         """Return when the first safe command was sent [s]; infinite if none was."""
-        return _first(self.commands, lambda each: each.at >= since and each.safe)
+        safe = (each.at for each in self.commands if each.at >= since and each.safe)
+        return next(safe, math.inf)
 
     def first_error(self, since: float) -> float:
         """Return when the first error was reported [s]; infinite if none was."""
-        return _first(self.health, lambda each: each.at >= since and each.level == ERROR)
+        return self.first_complaint(since, level=ERROR)
 
-    def first_complaint(self, since: float, word: str) -> float:
-        """Return when a diagnostic above OK first contained a word [s]; infinite if none did."""
-
-        def complains(each: HeardStatus) -> bool:
-            text = ' '.join((each.message, *each.values))
-            return each.at >= since and each.level != OK and word in text
-
-        return _first(self.health, complains)
+    def first_complaint(self, since: float, word: str = '', level: bytes = WARN) -> float:
+        """Return when a diagnostic of a level first contained a word [s]; infinite if none did."""
+        heard = (each for each in self.health if each.at >= since and each.level >= level)
+        found = (each.at for each in heard if word in ' '.join((each.message, *each.values)))
+        return next(found, math.inf)
 
     @property
     def solve_ms(self) -> float:
@@ -143,7 +141,3 @@ def _statuses(message: DiagnosticArray, about: About) -> list[HeardStatus]:
         HeardStatus(sent, each.level, each.message, {v.key: v.value for v in each.values})
         for each in message.status
     ]
-
-
-def _first(heard: Sequence[Any], fits: Callable[[Any], bool]) -> float:
-    return next((each.at for each in heard if fits(each)), math.inf)

@@ -9,30 +9,24 @@ import random
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
-from benchmarks.faults.harness import (
-    NODE,
-    PATIENCE,
-    RATE,
-    STEP,
-    Fixtures,
-    Harness,
-    Session,
-)
+from benchmarks.faults.harness import RATE, STEP, Harness, Monitored
 from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
 from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
 from benchmarks.faults.stimulus import SLIP, with_field
 from benchmarks.machine import resident
+from benchmarks.session import PATIENCE, PLANNER
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.processes import Child
@@ -50,9 +44,9 @@ SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy
 # --- no time
 
 
-def _no_time(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _no_time(nodes: str, long: bool) -> Iterator[Outcome]:
     """Searches that cannot end: every tick has its command all the same."""
-    with fixtures.harness(SLOW) as harness:
+    with closing(Harness(nodes, SLOW)) as harness:
         for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
             harness.set_live(deadline=0.0)
             harness.until_planned()
@@ -79,21 +73,20 @@ def _slowest(harness: Harness, since: float) -> float:
 @contextmanager
 def flooded(harness: Harness, rate: float) -> Iterator[None]:
     """Have another process publish a harness's odometry, at a rate [Hz]."""
-    harness.mute()
     words, log = ['benchmarks.faults.flood', str(rate)], harness.folder / 'flood.log'
-    child = Child('the flood', words, log, harness.domain)
-    try:
-        harness.until(lambda: harness.node.count_publishers('odom') > 0, 'the flood')
-        harness.spin(SETTLED)
-        yield
-    finally:
-        child.stop(signal.SIGTERM)
-        harness.unmute()
+    with harness.muted():
+        child = Child('the flood', words, log, harness.domain)
+        try:
+            harness.until(lambda: harness.node.count_publishers('odom') > 0, 'the flood')
+            harness.spin(SETTLED)
+            yield
+        finally:
+            child.stop(signal.SIGTERM)
 
 
-def _flood(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _flood(nodes: str, long: bool) -> Iterator[Outcome]:
     """Odometry that comes faster than it can be read: plans go on, and every tick comes in time."""
-    with fixtures.harness() as harness:
+    with closing(Harness(nodes)) as harness:
         harness.until_planned()
         with flooded(harness, FLOOD):
             begin = time.monotonic()
@@ -105,9 +98,9 @@ def _flood(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
         yield Outcome('5 kHz', harness.monitor.broken(begin), max(0.0, float(late)))
 
 
-def _soak(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
     """A planner at 20 Hz on odometry at 1 kHz for long: its memory does not grow."""
-    with fixtures.harness({'step': SOAK_STEP}) as harness:
+    with closing(Harness(nodes, {'step': SOAK_STEP})) as harness:
         harness.until_planned()
         with flooded(harness, SOAK):
             begin = time.monotonic()
@@ -122,21 +115,22 @@ def _soak(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 # --- ends of the planner
 
 
-def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _exceptions(nodes: str, long: bool) -> Iterator[Outcome]:
     """A controller that raises: one is survived, after five in a row the planner has to leave."""
-    slipping = {'odometry': with_field('twist.twist.linear.y', SLIP)}
+    slipping = 'odometry', with_field('twist.twist.linear.y', SLIP)
     for seed in SEEDS if long else SEEDS[:1]:
-        with fixtures.harness(seed=seed, module=ALTERED) as harness:
+        with closing(Harness(nodes, seed=seed, module=ALTERED)) as harness:
             until_due(harness, MIDWAY)
-            harness.spoiled, begin = slipping, time.monotonic()
-            harness.spin(2.5 * STEP)
+            begin = time.monotonic()
+            with harness.spoiling(*slipping):
+                harness.spin(2.5 * STEP)
             raised = begin + 1.0 / RATE + STEP  # at the latest: the next odometry, the next tick
             late = max(0.0, harness.monitor.first_safe(begin) - raised) / STEP
-            harness.spoiled = {}
             harness.until_planned()
             yield Outcome('raises', harness.monitor.broken(), late)
-            harness.spoiled, begin = slipping, time.monotonic()
-            _until_ended(harness)
+            begin = time.monotonic()
+            with harness.spoiling(*slipping):
+                _until_ended(harness)
             code = harness.planner.wait(0.0)
             failure = '' if code == 1 else f'exit code {code} after many in a row'
             # Until odometry is stale, sound messages on their way may be answered.
@@ -148,11 +142,11 @@ def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 def _signalled(number: int) -> Any:
     """Return the cases of a signal: after it three safe commands, and exit code 0."""
 
-    def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    def run(nodes: str, long: bool) -> Iterator[Outcome]:
         draw = random.Random(number)
         for count in range(50 if long else 1):
             slow = SLOW if (count + number) % 2 else None
-            with fixtures.harness(slow, seed=count) as harness:
+            with closing(Harness(nodes, slow, seed=count)) as harness:
                 if count % 10 != 9:  # every tenth receives it at the start
                     harness.until_planned()
                 else:
@@ -183,47 +177,37 @@ def _ended(harness: Harness, number: int, case: str) -> Outcome:
     return Outcome(case, harness.monitor.broken(), took, failure)
 
 
-class Flying(Session):
+class Flying(Monitored):
     """The retrieval in real time, faster than the paper's by a factor: planner and simulator.
 
     Args:
-        fixtures: of the session.
+        nodes: their executor.
         step: between ticks [s]; speed, swing and cost of turning are scaled with it.
         seed: of random moments.
 
     Attributes:
         planner: its process.
-        captured: how the flight ended; None while it lasts.
     """
 
-    def __init__(self, fixtures: Fixtures, *, step: float, seed: int) -> None:
-        super().__init__(fixtures, Limits(1.0 / step, math.pi / step))
+    def __init__(self, nodes: str, *, step: float, seed: int) -> None:
+        super().__init__(nodes, Limits(1.0 / step, math.pi / step))
         self.draw = random.Random(seed)
         self.usual = 16 * step  # [s] until the capture
-        self.captured: bool | None = None
         changes = [
             'clock=wall', f'step={step}', f'forward={1.0 / step}', f'rope.frequency={0.1 / step}',
             'max_ticks=400', 'odom_timeout=0.0', 'goal_timeout=0.0', 'goal_prediction=harmonic',
             'start.position=[-10.0, 0.0, 0.0]', f'weights.input={0.05 * step**2}',
         ]  # fmt: skip
         self._values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
-        self._poses: list[tuple[float, float, float]] = []
-        self.subscribe(Odometry, 'odom', self._on_odometry)
+        self._odometry = self.listen(Odometry, 'odom')
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.subscribe(Bool, 'captured', self._on_captured, kept)
+        self._captured = self.listen(Bool, 'captured', kept)
         self.launch('orbimpc_ros.sim', self._values)
         self.start_planner()
 
     def start_planner(self) -> None:
         """Start a planner."""
-        self.planner = self.launch(NODE, self._values)
-
-    def _on_odometry(self, message: Odometry) -> None:
-        place = message.pose.pose.position
-        self._poses.append((place.x, place.y, message.twist.twist.linear.x))
-
-    def _on_captured(self, message: Bool) -> None:
-        self.captured = message.data
+        self.planner = self.launch(PLANNER, self._values)
 
     def until_moving(self) -> None:
         """Listen until the vehicle flies.
@@ -231,19 +215,24 @@ class Flying(Session):
         Raises:
             OrbimpcError: it does not.
         """
-        poses = self._poses
-        self.until(lambda: poses and poses[0][:2] != poses[-1][:2], 'a vehicle that flies')
+        heard = self._odometry
+        self.until(lambda: heard and _place(heard[0]) != _place(heard[-1]), 'a vehicle that flies')
 
-    def until_over(self) -> None:
-        """Listen until the flight has ended, for many times as long as it usually lasts."""
-        self.spin(10 * self.usual, lambda: self.captured is not None)
+    def until_over(self) -> str:
+        """Listen until the flight has ended, or many times as long; return how it has failed."""
+        self.spin(10 * self.usual, lambda: bool(self._captured))
+        return '' if self._captured and self._captured[-1].data else 'not caught'
 
     def stands(self) -> bool:
         """Return whether the vehicle stands still three odometry messages from now."""
-        enough = len(self._poses) + 3
-        self.spin(PATIENCE, lambda: len(self._poses) >= enough)
-        before, now = self._poses[-2:]
-        return before[:2] == now[:2] and abs(now[2]) <= STILL
+        enough = len(self._odometry) + 3
+        self.spin(PATIENCE, lambda: len(self._odometry) >= enough)
+        before, now = self._odometry[-2:]
+        return _place(before) == _place(now) and abs(now.twist.twist.linear.x) <= STILL
+
+
+def _place(message: Odometry) -> Point:
+    return message.pose.pose.position
 
 
 def _silenced(flying: Flying, number: int, case: str) -> Outcome:
@@ -257,37 +246,34 @@ def _silenced(flying: Flying, number: int, case: str) -> Outcome:
     return Outcome(case, flying.monitor.broken(), reported, failure)
 
 
-def _killed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _killed(nodes: str, long: bool) -> Iterator[Outcome]:
     """The planner is killed in flight: the vehicle stops."""
     for number in range(20 if long else 1):
-        with Flying(fixtures, step=1.0 if number % 2 else 0.2, seed=number) as flying:
+        with closing(Flying(nodes, step=1.0 if number % 2 else 0.2, seed=number)) as flying:
             yield _silenced(flying, signal.SIGKILL, f'killed {number + 1}')
 
 
-def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _hung(nodes: str, long: bool) -> Iterator[Outcome]:
     """The planner hangs for a while, or its link is cut: the vehicle stops, and then flies on."""
     for number in range(6 if long else 1):
-        with Flying(fixtures, step=0.2, seed=number) as flying:
+        with closing(Flying(nodes, step=0.2, seed=number)) as flying:
             outcome = _silenced(flying, signal.SIGSTOP, f'hung {number + 1}')
             flying.planner.tell(signal.SIGCONT)
-            flying.until_over()
-            lost = '' if flying.captured else 'not caught'
-            unsafe = flying.monitor.broken()
+            lost, unsafe = flying.until_over(), flying.monitor.broken()
             yield replace(outcome, unsafe=unsafe, failure=outcome.failure or lost)
 
 
-def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+def _restarted(nodes: str, long: bool) -> Iterator[Outcome]:
     """The planner is killed at a random moment of the retrieval, and started again."""
     for number in range(20 if long else 1):
-        with Flying(fixtures, step=0.2, seed=number) as flying:
+        with closing(Flying(nodes, step=0.2, seed=number)) as flying:
             flying.until_moving()
             flying.spin(flying.draw.uniform(0.0, flying.usual))
             flying.planner.tell(signal.SIGKILL)
             flying.planner.wait(LEAVE)
             flying.spin(flying.draw.uniform(0.0, 0.5))
             flying.start_planner()
-            flying.until_over()
-            failure = '' if flying.captured else 'not caught'
+            failure = flying.until_over()
             yield Outcome(f'restarted {number + 1}', flying.monitor.broken(), failure=failure)
 
 

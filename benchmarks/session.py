@@ -1,0 +1,65 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A DDS domain with its own nodes as processes, and an observer in this process."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from harness import Observer
+
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.run import discovery
+from orbimpc_ros.tool.run.processes import Process, Processes
+
+PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
+PLANNER = 'orbimpc_ros.ros.planner'  # the module of the node
+
+
+class Session(Observer):
+    """An observer of nodes that it starts, and that end with it.
+
+    Args:
+        nodes: their executor.
+        executor: the observer's own.
+
+    Attributes:
+        folder: takes parameters and logs until the session ends.
+        processes: those of the nodes.
+    """
+
+    def __init__(self, nodes: str, executor: str = 'wait_set') -> None:
+        place = ExitStack()
+        self.folder = Path(place.enter_context(tempfile.TemporaryDirectory()))
+        place.enter_context(mock.patch.dict(os.environ))  # which will name the folder
+        super().__init__(discovery.isolate(self.folder), executor)
+        self.processes = Processes()
+        for context in (place, self.processes):
+            self._stack.push(context)
+        self._nodes = nodes
+
+    def launch(self, module: str, values: Mapping[str, Any], namespace: str = '') -> Process:
+        """Return a new process of a node's module with parameters."""
+        name = f'{module.rpartition(".")[2]}-{len(self.processes) + 1}'
+        file = self.folder / f'{name}.yaml'
+        file.write_text(settings.text({**values, 'executor': self._nodes}))
+        return self.processes.start(
+            module, file, file.with_suffix('.log'), self.domain, namespace=namespace
+        )
+
+    def until(self, done: Callable[[], Any], what: str = '') -> None:
+        """Spin until ``done``.
+
+        Raises:
+            OrbimpcError: it never is, or the last process has ended.
+        """
+        self.spin(PATIENCE, lambda: bool(done()) or not self.processes[-1].running)
+        if not done():
+            self.processes[-1].require_health()
+            raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
