@@ -108,12 +108,12 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     values = mission.of(4, 0)
     planner = aboard(values, pilot=lambda known: pilots.append(Listener(known)) or pilots[0])
     flown_on(planner, values, 3, mission.margin)
-    sight = pilots[0].seen[-1]
+    time, state, *_ = pilots[0].seen[-1]
     centres, velocities, radii = discs('crossing', 0)
-    assert sorted(each.body.radius for each in sight.hazards) == pytest.approx(sorted(radii + 0.3))
-    for each in sight.hazards:
+    assert sorted(each.body.radius for each in state.hazards) == pytest.approx(sorted(radii + 0.3))
+    for each in state.hazards:
         own = int(np.argmin(np.abs(radii + 0.3 - each.body.radius)))
-        now = sight.time - EPOCH / SECOND
+        now = time - EPOCH / SECOND
         np.testing.assert_allclose(
             each.body.centre, centres[own] + now * velocities[own], atol=1e-4
         )

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -28,16 +28,11 @@ class Sight(NamedTuple):
     """The inputs of a baseline at a tick."""
 
     time: float  # earliest time at which it can act, after its lags [s]
-    state: State  # at that time
+    state: State  # at that time, from which moving obstacles count theirs
     goals: Array  # g_1..g_N at the ends of the steps, shape (N, 2) [m]
     # returns the goal's positions at times, shape (M,) [s], as shape (M, 2) [m]
     ahead: Callable[[Array], Array]
     wind: Array  # shape (2,) [m/s]
-
-    @property
-    def hazards(self) -> tuple[MovingObstacle, ...]:
-        """Return the moving obstacles, in a time that begins at :attr:`time`."""
-        return self.state.hazards
 
     @property
     def heading(self) -> float:
@@ -129,11 +124,6 @@ class Baseline(ABC):
         """Return the largest body rate [rad/s]."""
         return self.problem.max_rate or math.pi / self.problem.step
 
-    def turning(self, angle: float) -> float:
-        """Return the rate that turns by an angle within a step, as far as the limit allows."""
-        rate = wrapped(angle) / self.problem.step
-        return min(max(rate, -self.fastest), self.fastest)
-
     def _limited(self, state: State, fraction: float, rate: float) -> Command:
         least = self.problem.floor.clearance(2)
         turn = np.array([min(max(rate, -self.fastest), self.fastest)])
@@ -157,6 +147,6 @@ def depths(hazards: Sequence[MovingObstacle], paths: Array, times: Array) -> Arr
     return np.asarray(np.max(found, axis=0).reshape(paths.shape[:2]))
 
 
-def wrapped(angle: float) -> float:
-    """Return an angle in [-pi, pi) [rad]."""
+def wrapped(angle: Any) -> Any:
+    """Return an angle, or each of an array, in [-pi, pi) [rad]."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.baselines.baseline import BEHIND, Baseline, Sight, depths, wrapped
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem import Problem
 
 LOOKS, FARTHEST = 240, 12.0  # points of the forecast, as far as so many horizons
 NEAR = 1e-9
@@ -32,14 +31,41 @@ class _Guided(Baseline):
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return the speed and the turn that the law wants, or those of a sidestep."""
         heading, fraction = self.wanted(sight)
-        if sight.hazards:
-            keep = self.tuned['margin'], self.tuned['look']
-            heading, fraction = sidestepped(sight, self.problem, (heading, fraction), *keep)
-        return fraction, self.turning(heading - sight.heading)
+        if sight.state.hazards:
+            heading, fraction = self._sidestepped(sight, heading, fraction)
+        return fraction, wrapped(heading - sight.heading) / self.problem.step
 
     @abstractmethod
     def wanted(self, sight: Sight) -> tuple[float, float]:
         """Return where to point at the end of the step [rad], and the share of full speed."""
+
+    def _sidestepped(self, sight: Sight, heading: float, fraction: float) -> tuple[float, float]:
+        """Return the heading [rad] and the share of full speed of a sidestep.
+
+        It keeps ``margin`` to all that moves, in steps at full speed, and looks ``look`` steps
+        ahead. Clear of everything it is the least detour, else the one that is in the least deep.
+        """
+        problem = self.problem
+        times = problem.step * self.tuned['look'] * np.arange(1, POINTS + 1) / POINTS
+        aside = math.pi * (2.0 * np.arange(COURSES) / COURSES - 1.0)
+        shares = np.maximum(np.array(SLOWER) * fraction, problem.floor.clearance(2))
+        each, speeds = (grid.ravel() for grid in np.meshgrid(aside, shares))
+        flown = self._flown(sight, heading + each, speeds, times)
+        deepest = depths(sight.state.hazards, flown, times).max(axis=1)
+        clear = deepest < -self.tuned['margin'] * problem.step * problem.forward
+        detour = np.abs(each) / math.pi + (1.0 - speeds / fraction)
+        best = int(np.argmin(np.where(clear, detour, np.inf) if clear.any() else deepest))
+        return heading + float(each[best]), float(speeds[best])
+
+    def _flown(self, sight: Sight, courses: Array, fractions: Array, times: Array) -> Array:
+        """Return paths of turns to courses [rad] at shares of full speed, shape (M, K, 2) [m]."""
+        turn = wrapped(courses - sight.heading)
+        each = times[1] - times[0]
+        most = self.fastest * (times - 0.5 * each)
+        headings = sight.heading + np.clip(turn[:, None], -most, most)
+        airspeed = self.problem.forward * fractions[:, None, None]
+        velocity = airspeed * np.stack([np.cos(headings), np.sin(headings)], axis=-1) + sight.wind
+        return np.asarray(sight.state.position + each * np.cumsum(velocity, axis=1))
 
 
 class PurePursuit(_Guided):
@@ -76,7 +102,7 @@ class Lead(_Guided):
         times = np.linspace(0.0, longest, LOOKS + 1)[1:]
         away = sight.ahead(sight.time + times) - sight.state.position - np.outer(times, sight.wind)
         distance, angle = np.linalg.norm(away, axis=1), np.arctan2(away[:, 1], away[:, 0])
-        turn = np.abs((angle - sight.heading + np.pi) % (2.0 * np.pi) - np.pi)
+        turn = np.abs(wrapped(angle - sight.heading))
         left = times - self.tuned['turn'] * turn / self.fastest
         met = distance <= np.maximum(left, 0.0) * fraction * problem.forward
         first = int(np.argmax(met)) if met.any() else LOOKS - 1
@@ -127,40 +153,3 @@ def crabbed(way: Array, speed: float, wind: Array) -> float:
     course = math.atan2(way[1], way[0])
     across = -math.sin(course) * wind[0] + math.cos(course) * wind[1]
     return course - math.asin(min(max(across / speed, -1.0), 1.0))
-
-
-def sidestepped(
-    sight: Sight, problem: Problem, wanted: tuple[float, float], margin: float, steps: float
-) -> tuple[float, float]:
-    """Return the heading [rad] and the share of full speed of a sidestep.
-
-    Args:
-        sight: with moving obstacles.
-        problem: gives the limits.
-        wanted: heading [rad] and share of full speed that would be flown without traffic.
-        margin: to keep, in steps at full speed.
-        steps: to look ahead.
-    """
-    heading, fraction = wanted
-    times = problem.step * steps * np.arange(1, POINTS + 1) / POINTS
-    aside = math.pi * (2.0 * np.arange(COURSES) / COURSES - 1.0)
-    shares = np.maximum(np.array(SLOWER) * fraction, problem.floor.clearance(2))
-    each, speeds = (grid.ravel() for grid in np.meshgrid(aside, shares))
-    flown = _flown(sight, problem, heading + each, speeds, times)
-    deepest = depths(sight.hazards, flown, times).max(axis=1)
-    clear = deepest < -margin * problem.step * problem.forward
-    detour = np.abs(each) / math.pi + (1.0 - speeds / fraction)
-    best = int(np.argmin(np.where(clear, detour, np.inf) if clear.any() else deepest))
-    return heading + float(each[best]), float(speeds[best])
-
-
-def _flown(sight: Sight, problem: Problem, courses: Array, fractions: Array, times: Array) -> Array:
-    """Return the paths of turns to courses [rad] at shares of full speed, shape (M, K, 2) [m]."""
-    fastest = problem.max_rate or math.pi / problem.step
-    turn = (courses - sight.heading + np.pi) % (2.0 * np.pi) - np.pi
-    each = times[1] - times[0]
-    middles = times - 0.5 * each
-    headings = sight.heading + np.clip(turn[:, None], -fastest * middles, fastest * middles)
-    airspeed = problem.forward * fractions[:, None, None]
-    velocity = airspeed * np.stack([np.cos(headings), np.sin(headings)], axis=-1) + sight.wind
-    return np.asarray(sight.state.position + each * np.cumsum(velocity, axis=1))

@@ -13,7 +13,7 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from flying import planned
+from flying import fly
 from scenarios import retrieval
 
 from orbimpc_ros.loop.compensation import Response
@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.vehicle import Vehicle, launched, measured
-from orbimpc_ros.sim.world import Flight, Rope, departure
+from orbimpc_ros.sim.world import Flight, Rope
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1
@@ -56,13 +56,9 @@ def circling(problem: Problem, count: int) -> list[Instance]:
 
 def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
     """Return a flight around the swinging rope tick by tick, the approach skipped."""
-    flight = departure(replace(retrieval(), max_ticks=APPROACH + count))
-    controller, forecast, flown = Planner(problem), Hold(), []
-    for _ in range(APPROACH + count):
-        decision = planned(controller, flight, forecast)
-        flown.append((flight, decision))
-        flight = flight.after(decision.command.speed_fraction, decision.command.body_rate)
-    return flown[APPROACH:]
+    endless = replace(retrieval(), max_ticks=APPROACH + count, capture_radius=0.0)
+    log = fly(Planner(problem), endless, Hold())
+    return [*zip(log.flights[:-1], log.ticks, strict=True)][APPROACH:]
 
 
 def scattered(problem: Problem, count: int, distance: float) -> list[Instance]:
