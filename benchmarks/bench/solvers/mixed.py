@@ -30,7 +30,7 @@ SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 
 
 class MixedInteger:
-    """The program of a planar problem with a floor, a turn rate, boxes or an arrival.
+    """The program of a planar problem with a floor, turns below a quarter, boxes or an arrival.
 
     A subclass states it in a solver's Python interface.
 
@@ -39,37 +39,32 @@ class MixedInteger:
         gap: relative gap to prove.
         cap: time limit [s].
         closed_loop: whether instances follow each other, so that a shifted start is of use.
-
-    Raises:
-        Declined: turns of a quarter and more, which are no pair of quadratic limits.
     """
 
     model: Any  # of the solver's Python interface
     open: Callable[[], None]  # begins a model with the solver's options
     require: Callable[[Any], None]  # adds a constraint
-    minimise: Callable[[Sequence[Any], Any], None]  # of a sum of squares and a linear part
+    minimise: Callable[[Array, Any], None]  # of a sum of squares and a linear part
     start: Callable[[Any], None]  # offers pairs of variable and value
     solve: Callable[[], None]
     found: Callable[[], Solution]  # objective and gap; NaN without a solution
     value: Callable[[Any], float]  # of a variable in the best solution
 
     def __init__(self, problem: Problem, gap: float, cap: float, *, closed_loop: bool) -> None:
-        if problem.turns_are_angles and problem.widest_turn >= 0.5 * np.pi:
-            raise Declined('turns of a quarter and more are not stated')
         self.problem, self.gap, self.cap, self._closed_loop = problem, gap, cap, closed_loop
         condensed = Condensed(problem)
         self.factor, self._affine = _factor(0.5 * condensed.hessian), condensed.affine
         self._advance = problem.step * problem.forward
         self._reach = problem.maps.reach[:, 1:]  # what z adds to s_1..s_N, shape (N, N)
-        self._groups: list[list[list[Any]]] = []  # variables by constraint, step and coordinate
-        self._last: list[list[list[float]]] = []  # their values in the last solution
+        self._groups: list[Array] = []  # variables by constraint, step and coordinate
+        self._last: list[Array] = []  # their values in the last solution
 
     def prepare(self, state: State, goals: Array) -> None:
         """Build the model of an instance."""
         problem, self.heading = self.problem, state.attitude[:, 0]
         self.open()
-        z = [[self._free(), self._free()] for _ in range(problem.horizon)]
-        self._groups = [z]
+        self._groups = []
+        z = self._free(problem.horizon, 2, lb=-1.0, ub=1.0)
         for x, y in z:
             self.require(x * x + y * y <= 1.0)
             if problem.floor.shape == 'circle':
@@ -81,7 +76,7 @@ class MixedInteger:
             faces = normals(2, problem.floor.faces)
             self._choose(z, faces, np.full(len(faces), low), 1.0 + low)
         first = state.position + self._advance * state.rotation[:, 0]  # s_1, which is decided
-        flown = [[_dot(row, column) for column in zip(*z, strict=True)] for row in self._reach]
+        flown = self._reach @ z
         for box in problem.boxes:
             offsets = np.concatenate([-box.minimum, box.maximum]) - SIDES @ first
             # The big M is twice what the horizon can fly.
@@ -90,16 +85,21 @@ class MixedInteger:
             for moved, distance in zip(flown[-1], goals[-1] - first, strict=True):
                 self.require(moved == float(distance))
         linear, constant = self._affine(state, goals)
-        cost = _dot(linear.ravel(), itertools.chain(*z)) + constant + self._lengths(z[:-1])
-        self.minimise([_dot(row, c) for row in self.factor for c in zip(*z, strict=True)], cost)
+        cost = linear.ravel() @ z.ravel() + constant + self._lengths(z[:-1])
+        self.minimise((self.factor @ z).ravel(), cost)
         if self._closed_loop and self._last:
-            moved = [[*group[1:], group[-1]] for group in self._last]
+            moved = [np.concatenate([group[1:], group[-1:]]) for group in self._last]
             self.start(zip(_flat(self._groups), _flat(moved), strict=True))
 
-    def _free(self) -> Any:
-        return self.model.addVar(lb=-1.0, ub=1.0)
+    def _free(self, *shape: int, **kind: Any) -> Array:
+        """Return new variables, for each step those of its row."""
+        made = np.empty(shape, dtype=object)
+        for place in np.ndindex(shape):
+            made[place] = self.model.addVar(**kind)
+        self._groups.append(made)
+        return made
 
-    def _limit_turns(self, axes: Sequence[Sequence[Any]]) -> None:
+    def _limit_turns(self, axes: Sequence[Any]) -> None:
         """Limit the angle a of every turn: |x cross y| <= tan(a) x . y."""
         slope = float(np.tan(self.problem.widest_turn))
         for (x, y), (u, v) in itertools.pairwise(axes):
@@ -107,18 +107,16 @@ class MixedInteger:
             self.require(aside <= slope * ahead)
             self.require(-aside <= slope * ahead)
 
-    def _choose(
-        self, points: Sequence[Sequence[Any]], faces: Array, offsets: Array, big: float
-    ) -> None:
+    def _choose(self, points: Array, faces: Array, offsets: Array, big: float) -> None:
         """Require one of faces_i . point >= offsets_i of every point, by binaries."""
-        group = [[self.model.addVar(vtype='B') for _ in faces] for _ in points]
-        for point, chosen in zip(points, group, strict=True):
-            self.require(_dot(np.ones(len(faces)), chosen) >= 1.0)
-            for face, offset, each in zip(faces, offsets, chosen, strict=True):
-                self.require(_dot(face, point) - big * each >= float(offset) - big)
-        self._groups.append(group)
+        chosen = self._free(len(points), len(faces), vtype='B')
+        for each in chosen.sum(axis=1):
+            self.require(each >= 1.0)
+        beyond = points @ faces.T - big * chosen
+        for place in np.ndindex(beyond.shape):
+            self.require(beyond[place] >= float(offsets[place[1]]) - big)
 
-    def _lengths(self, axes: Sequence[Sequence[Any]]) -> Any:
+    def _lengths(self, axes: Array) -> Any:
         """Return the cost of the length, |z_k| in an epigraph."""
         weight = self.problem.weights.length * self._advance
         if weight == 0.0:
@@ -126,16 +124,14 @@ class MixedInteger:
         norms = [self.model.addVar(lb=0.0, ub=1.0) for _ in axes]
         for (x, y), norm in zip(axes, norms, strict=True):
             self.require(x * x + y * y <= norm * norm)
-        return _dot(np.full(len(norms), weight), norms)
+        return sum(weight * norm for norm in norms)
 
     def solution(self) -> Solution:
         """Return objective and gap, and keep the solution for the next start."""
         found = self.found()
         self._last = []
         if self._closed_loop and not np.isnan(found.objective):
-            self._last = [
-                [[self.value(each) for each in row] for row in rows] for rows in self._groups
-            ]
+            self._last = [np.vectorize(self.value)(group) for group in self._groups]
         return found
 
 
@@ -157,7 +153,7 @@ def gurobi() -> type[MixedInteger]:
         def require(self, constraint: Any) -> None:
             self.model.addConstr(constraint)
 
-        def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+        def minimise(self, squared: Array, linear: Any) -> None:
             self.model.setObjective(gp.quicksum(each * each for each in squared) + linear)
             self.model.update()
 
@@ -208,7 +204,7 @@ def scip(fast: bool) -> type[MixedInteger]:
         def require(self, constraint: Any) -> None:
             self.model.addCons(constraint)
 
-        def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+        def minimise(self, squared: Array, linear: Any) -> None:
             total = self.model.addVar(lb=0.0, ub=None)
             terms = [self.model.addVar(lb=None, ub=None) for _ in squared]
             for term, each in zip(terms, squared, strict=True):
@@ -248,11 +244,9 @@ def ipopt() -> type[MixedInteger]:
     import casadi as ca
 
     class Ipopt(MixedInteger):
-        """A program without binaries."""
+        """A program without binaries: no polygon, no boxes."""
 
         def open(self) -> None:
-            if self.problem.floor.shape == 'polygon' or self.problem.boxes:
-                raise Declined('binaries are not stated')
             self.model, self._opti = self, ca.Opti()
 
         def addVar(self, **_bounds: float) -> Any:  # noqa: N802
@@ -261,9 +255,9 @@ def ipopt() -> type[MixedInteger]:
         def require(self, constraint: Any) -> None:
             self._opti.subject_to(constraint)
 
-        def minimise(self, squared: Sequence[Any], linear: Any) -> None:
+        def minimise(self, squared: Array, linear: Any) -> None:
             opti = self._opti
-            opti.minimize(sum(each * each for each in squared) + linear)
+            opti.minimize(squared @ squared + linear)
             program = {'x': opti.x, 'f': opti.f, 'g': opti.g}
             tuned = QUIET | {'ipopt.sb': 'yes', 'ipopt.tol': min(self.gap, LOCAL)}
             self._solver = ca.nlpsol('plan', 'ipopt', program, tuned)
@@ -280,14 +274,8 @@ def ipopt() -> type[MixedInteger]:
     return Ipopt
 
 
-def _dot(numbers: Any, variables: Any) -> Any:
-    """Return a linear expression."""
-    pairs = zip(numbers, variables, strict=True)
-    return sum(float(number) * variable for number, variable in pairs)
-
-
-def _flat(groups: list[list[list[Any]]]) -> list[Any]:
-    return [each for rows in groups for row in rows for each in row]
+def _flat(groups: list[Array]) -> Array:
+    return np.concatenate([group.ravel() for group in groups])
 
 
 def _factor(matrix: Array) -> Array:
