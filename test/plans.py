@@ -34,6 +34,12 @@ def straight(problem, fractions):
     return start, goals, assembled(problem, start, goals, x)
 
 
+def steered(problem, start, speeds, angles):
+    """A consistent plan in the plane with given speed fractions and directions of R_1..R_N."""
+    x = (np.array([np.cos(angles), np.sin(angles)]) * speeds).T
+    return assembled(problem, start, GOALS, x)
+
+
 def judged(text):
     """Return whether a certificate holds, or why it is none."""
     try:

@@ -32,6 +32,8 @@ def test_not_finite(n, value):
         replace(good(n), rotation=changed(good(n).rotation, (1, 0), value)),
     ):
         assert flaw(Problem(n), broken) == 'the command is not finite'
+        _, _, plan = straight(Problem(n), np.ones(5))
+        assert command_violations(Problem(n), plan, broken) == ['command is not finite']
 
 
 def test_a_speed_is_a_share_of_all():
