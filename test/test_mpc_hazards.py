@@ -99,15 +99,6 @@ def test_plans_stay_clear_at_all_times(model):
     assert plans >= 2
 
 
-def apart(hazard, begin, end, time):
-    """How near ways of one second come to a hazard, by many moments."""
-    found = np.full(len(end), np.inf)
-    for tau in np.linspace(0.0, 1.0, 41):
-        centre = hazard.body.centre + hazard.moved(np.array([time + tau]))[0]
-        found = np.minimum(found, np.linalg.norm(begin + tau * (end - begin) - centre, axis=1))
-    return found
-
-
 @pytest.mark.parametrize('between', [False, True])
 def test_a_plan_that_hits_is_refused(between):
     """At the end of a step, or in the middle of one only, through a disc thinner than a step."""

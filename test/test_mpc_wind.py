@@ -8,13 +8,12 @@ import problems
 import pytest
 from stepping import Stepped
 
-from orbimpc_ros.loop.compensation import Compensator, Interval, advanced
+from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
@@ -68,37 +67,6 @@ def test_an_odd_speed_is_one_through_the_air():
     assert 'measured a forward speed of 1.5 m/s' in known(Problem()).odd_speed(seen)
     assert known(Problem(), along).odd_speed(seen) == ''
     assert 'of 1.5 m/s' in known(Problem(), along, 'air').odd_speed(seen)
-
-
-@pytest.mark.parametrize('source', ['ground', 'air'])
-@pytest.mark.parametrize('n', [2, 3])
-def test_seen_from_the_air_a_delay_is_that_of_still_air(n, source):
-    rng = np.random.default_rng(n)
-    model, vehicle = windy(rng, n)
-    rates = rng.normal(size=(3, model.rates))
-    commands = [Command(rng.uniform(), rate, np.eye(n)) for rate in rates]
-    intervals = [Interval(0.3, commands[1], commands[0]), Interval(0.5, commands[2], commands[1])]
-    problem, wind = Problem(n, forward=2.0), model.blown
-    through_air = measured(replace(vehicle, wind=wind), 'air')
-    still = advanced(problem, through_air, intervals)
-    seen = measured(replace(vehicle, wind=wind), source)
-    later = advanced(problem, seen, intervals, wind, source)
-    np.testing.assert_allclose(later.position, still.position + 0.8 * wind, atol=1e-12)
-    np.testing.assert_allclose(later.attitude, still.attitude, atol=1e-12)
-    blown = later.attitude.T @ wind if source == 'ground' else 0.0
-    np.testing.assert_allclose(later.body_velocity, still.body_velocity + blown, atol=1e-12)
-
-
-def test_an_acceleration_acts_while_a_measurement_is_on_its_way():
-    """A fall from rest: half g t^2, and g t."""
-    seen = Odometry(0.0, np.zeros(3), UP, np.zeros(3), np.zeros(3))
-    problem = Problem(3, 1, 2, forward=20.0)
-    later = advanced(problem, seen, [Interval(0.4, None, None)], WEIGHT)
-    np.testing.assert_allclose(later.position, 0.08 * WEIGHT, atol=1e-12)
-    np.testing.assert_allclose(later.attitude @ later.body_velocity, 0.4 * WEIGHT, atol=1e-12)
-    carried = Command(9.81 / 20.0, np.zeros(3), UP)
-    hovering = advanced(problem, seen, [Interval(0.4, carried, carried)], WEIGHT)
-    np.testing.assert_allclose(hovering.position, 0.0, atol=1e-12)
 
 
 # --- safe commands under gravity
