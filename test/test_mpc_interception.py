@@ -54,42 +54,6 @@ def still(goal):
     return np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
 
 
-def turned_at_random(rng, problem, start):
-    """Headings of a trajectory that keeps to floor and turn rate, as rotation coordinates."""
-    angles = np.cumsum(
-        rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], problem.horizon)
-        * problem.step * problem.max_rate
-    )  # fmt: skip
-    if rng.random() < 0.5:
-        angles = np.linspace(0.0, angles[-1], problem.horizon + 1)[1:]
-    sizes = rng.uniform(problem.floor.fraction, 1.0, problem.horizon)
-    begin = np.arctan2(*start.attitude[::-1, 0])
-    return sizes[:, None] * np.column_stack([np.cos(begin + angles), np.sin(begin + angles)])
-
-
-@needs_machine_code
-def test_no_trajectory_catches_before_the_bound_and_the_plan_does_at_its_step():
-    rng = np.random.default_rng(7)
-    controller, found = Stepped(WING, capture_radius=RADIUS), 0
-    for _ in range(25):
-        controller.reset()
-        place, course = rng.uniform(-40.0, 40.0, 2), rng.uniform(-3.0, 3.0, 2)
-        goals = place + 0.5 * np.arange(1, 9)[:, None] * course
-        tick = controller.tick(odometry([0.0, 0.0], 0.3, 12.0), goals)
-        catch = tick.catch
-        if not np.isnan(catch.time):
-            found += 1
-            miss = np.linalg.norm(tick.plan.positions[-1] - goals[tick.plan.horizon - 1])
-            assert 0.5 * tick.plan.horizon == catch.time >= catch.bound
-            assert miss <= AIM * RADIUS
-        for _ in range(300):
-            x = turned_at_random(rng, WING, tick.state)
-            flown = trajectory_of(WING, tick.state, goals, x).positions[1:]
-            caught = np.flatnonzero(np.linalg.norm(flown - goals, axis=1) <= RADIUS)
-            assert not len(caught) or 0.5 * (caught[0] + 1) >= catch.bound
-    assert 5 < found < 25
-
-
 @pytest.mark.parametrize('order', [1, 2])
 @pytest.mark.parametrize('n', [2, 3])
 def test_no_inputs_cost_more_than_their_share_of_the_squared_radius(n, order):
@@ -131,29 +95,26 @@ def test_without_a_catch_the_weights_say_what_is_flown():
 @needs_machine_code
 @pytest.mark.parametrize('bearing', [0.5, 1.6, 2.8, -0.7, -1.2, -2.4])
 def test_a_goal_within_the_smallest_circle_is_caught_by_who_looks_beyond_the_horizon(bearing):
-    goal = 15.0 * np.array([np.cos(bearing), np.sin(bearing)])  # the smallest circle: 23 m
+    goal = 15.0 * exp(np.array([bearing]))[:, 0]  # the smallest circle: 23 m
+    wing, plant = replace(WING, discretisation='exact'), Plant(forward=15.0)
+    tracking, looking = (Stepped(wing, capture_radius=2.0) for _ in range(2))
+    flight, known = (2.0, plant, started(plant, 0.0, 0.8)), still(goal)
     if bearing in (0.5, 1.6, -1.2):  # to the others tracking happens to lead
-        assert not circles_until_caught(goal, beyond=False)
-    assert circles_until_caught(goal, beyond=True)
+        assert not catches(tracking, *flight, lambda: known[:1], known[2])
+    assert catches(looking, *flight, lambda: known, known[2])
 
 
-def circles_until_caught(goal, beyond):
-    """Whether a goal that stands still is caught within 25 s, flown as the model has it."""
-    controller = Stepped(replace(WING, discretisation='exact'), capture_radius=2.0)
-    ahead = (lambda times: np.tile(goal, (len(times), 1))) if beyond else None
-    position, heading, course = np.zeros(2), 0.0, np.array([12.0, 0.0])
-    for k in range(50):
-        here = odometry(position, heading, np.linalg.norm(course), 0.5 * k)
-        tick = controller.tick(here, np.tile(goal, (8, 1)), ahead=ahead)
-        assert tick.plan is not None
-        heading += 0.5 * tick.command.body_rate[0]
-        turned = 15.0 * tick.command.speed_fraction * np.array([np.cos(heading), np.sin(heading)])
-        before, course = course, turned
-        for part in np.linspace(0.05, 0.5, 10):  # the velocity changes evenly from one to the other
-            flown = part * before + part**2 * (course - before)
-            if np.linalg.norm(position + flown - goal) <= 2.0:
+def catches(controller, radius, plant, vehicle, given, goal):
+    """Return whether a vehicle is within a radius of a goal, at ``goal(times)``, within 25 s."""
+    for _ in range(50):
+        tick = controller.tick(measured(vehicle), *given())
+        assert tick.plan is not None, tick.reason
+        for _ in range(10):
+            command = tick.command.speed_fraction, tick.command.body_rate
+            vehicle = flown(plant, vehicle, *command, 0.05)
+            apart = vehicle.position - goal(np.array([vehicle.time]))[0]
+            if np.linalg.norm(apart) <= radius:
                 return True
-        position = position + 0.25 * (before + course)
     return False
 
 
@@ -328,16 +289,7 @@ def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
     def ahead(times):
         return 70.0 * np.array(bearing) + np.outer(times, drift)
 
-    for _ in range(40):
-        tick = controller.tick(measured(vehicle), None, polled(200), ahead)
-        assert tick.plan is not None, tick.reason
-        for _ in range(5):
-            command = tick.command
-            vehicle = flown(plant, vehicle, command.speed_fraction, command.body_rate, 0.1)
-            goal = ahead(np.array([vehicle.time]))[0]
-            if np.linalg.norm(vehicle.position - goal) <= RADIUS:
-                return
-    pytest.fail(f'not caught in {vehicle.time} s')
+    assert catches(controller, RADIUS, plant, vehicle, lambda: (None, polled(200), ahead), ahead)
 
 
 @needs_machine_code
