@@ -10,16 +10,24 @@ from harness import ROOT
 
 pytest.importorskip('rclpy')
 
+import math
+
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from planners import settings
 from planners import told as values_of
 from scenarios import retrieval
 from stepping import Stepped
+from visualization_msgs.msg import Marker
 
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import Command
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
+from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message
+from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.outputs import (
     command_messages,
     outputs,
@@ -27,6 +35,8 @@ from orbimpc_ros.ros.planner.outputs import (
     tick_message,
     values,
 )
+from orbimpc_ros.sim.outputs import world_markers
+from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
@@ -138,3 +148,199 @@ def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
     planner = Stepped(Problem(), shrinking=True)
     for left in (5, 4, 3):
         assert list(prices(tick(planner, FAR, left))) == [f'hull@{k}' for k in range(1, left)]
+
+
+# --- the start-up line on the vehicle, and what is doubtful about it
+
+
+WING = {
+    'forward': 15.0, 'floor.shape': 'circle', 'floor.fraction': 10.0 / 15.0, 'step': 0.1,
+    'horizon': 10, 'max_rate': 0.4363323, 'trigger': 'odom',
+}  # fmt: skip
+
+
+HOVERING = {'dimension': 3, 'translation_order': 2, 'forward': 20.0, 'gravity': 9.81}
+LANDER = {**HOVERING, 'forward': 3.6, 'gravity': 1.62, 'tilt': 0.2618, 'glide_slope': 0.8727}
+ROUND_FLOOR = {**HOVERING, 'floor.shape': 'circle', 'floor.fraction': 0.6}
+AIR = {'velocity_source': 'air'}
+
+
+@pytest.mark.parametrize(
+    ('changes', 'words', 'others'),
+    [
+        ({}, '', 'wind'),
+        ({}, '', 'integrated exactly'),
+        ({'wind': (0.3, -0.2)}, 'wind (0.3, -0.2) m/s,', ''),
+        ({'wind': (3.0, 4.0)}, 'wind (3, 4) m/s, 5 m/s in all: too much to hold a goal', ''),
+        ({'discretisation': 'exact'}, 'integrated exactly', ''),
+        (AIR, 'odometry through the air,', ''),
+        ({**AIR, 'sideslip': True}, 'through the air, with its slip,', ''),
+        (HOVERING, 'gravity 9.81 m/s^2: hovers at 0.491 of its thrust', ''),
+        (HOVERING, 'safe command hover', ''),
+        (ROUND_FLOOR, 'cannot hover, for its least thrust is 12', ''),
+        ({**HOVERING, 'safe_command': 'stop'}, 'stop although that is to fall', ''),
+        ({**WING, 'safe_command': 'stop'}, 'stop although that is below the floor', ''),
+        ({**HOVERING, 'thrust_axis': 'z', 'hover_thrust': 0.4}, 'told as 0.4 on thrust', ''),
+        (LANDER, 'tilted by at most 15 deg', 'to hold a goal takes'),
+        (LANDER, 'above a glide slope of 50 deg', ''),
+        (
+            {**LANDER, 'wind': (0.6, 0.0, 0.0)},
+            'takes a tilt of 20.32 deg: more than is allowed',
+            '',
+        ),
+        ({**LANDER, 'tilt': 0.0}, '', 'tilted'),
+    ],
+)
+def test_the_start_up_line_says_what_moves_the_vehicle(changes, words, others):
+    line = summary(settings(**changes), simulated=False)
+    assert words in line
+    assert not others or others not in line
+
+
+def test_what_is_hardly_meant_is_doubted():
+    def doubted(**given):
+        return doubts(settings(**{'step': 0.1} | given), given)
+
+    assert doubted(max_rate=25.0) == [
+        'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant'
+    ]
+    assert doubted(max_rate=3.0) == []
+    assert doubted(**{'approach.cone': 0.5}) == [
+        'approach.cone is 0.5 and objective track: it has no effect'
+    ]
+    assert doubted(**{'approach.cone': 0.5, 'objective': 'intercept'}) == []
+    assert doubted(**{'floor.fraction': 0.9}) == [
+        'floor.fraction is 0.9 and floor.shape none: it has no effect'
+    ]
+    assert doubted(**{'floor.faces': 8, 'floor.shape': 'circle'}) == [
+        'floor.faces is 8 and floor.shape circle: it has no effect'
+    ]
+    assert doubted(**{'floor.fraction': Floor().fraction}) == []  # a file of all defaults
+    assert doubted(**{'floor.faces': 8, 'floor.shape': 'polygon'}) == []
+
+
+def test_what_only_the_vehicles_maker_knows_is_asked_for():
+    def doubted(**given):
+        return [each.split(' not given')[0] for each in doubts(settings(**given), given)]
+
+    thrust = {'translation_order': 2, 'dimension': 3, 'thrust_axis': 'z'}
+    assert doubted(**thrust) == ['max_rate is']
+    for known in (3.84, 0.0):
+        assert doubted(**thrust, max_rate=known, step=0.1) == []
+    torque = {'translation_order': 2, 'dimension': 3, 'rotation_order': 2}
+    assert doubted(**torque) == ['response.speed and response.rate are']
+    for known in (0.0, 0.001):
+        assert doubted(**torque, **{'response.rate': known}) == []
+
+
+@pytest.mark.parametrize(
+    ('horizon', 'shape', 'expected'),
+    [
+        (10, 'circle', ['a horizon of 5 s turns by 125 deg at most']),
+        (10, 'none', []),
+        (15, 'circle', []),
+    ],
+)
+def test_a_horizon_too_short_to_turn_round_is_doubted(horizon, shape, expected):
+    given = {'step': 0.5, 'horizon': horizon, 'max_rate': math.radians(25.0), 'floor.shape': shape}
+    found = doubts(settings(**given), given)
+    assert [doubt.split(':')[0] for doubt in found] == expected
+    assert all(doubt.endswith('half a turn takes a horizon of 15') for doubt in found)
+    assert doubts(settings(**given, objective='intercept'), given) == []  # it looks beyond
+
+
+# --- markers: the plan, its thrust, floor and obstacles where they are; nothing left of before
+
+
+AT = Stamp(1_500_000_000, Frames('odom', 'base_link'))
+
+
+def solved(dimension, **changes):
+    """Return a problem of five steps and its plan from the origin."""
+    problem = Problem(dimension=dimension, horizon=5, forward=2.0, step=0.5, **changes)
+    goal = np.full(dimension, 3.0)
+    state = State.at(np.zeros(dimension), np.eye(dimension))
+    return problem, Solver(problem).solve(state, np.tile(goal, (5, 1)))
+
+
+def shown(array):
+    """Return what is added, by namespace."""
+    found = {}
+    for marker in array.markers:
+        if marker.action == Marker.ADD:
+            found.setdefault(marker.ns, []).append(marker)
+    return found
+
+
+def place(vector):
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def padded(points):
+    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
+@pytest.fixture(scope='module', params=[2, 3])
+def drawn(request):
+    faces = {2: 4, 3: 6}[request.param]
+    problem, plan = solved(request.param, floor=Floor('polygon', faces, 0.5))
+    return problem, plan, plan_markers(AT, problem, plan)
+
+
+def test_the_line_is_the_plan_and_nothing_is_left_of_before(drawn):
+    _, plan, array = drawn
+    first, *others = array.markers
+    assert first.action == Marker.DELETEALL
+    assert {marker.action for marker in others} == {Marker.ADD}
+    assert len({(marker.ns, marker.id) for marker in others}) == len(others)
+    for marker in array.markers:
+        assert messages.nanoseconds(marker.header.stamp, '') == AT.nanoseconds
+        assert marker.header.frame_id == 'odom'
+    (line,) = shown(array)['plan']
+    assert np.allclose([place(p) for p in line.points], padded(plan.positions))
+
+
+def test_arrows_point_along_the_thrust_and_are_as_long_as_it_is_strong(drawn):
+    problem, plan, array = drawn
+    arrows = shown(array)['thrust']
+    assert len(arrows) == plan.horizon + 1
+    for k, arrow in enumerate(arrows):
+        assert np.allclose(place(arrow.pose.position), padded(plan.positions)[k])
+        q = arrow.pose.orientation
+        nose = [1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y)]
+        assert np.allclose(nose[: problem.dimension], plan.projected[k][:, 0], atol=1e-6)
+        full = 0.5 * problem.forward * problem.step
+        assert arrow.scale.x == pytest.approx(max(1e-3, full * plan.speed_fraction[k]))
+
+
+def test_the_floor_is_what_a_slower_step_would_reach(drawn):
+    problem, plan, array = drawn
+    (floor,) = shown(array)['floor']
+    assert floor.type == Marker.LINE_LIST
+    assert np.allclose(place(floor.pose.position), padded(plan.positions)[0])
+    reach = problem.forward * problem.step * problem.floor.fraction
+    corners = np.array([place(p) for p in floor.points])[:, : problem.dimension]
+    assert len(corners) == {2: 8, 3: 24}[problem.dimension]
+    assert np.allclose(np.abs(corners).max(axis=1), reach)
+
+
+def test_obstacles_fill_their_boxes_and_without_a_floor_there_is_none():
+    box = Box([1.0, -2.0], [2.0, -1.0])
+    found = shown(plan_markers(AT, *solved(2, obstacles=(box,))))
+    assert 'floor' not in found
+    (cube,) = found['obstacles']
+    half = 0.5 * place(cube.scale)
+    assert np.allclose((place(cube.pose.position) - half)[:2], box.minimum)
+    assert np.allclose((place(cube.pose.position) + half)[:2], box.maximum)
+
+
+def test_the_world_shows_rope_reach_and_vehicle():
+    flight = departure(sim_settings({row.name: row.default for row in SIM}).scenario)
+    found = shown(world_markers(AT, flight))
+    ball, swing = found['rope']
+    assert np.allclose(place(ball.pose.position)[: len(flight.goal)], flight.goal)
+    assert ball.scale.x == pytest.approx(2 * flight.scenario.capture_radius)
+    assert np.allclose(place(swing.points[1]), place(ball.pose.position))
+    (vehicle,) = found['vehicle']
+    position = flight.vehicle.position
+    assert np.allclose(place(vehicle.pose.position)[: len(position)], position)

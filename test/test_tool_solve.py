@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import yaml
 from harness import TOOL, orbimpc, python, run
 from problems import ANSWERS, CASES
 
@@ -69,54 +70,31 @@ def test_reference_case_reaches_the_known_optimum(solve, name):
     assert answer['objective'] == pytest.approx(known, rel=1e-4)
     assert answer['lower_bound'] <= answer['objective']
     assert answer['lower_bound'] <= known * (1 + 1e-4)
-
-
-def test_answer_is_consistent_in_itself(solve):
-    _, out, _ = solve(CASES['uav_square_1'])
-    answer = json.loads(out)
-    rotations = np.array(answer['rotations'])
-    assert np.shape(answer['positions']) == (6, 2)
-    assert rotations.shape == np.shape(answer['projected']) == (6, 2, 2)
+    rotations, first = np.array(answer['rotations']), answer['command']
+    steps = CASES[name]['horizon'] + 1
+    assert np.shape(answer['positions']) == (steps, 2)
+    assert rotations.shape == np.shape(answer['projected']) == (steps, 2, 2)
     np.testing.assert_allclose(answer['speed_fraction'], np.linalg.norm(rotations[:, :, 0], axis=1))
-    assert answer['command']['speed_fraction'] == pytest.approx(answer['speed_fraction'][1])
-    np.testing.assert_allclose(answer['command']['rotation'], answer['projected'][1])
-    assert len(answer['command']['body_rate']) == 1
+    assert first['speed_fraction'] == pytest.approx(answer['speed_fraction'][1])
+    np.testing.assert_allclose(first['rotation'], answer['projected'][1])
+    assert len(first['body_rate']) == 1
 
 
 GOAL, WEIGHTS = CASES['uav_square_0']['goal'], {'input': 0.05, 'terminal': 10.0}
+AS_YAML = yaml.safe_dump(CASES['uav_square_0']).replace(' 1.0\n', ' 1e0\n')
 SAME = {
+    'YAML reads like JSON': (CASES['uav_square_0'], AS_YAML),
     'an absent weight is zero': (
-        {'weights': WEIGHTS}, {'weights': WEIGHTS | {'position': 0.0, 'length': 0.0}}
+        case(weights=WEIGHTS), case(weights=WEIGHTS | {'position': 0.0, 'length': 0.0})
     ),
-    'one goal stands for every step': ({}, {'goal': [GOAL] * 5}),
+    'one goal stands for every step': (CASES['uav_square_0'], case(goal=[GOAL] * 5)),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize('changes', SAME.values(), ids=SAME)
-def test_problems_that_are_the_same_cost_the_same(solve, changes):
-    first, second = (json.loads(solve(case(**each))[1])['objective'] for each in changes)
+@pytest.mark.parametrize('same', SAME.values(), ids=SAME)
+def test_problems_that_are_the_same_cost_the_same(solve, same):
+    first, second = (json.loads(solve(each)[1])['objective'] for each in same)
     assert first == pytest.approx(second)
-
-
-def test_yaml_reads_like_json(solve):
-    text = """
-    dimension: 2
-    rotation_order: 1
-    translation_order: 1
-    horizon: 5
-    step: 1e0
-    forward: 1
-    weights: {position: 1.0, input: 5e-2, terminal: 10}
-    state:
-      position: [5.397838, -0.308404]
-      rotation: [[0.733262, -0.630286], [0.630286, 0.733262]]
-    goal: [5.420735, 0.270151]
-    """
-    code, out, _ = solve(text)
-    assert code == 0
-    assert json.loads(out)['objective'] == pytest.approx(
-        ANSWERS['uav_hull_1']['objective'], rel=1e-4
-    )
 
 
 BALL, BOX = {'centre': [2.0, 0.0], 'radius': 0.5}, {'min': [0, 3], 'max': [1, 4]}
@@ -167,11 +145,6 @@ def assert_one_line(result, culprit):
     assert '; ' in err  # what to do about it
 
 
-@pytest.mark.parametrize(('changes', 'culprit'), BAD.values(), ids=BAD)
-def test_bad_field_is_named_in_one_line(solve, changes, culprit):
-    assert_one_line(solve(case(**changes)), culprit)
-
-
 BAD_TEXT = {
     'empty': ('', 'case'),
     'a list': ('[1, 2]', 'case'),
@@ -184,9 +157,12 @@ BAD_TEXT = {
 }
 
 
-@pytest.mark.parametrize(('text', 'culprit'), BAD_TEXT.values(), ids=BAD_TEXT)
-def test_bad_text_is_refused_in_one_line(solve, text, culprit):
-    assert_one_line(solve(text), culprit)
+BAD_CASES = {name: (case(**changes), culprit) for name, (changes, culprit) in BAD.items()}
+
+
+@pytest.mark.parametrize(('problem', 'culprit'), [*BAD_CASES.values(), *BAD_TEXT.values()])
+def test_what_is_wrong_is_named_in_one_line(solve, problem, culprit):
+    assert_one_line(solve(problem), culprit)
 
 
 @pytest.mark.parametrize('content', [None, b'\xff\xfe\x00'], ids=['missing', 'not UTF-8'])
@@ -204,17 +180,12 @@ def test_infeasible_names_the_constraint(solve):
     assert 'terminal: constraint' in err
 
 
-def test_process_reads_standard_input():
-    done = orbimpc('solve', '-', text=json.dumps(case()))
-    assert done.returncode == 0
+def test_a_process_reads_standard_input_and_keeps_tracebacks_to_itself():
+    done, bad = (orbimpc('solve', '-', text=json.dumps(case(horizon=each))) for each in (5, 0))
+    assert (done.returncode, done.stderr) == (0, '')
     assert json.loads(done.stdout)['status'] == 'optimal'
-    assert done.stderr == ''
-
-
-def test_process_keeps_tracebacks_to_itself():
-    done = orbimpc('solve', '-', text=json.dumps(case(horizon=0)))
-    assert done.returncode == cli.BAD_INPUT
-    assert done.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
+    assert bad.returncode == cli.BAD_INPUT
+    assert bad.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
 
 
 @pytest.mark.parametrize('command', cli.COMMANDS)

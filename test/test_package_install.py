@@ -1,9 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Hints at what to install: packages that an index has, and none that breaks ROS's NumPy 1."""
+"""What to install: hints that break no NumPy 1 of ROS, and lines where something is missing."""
 
 import re
 import shlex
 import sys
+import textwrap
 from itertools import product
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from harness import ROOT
 from test_package_manifest import setup_keyword
 
 from orbimpc_ros import install
+from orbimpc_ros.ros.entry import OTHERS, in_a_line
 
 
 def declared(extra):
@@ -70,3 +72,71 @@ def test_the_systems_python_is_left_alone(sourced, tmp_path, monkeypatch):
 def test_the_pip_is_this_interpreters(tmp_path, monkeypatch):
     monkeypatch.setattr(install, 'which', lambda _name: str(tmp_path / 'pip'))
     assert install.command('numba').startswith(f'{install.sys.executable} -m pip install ')
+
+
+# --- what is not installed: fast methods do without, the others say in a line what they need
+
+
+# As where only what apt has is installed.
+BARE = """
+    import sys
+
+    class Absent:
+        '''Finds nothing of what is not to be there.'''
+
+        def find_spec(self, name, *_more):
+            if name.partition('.')[0] in {others}:
+                raise ModuleNotFoundError(f'No module named {{name!r}}', name=name)
+
+    sys.meta_path.insert(0, Absent())
+    from orbimpc_ros.ros.entry import {node}
+    sys.exit({node}())
+"""
+
+
+@pytest.fixture
+def bare(tmp_path, launch):
+    """Start a node without the packages that only general methods and the tool need."""
+
+    def start(node, *arguments):
+        script = tmp_path / f'{node}.py'
+        script.write_text(textwrap.dedent(BARE).format(node=node, others=OTHERS))
+        return launch(script, *arguments)
+
+    return start
+
+
+def test_a_rope_is_caught_by_a_fast_method_without_any_of_it(bare):
+    planner = bare('planner', {'odom_timeout': 60.0, 'goal_timeout': 60.0}, 'retrieval')
+    sim = bare('sim', {'exit_when_done': True}, 'retrieval')
+    assert sim.wait() == 0, sim.output + planner.output
+    assert planner.stop() == 0
+    assert 'planning' in planner.output
+    assert 'Traceback' not in planner.output + sim.output
+
+
+def test_a_general_method_says_in_a_line_what_it_needs(bare):
+    planner = bare('planner', {}, 'dubins')
+    assert planner.wait() == 2, planner.output
+    said = planner.output.strip()
+    assert said.startswith('clarabel: not installed; this problem takes a general method, which ')
+    assert said.endswith('pip install clarabel')
+
+
+@pytest.mark.parametrize(
+    ('name', 'line'),
+    [
+        ('rosbags.typesys', 'rosbags is missing: .*pip install rosbags'),
+        ('mcap', 'mcap is missing: .*pip install mcap'),
+        (
+            'lifecycle_msgs.srv',
+            'lifecycle_msgs is missing: install ROS 2, or .*pip install',
+        ),
+        ('orbimpc_ros.nowhere', ''),
+        (None, ''),
+    ],
+)
+def test_what_is_missing_is_said_with_the_way_to_get_it(name, line):
+    found = in_a_line(ModuleNotFoundError(f'No module named {name!r}', name=name))
+    assert re.match(line, found)
+    assert bool(found) == bool(line)
