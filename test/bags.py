@@ -6,6 +6,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -142,3 +143,16 @@ def ros2_bag(source, target, storage, mode='none', skip=()):
                 topics[each.topic] = writer.add_connection(each.topic, each.type, typestore=store)
             writer.write(topics[each.topic], each.sent, each.data)
     return target
+
+
+def changed(topic, kind, change):
+    """Return a function that changes the messages of a topic."""
+
+    def apply(each):
+        if each.topic != topic:
+            return each
+        message = deserialize_message(each.data, kind)
+        change(message)
+        return each._replace(data=serialize_message(message))
+
+    return apply

@@ -3,15 +3,11 @@
 
 import json
 import math
-import time
 
 import pytest
 from harness import orbimpc
 
 pytest.importorskip('rclpy')
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import TwistStamped
 
 from benchmarks.faults import inputs, processes
 from benchmarks.faults.injection import Fault, unsafe_commands
@@ -60,30 +56,6 @@ def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
     assert unsafe(*again) == 1
     assert unsafe(*again, strict=False) == 0
     assert unsafe(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1)) == 1
-
-
-def test_the_monitor_takes_down_what_it_hears():
-    monitor = Monitor(LIMITS)
-    twist = TwistStamped()
-    twist.twist.linear.x, twist.twist.angular.z = 2.0, 0.5
-    sent = {'source_timestamp': time.time_ns() - 500_000_000}
-    now = time.monotonic()
-    monitor.on_command(twist, sent)
-    assert monitor.commands[0].at < now - 0.25  # when it was sent, not when it was heard
-    assert monitor.commands[0][1:] == (2.0, (0.0, 0.0, 0.5))
-    assert monitor.broken() == 1
-    status = DiagnosticStatus(
-        level=DiagnosticStatus.ERROR,
-        name='/planner',
-        message='the goal leaps',
-        values=[KeyValue(key='solve_time_ms', value='12.5')],
-    )
-    monitor.on_health(DiagnosticArray(status=[status]), sent)
-    monitor.on_tick(DiagnosticArray(status=[status]), sent)
-    assert monitor.first_error(0.0) == monitor.first_complaint(0.0, 'goal') < INF
-    assert monitor.first_complaint(0.0, 'odom') == INF
-    assert monitor.first_error(time.monotonic()) == INF
-    assert monitor.solve_ms == 12.5
 
 
 # --- rows

@@ -18,7 +18,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings
-from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.plant import Gusts, Plant
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.offline import aboard
@@ -118,42 +118,22 @@ WING = {
 }
 
 
-def plant_settings(**changes):
-    given = {name.replace('__', '.'): value for name, value in changes.items()}
-    return sim_settings(DEFAULTS | given)
-
-
 def test_parameters_make_the_plant_that_they_say():
-    told = plant_settings(
-        vehicle='continuous',
-        step=0.5,
-        forward=15.0,
-        response__speed=0.8,
-        response__rate=0.3,
-        max_rate=0.4,
-        max_acceleration=3.0,
-        wind=(1.0, -2.0, 0.0),
-        gust=0.5,
-        gust_time=2.0,
-        gain=1.03,
-        stall_speed=10.0,
-        velocity_source='air',
-        odom_rate=10.0,
-        seed=7,
-    )
-    plant = told.scenario.model
-    assert isinstance(plant, Plant)
-    assert (plant.step, plant.forward, plant.gain, plant.stall_speed) == (0.1, 15.0, 1.03, 10.0)
-    assert (plant.speed_lag, plant.rate_lag) == (0.8, 0.3)
-    assert (plant.max_rate, plant.max_acceleration) == (0.4, 3.0)
-    assert (plant.gusts.deviation, plant.gusts.memory, plant.gusts.seed) == (0.5, 2.0, 7)
-    assert plant.velocity_source == 'air'
-    np.testing.assert_array_equal(plant.blown, [1.0, -2.0])
-    assert told.command_timeout == 0.75  # of the planner's steps, not of the odometry
+    own = {'step': 0.5, 'forward': 15.0, 'max_rate': 0.4, 'max_acceleration': 3.0, 'gain': 1.03}
+    own |= {'stall_speed': 10.0, 'velocity_source': 'air'}
+    given = {'vehicle': 'continuous', 'odom_rate': 10.0, 'seed': 7, 'wind': (1.0, -2.0, 0.0)}
+    given |= {'response.speed': 0.8, 'response.rate': 0.3, 'gust': 0.5, 'gust_time': 2.0}
+    told, lags = sim_settings(DEFAULTS | given | own), {'speed_lag': 0.8, 'rate_lag': 0.3}
+    gusts = Gusts(0.5, 2.0, 7)
+    own['step'] = 0.1  # between odometry
+    assert told.scenario.model == Plant(disturbance=(1.0, -2.0), gusts=gusts, **lags, **own)
+    assert told.command_timeout == 0.75  # of the planner's steps
 
 
 def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():
-    assert not isinstance(plant_settings(max_rate=0.5, max_acceleration=1.0).scenario.model, Plant)
+    assert not isinstance(
+        sim_settings(DEFAULTS | {'max_rate': 0.5, 'max_acceleration': 1.0}).scenario.model, Plant
+    )
 
 
 def test_a_vehicle_in_continuous_time_is_caught_over_dds(tmp_path, capsys):

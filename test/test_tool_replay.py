@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bags import GOLDEN, rewritten, ros2_bag, write
+from bags import GOLDEN, changed, rewritten, ros2_bag, write
 
 pytest.importorskip('rclpy')
 
@@ -64,19 +64,6 @@ RETRIEVAL = GOLDEN / 'retrieval'
 @pytest.fixture
 def replay(tool):
     return partial(tool, 'replay')
-
-
-def changed(topic, kind, change):
-    """Return a function that changes the messages of a topic."""
-
-    def apply(each):
-        if each.topic != topic:
-            return each
-        message = deserialize_message(each.data, kind)
-        change(message)
-        return each._replace(data=serialize_message(message))
-
-    return apply
 
 
 def without(*topics):
@@ -451,7 +438,7 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     assert replay(path, '--namespace', '/uav1')[0] == 0
     code, _, err = replay(path)
     assert code == 2
-    assert '/uav1/odom' in err
+    assert 'without /odom; give --namespace /uav1' in err
 
 
 # --- among traffic, its goal in another frame: the same hazards, whatever came late
