@@ -438,7 +438,7 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     assert replay(path, '--namespace', '/uav1')[0] == 0
     code, _, err = replay(path)
     assert code == 2
-    assert 'without /odom; give --namespace /uav1' in err
+    assert '/uav1/odom' in err
 
 
 # --- among traffic, its goal in another frame: the same hazards, whatever came late
