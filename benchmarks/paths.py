@@ -11,8 +11,9 @@ import argparse
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engine_vehicle import class_of
 from orbimpc_ros.sim.engines import Engine, Motion, Start, about
+from orbimpc_ros.tool.files import read
 
 WINDS = (0.0, 0.3, 0.6, 0.9, 1.2)  # of the airspeed
 PERIOD = 0.2  # [s] between commands
@@ -43,60 +45,26 @@ MET, ALONG = 3.0, math.radians(20.0)  # [m] from the path, and the course off it
 GUST = 1.0  # [m/s] standard deviation along each axis
 
 
-@dataclass(frozen=True)
-class Airframe:
-    """A wing."""
+class Airframe(NamedTuple):
+    """A wing of the file beside this one, which has the units."""
 
-    airspeed: float  # commanded [m/s]
-    bank: float  # largest commanded [rad]
-    stall: float  # airspeed [m/s]
-    radius: float  # of its orbit [m]
-    aside: float  # how far from the path it starts, at most [m]
-    seconds: float  # of a flight
-    # the followers' numbers: NPFG's and L1's periods [s], the vector field's gain [1/m]
+    airspeed: float
+    bank: float
+    stall: float
+    radius: float
+    aside: float
+    seconds: float
     tuned: dict[str, float]
-    planner: dict[str, object]  # parameters
+    planner: dict[str, Any]
 
     @property
     def max_rate(self) -> float:
         """Return the rate of a coordinated turn [rad/s]."""
-        return GRAVITY * math.tan(self.bank) / self.airspeed
+        return GRAVITY * math.tan(math.radians(self.bank)) / self.airspeed
 
 
-COMMON: dict[str, object] = {
-    'dimension': 2,
-    'floor.shape': 'circle',
-    'discretisation': 'exact',
-    'weights.scaling': 'time',
-    'velocity_source': 'air',
-    'sideslip': True,
-    'disturbance': 'estimated',
-    'gap_tolerance': 0.001,
-    'plan_period': PERIOD,
-    'deadline': 0.1,
-}
-AIRFRAMES = {
-    'c172x': Airframe(
-        airspeed=45.0,
-        bank=math.radians(25.0),
-        stall=27.6,
-        radius=900.0,
-        aside=300.0,
-        seconds=120.0,
-        tuned={'npfg': 28.0, 'l1': 35.0, 'field': 0.01},
-        planner={'step': 1.0, 'horizon': 12, 'response.rate': 2.0, 'response.speed': 2.0},
-    ),
-    'unmanned': Airframe(
-        airspeed=18.0,
-        bank=math.radians(35.0),
-        stall=11.0,
-        radius=120.0,
-        aside=80.0,
-        seconds=90.0,
-        tuned={'npfg': 6.0, 'l1': 10.0, 'field': 0.03},
-        planner={'step': 0.5, 'horizon': 12, 'response.rate': 0.4, 'response.speed': 1.0},
-    ),
-}
+KNOWN = read(str(Path(__file__).with_suffix('.yaml')))
+AIRFRAMES = {name: Airframe(**each) for name, each in KNOWN['airframes'].items()}
 
 
 class Unmanned(Engine):
@@ -140,9 +108,8 @@ LAWS: dict[str, Callable[..., float]] = {'npfg': npfg, 'l1': l1, 'field': field}
 
 def ours(frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, float]]:
     """Return this package's planner as a follower."""
-    least = 0.85
-    own = {'forward': frame.airspeed, 'max_rate': frame.max_rate, 'floor.fraction': least}
-    settings = planner_settings(completed(PLANNER, COMMON | own | frame.planner))
+    own = {'forward': frame.airspeed, 'max_rate': frame.max_rate} | frame.planner
+    settings = planner_settings(completed(PLANNER, KNOWN['planner'] | own))
     planner, route = planner_of(settings)[1], Route(path.points(30_000.0))
 
     def follow(time: float, wing: Flying, turning: float) -> tuple[float, float]:

@@ -33,7 +33,7 @@ BOAT = SETTINGS['crossing']
 
 
 def made(name, study='fixed_wing', **tuned):
-    return baseline_named(name, SETTINGS[study], '', tuned)
+    return BASELINES[name](SETTINGS[study], tuned)
 
 
 def seeing(*hazards, goal=(25.0, 0.0), velocity=(0.0, 0.0), wind=(0.0, 0.0)):

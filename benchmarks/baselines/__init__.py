@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from benchmarks.baselines.baseline import Baseline
@@ -22,24 +21,20 @@ BASELINES: dict[str, type[Baseline]] = {
 TUNED = Path(__file__).with_name('tuned.yaml')
 
 
-def baseline_named(
-    name: str, settings: PlannerSettings, study: str, tuned: Mapping[str, float] | None = None
-) -> Baseline:
+def baseline_named(name: str, settings: PlannerSettings, study: str) -> Baseline:
     """Return a baseline.
 
     Args:
         name: in :data:`BASELINES`.
         settings: of the planner that it replaces.
         study: whose tuning it has.
-        tuned: numbers of :attr:`Baseline.TUNABLE` instead.
 
     Raises:
         BadInput: all baselines are planar.
     """
     if settings.problem.dimension != 2:
         raise BadInput('--controllers', name, 'orbitope where dimension is 3')
-    given = tuned_of(study).get(name, {}) if tuned is None else tuned
-    return BASELINES[name](settings, given)
+    return BASELINES[name](settings, tuned_of(study).get(name, {}))
 
 
 def tuned_of(study: str) -> dict[str, dict[str, float]]:

@@ -73,7 +73,7 @@ def _slowest(harness: Harness, since: float) -> float:
 @contextmanager
 def flooded(harness: Harness, rate: float) -> Iterator[None]:
     """Have another process publish a harness's odometry, at a rate [Hz]."""
-    words, log = ['benchmarks.faults.flood', str(rate)], harness.folder / 'flood.log'
+    words, log = ['benchmarks.faults.stimulus', str(rate)], harness.folder / 'flood.log'
     with harness.muted():
         child = Child('the flood', words, log, harness.domain)
         try:

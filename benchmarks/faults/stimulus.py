@@ -1,16 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The stimulus of a planner: a healthy vehicle and goal, and ways in which messages go wrong."""
+"""The stimulus of a planner: a healthy vehicle and goal, and ways in which messages go wrong.
+
+``python -m`` this module with a rate [Hz] publishes odometry at it until killed.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
 import random
+import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from harness import Observer
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
@@ -18,11 +24,13 @@ from orbimpc_ros.loop import state as measurement
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.process import qos
 
 FRAMES = Frames('odom', 'base_link')
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
+AT_ONCE = 0.1  # [s] that a flood catches up with, at most
 SLIP = 5.0  # [m/s] sideways, which makes the failing planner raise
 
 # From a message to others in its place, none, or bytes that are no message at all.
@@ -128,3 +136,24 @@ def garbled(message: Any, draw: random.Random) -> list[Any]:
             )
         )
     ]
+
+
+def flood() -> None:
+    """Publish odometry, its pose moved on a hundred times a second."""
+    period = 1.0 / float(sys.argv[1])
+    source = Observer()
+    publisher = source.node.create_publisher(Odometry, 'odom', qos())
+    message = odometry_at(0.0, 0)
+    posed = due = time.monotonic()
+    while True:
+        now = time.monotonic()
+        due = max(due + period, now - AT_ONCE)
+        if now - posed > 0.01:
+            message, posed = odometry_at(now, 0), now
+        message.header.stamp = messages.time_message(time.time_ns())
+        publisher.publish(message)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+if __name__ == '__main__':
+    flood()
