@@ -11,7 +11,7 @@ from stepping import stale_goal, stale_odometry, targets
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime
-from orbimpc_ros.ros.planner.inputs import Inputs
+from orbimpc_ros.ros.planner.core import Inputs
 
 NOW = 1_700_000_000 * SECOND  # [ns]
 UPRIGHT = (np.sqrt(0.5), 0, np.sqrt(0.5), 0)  # without a yaw

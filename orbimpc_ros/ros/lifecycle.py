@@ -18,7 +18,8 @@ from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState
+from rclpy.lifecycle import TransitionCallbackReturn as Ended
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -29,11 +30,6 @@ from orbimpc_ros.ros.messages import SECOND
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
 HELD_UP = 0.05  # [s] between two looks at clocks, which then tell nothing of one another
 FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
-SUCCESS, FAILURE, ERROR = (
-    TransitionCallbackReturn.SUCCESS,
-    TransitionCallbackReturn.FAILURE,
-    TransitionCallbackReturn.ERROR,
-)
 
 
 class Managed(LifecycleNodeMixin, Node):
@@ -177,43 +173,43 @@ class Managed(LifecycleNodeMixin, Node):
             if self._error is not None:
                 raise self._error
 
-    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_configure(self, _state: LifecycleState) -> Ended:
         """Set up, or clear away what was set up of it."""
         self._lasting = self._endpoints()
         result = self._tried(self.configure)
-        if result != SUCCESS:
+        if result != Ended.SUCCESS:
             self._clear_away()
         return result
 
-    def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_activate(self, _state: LifecycleState) -> Ended:
         """Begin to work."""
         result = self._tried(self.activate)
-        self.active = result == SUCCESS
+        self.active = result == Ended.SUCCESS
         return result
 
-    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_deactivate(self, _state: LifecycleState) -> Ended:
         """Be safe, then silent."""
-        result = self._tried(self.deactivate) if self.active else SUCCESS
+        result = self._tried(self.deactivate) if self.active else Ended.SUCCESS
         self.active = False
         return result
 
-    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+    def on_cleanup(self, _state: LifecycleState) -> Ended:
         """Become as it was before it was configured."""
         return self._clear_away()
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_shutdown(self, state: LifecycleState) -> Ended:
         """End all work for good; the process stays until a signal ends it."""
         self.on_deactivate(state)
         return self._clear_away()
 
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_error(self, state: LifecycleState) -> Ended:
         """After a transition that went wrong: silent and unconfigured."""
         return self.on_shutdown(state)
 
-    def _clear_away(self) -> TransitionCallbackReturn:
+    def _clear_away(self) -> Ended:
         """Destroy what was created since the node was configured."""
         if self._lasting is None:
-            return SUCCESS
+            return Ended.SUCCESS
         result = self._tried(self.clean_up)
         for kind in ENDPOINTS:
             for each in [*getattr(self, f'{kind}s')]:
@@ -225,7 +221,7 @@ class Managed(LifecycleNodeMixin, Node):
     def _endpoints(self) -> set[Any]:
         return {each for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}
 
-    def _tried(self, change: Callable[[], None]) -> TransitionCallbackReturn:
+    def _tried(self, change: Callable[[], None]) -> Ended:
         """Do a part of a transition; bad input only refuses it, anything else is an error."""
         try:
             change()
@@ -233,8 +229,8 @@ class Managed(LifecycleNodeMixin, Node):
             raise
         except BaseException as error:  # a panic of a library written in Rust is no Exception
             self._error = self._error or error  # what goes wrong first is what to report
-            return FAILURE if isinstance(error, BadInput) else ERROR
-        return SUCCESS
+            return Ended.FAILURE if isinstance(error, BadInput) else Ended.ERROR
+        return Ended.SUCCESS
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> Any:
         """Do what is asked for if it is possible now; rclpy would end spinning where it is not."""

@@ -24,18 +24,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
-from orbimpc_ros.ros.messages import (
-    LARGEST,
-    LONGEST_FRAME,
-    SECOND,
-    Frames,
-    Stamp,
-    header,
-    point,
-    pose,
-    read_sighting,
-    vector,
-)
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 
 KINDS = {Marker.CUBE: 'CUBE', Marker.SPHERE: 'SPHERE', Marker.CYLINDER: 'CYLINDER'}
 FLAT = 0.02  # [m] height of what is shown of a plane
@@ -71,8 +61,8 @@ def read_obstacle(
     """
     if marker.action == Marker.DELETEALL:
         return None
-    if len(marker.ns) > LONGEST_FRAME:
-        raise BadInput('ns', repr(marker.ns), f'at most {LONGEST_FRAME} characters')
+    if len(marker.ns) > messages.LONGEST_FRAME:
+        raise BadInput('ns', repr(marker.ns), f'at most {messages.LONGEST_FRAME} characters')
     name = f'{marker.ns}/{marker.id}'
     if marker.action == Marker.DELETE:
         return name
@@ -82,7 +72,7 @@ def read_obstacle(
         allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
         raise BadInput('type', marker.type, allowed)
     # It has the header and the pose of a sighting; no axis of it pushes.
-    stamp, seen = read_sighting(placed(marker), 3, Frames(frames.world))
+    stamp, seen = messages.read_sighting(placed(marker), 3, Frames(frames.world))
     assert seen.attitude is not None
     body = _body(marker.type, seen.position, seen.attitude, _scale(marker.scale), dimension)
     return stamp, ObservedBody(name, seen.time, body, _lifetime(marker))
@@ -96,8 +86,8 @@ def stamp_of(message: MarkerArray) -> int:
 
 def _scale(scale: Vector3) -> Array:
     sizes = np.array([scale.x, scale.y, scale.z])
-    if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
-        raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
+    if not ((sizes > 0.0) & (sizes <= messages.LARGEST)).all():  # also refuses NaN
+        raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {messages.LARGEST:g}')
     return sizes
 
 
@@ -138,16 +128,14 @@ def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) 
 def shown(marker: Marker, body: Box | Ball) -> Marker:
     """Return a marker that shows a body, whatever it showed before."""
     if isinstance(body, Ball):
-        marker.type, middle = Marker.SPHERE, body.centre
+        marker.type = Marker.SPHERE if body.dimension == 3 else Marker.CYLINDER
         sizes = np.full(body.dimension, 2.0 * body.radius)
     else:
-        marker.type, middle = Marker.CUBE, 0.5 * (body.minimum + body.maximum)
-        sizes = body.maximum - body.minimum
+        marker.type, sizes = Marker.CUBE, body.maximum - body.minimum
     if body.dimension == 2:
-        marker.type = Marker.CYLINDER if isinstance(body, Ball) else Marker.CUBE
-        sizes, middle = np.append(sizes, FLAT), np.append(middle, 0.0)
-    marker.pose.position = point(middle)
-    marker.scale = vector(sizes)
+        sizes = np.append(sizes, FLAT)
+    marker.pose.position = messages.point(centre(body))
+    marker.scale = messages.vector(sizes)
     return marker
 
 
@@ -161,14 +149,15 @@ def plan_markers(
     """
     unit, step = problem.forward * problem.step, problem.step
     # A shorter plan has fewer arrows: all that was shown before is removed.
-    nothing = Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)
+    head = messages.header(stamp.nanoseconds, stamp.frames.world)
+    nothing = Marker(header=head, action=Marker.DELETEALL)
     path = marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, step)
     path.scale.x = LINE * unit
-    path.points = [point(each) for each in plan.positions]
+    path.points = [messages.point(each) for each in plan.positions]
     found = [nothing, path]
     for k, fraction in enumerate(plan.speed_fraction):
         shaft = marker(stamp, 'thrust', k, Marker.ARROW, BLUE, step)
-        shaft.pose = pose(plan.positions[k], plan.projected[k])
+        shaft.pose = messages.pose(plan.positions[k], plan.projected[k])
         # A viewer warns of an arrow of no length.
         shaft.scale = Vector3(x=max(0.5 * unit * fraction, 1e-3), y=0.05 * unit, z=0.05 * unit)
         found.append(shaft)
@@ -179,14 +168,14 @@ def plan_markers(
         found.append(shown(marker(stamp, 'hazards', k, Marker.CUBE, RED, step), hazard.body))
         way = marker(stamp, 'ways', k, Marker.LINE_STRIP, RED, step)
         way.scale.x = LINE * unit
-        way.points = [point(each) for each in centre(hazard.body) + hazard.moved(times)]
+        way.points = [messages.point(each) for each in centre(hazard.body) + hazard.moved(times)]
         found.append(way)
     if lines := problem.floor.outline(problem.dimension):
         floor = marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, step)
         floor.scale.x = LINE * unit
-        floor.pose.position = point(plan.positions[0])
+        floor.pose.position = messages.point(plan.positions[0])
         pieces = [line[k : k + 2] for line in lines for k in range(len(line) - 1)]
-        floor.points = [point(unit * end) for piece in pieces for end in piece]
+        floor.points = [messages.point(unit * end) for piece in pieces for end in piece]
         found.append(floor)
     return MarkerArray(markers=found)
 
@@ -195,7 +184,7 @@ def marker(
     stamp: Stamp, name: str, number: int, kind: int, color: tuple[float, ...], step: float
 ) -> Marker:
     """Return a marker at the origin that vanishes some steps [s] later; to be given a shape."""
-    made = Marker(header=header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
+    made = Marker(header=messages.header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
     made.type, made.action = kind, Marker.ADD
     made.pose.orientation.w = 1.0
     made.color = ColorRGBA(**dict(zip('rgba', color, strict=True)))

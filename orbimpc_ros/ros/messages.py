@@ -44,7 +44,7 @@ from orbimpc_ros.loop.traffic import AgentTrajectory
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
-from orbimpc_ros.mpc.plan import Command, Plan
+from orbimpc_ros.mpc.plan import Command
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
@@ -415,12 +415,6 @@ def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
     head = header(stamp.nanoseconds, stamp.frames.world)
     own = stamp.frames.own(command.rotation)
     return QuaternionStamped(header=head, quaternion=quaternion(own))
-
-
-def plan_message(stamp: Stamp, plan: Plan, step: float, advanced: float = 0.0) -> Path:
-    """Return a plan's N + 1 poses, from ``advanced`` [s] after the stamp on, in the world frame."""
-    poses = zip(plan.positions, map(stamp.frames.own, plan.projected), strict=True)
-    return path_message(stamp, step, (pose(*each) for each in poses), advanced)
 
 
 def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float = 0.0) -> Path:

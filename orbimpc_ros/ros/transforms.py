@@ -22,15 +22,8 @@ from nav_msgs.msg import Path
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
-from orbimpc_ros.ros.messages import (
-    SECOND,
-    Frames,
-    header,
-    nanoseconds,
-    pose,
-    read_sighting,
-    read_transform,
-)
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import SECOND
 
 TF, TF_STATIC = '/tf', '/tf_static'
 KEPT = 10 * SECOND  # [ns] of each transform of /tf, as tf2 does
@@ -120,7 +113,7 @@ class Edge:
             hint = 'give stamps within its history'
             raise BadInput.stating('extrapolated transform', problem, hint)
         (at, found), *later = (
-            (stamp, matrix(*read_transform(transform, name)))
+            (stamp, matrix(*messages.read_transform(transform, name)))
             for stamp, transform in self.samples[k - 1 : k + 1]
         )
         for end, then in later:
@@ -168,12 +161,12 @@ class Transforms:
             if known is None and len(self._edges) >= MOST_FRAMES:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
             if topic == TF_STATIC:
-                fixed = matrix(*read_transform(each.transform, f'{parent} -> {child}'))
+                fixed = matrix(*messages.read_transform(each.transform, f'{parent} -> {child}'))
                 self._edges[child] = Edge(parent, fixed)
                 continue
             if known is None or known.parent != parent or known.fixed is not None:
                 known = self._edges[child] = Edge(parent)
-            known.note(nanoseconds(each.header.stamp, 'header.stamp'), each.transform)
+            known.note(messages.nanoseconds(each.header.stamp, 'header.stamp'), each.transform)
 
     def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
         """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
@@ -189,8 +182,9 @@ class Transforms:
         found = message.header.frame_id
         if not (self._listening or self._stated):
             raise BadInput('header.frame_id', repr(found), f'{frame!r}; for others, {ON}')
-        stamp = nanoseconds(message.header.stamp, 'header.stamp')
-        move, head = self.between(frame, found, stamp if at is None else at), header(stamp, frame)
+        stamp = messages.nanoseconds(message.header.stamp, 'header.stamp')
+        move = self.between(frame, found, stamp if at is None else at)
+        head = messages.header(stamp, frame)
         if hasattr(message, 'poses'):
             poses = [_moved(each, move, each.header) for each in message.poses]
             return Path(header=head, poses=poses)
@@ -232,7 +226,7 @@ class Transforms:
 
 def _moved(message: Any, move: Array, head: Any) -> PoseStamped:
     """Return the pose of a valid message elsewhere."""
-    _, seen = read_sighting(message, 3, Frames())
+    _, seen = messages.read_sighting(message, 3, messages.Frames())
     assert seen.attitude is not None
     place = move[:3, :3] @ seen.position + move[:3, 3]
-    return PoseStamped(header=head, pose=pose(place, move[:3, :3] @ seen.attitude))
+    return PoseStamped(header=head, pose=messages.pose(place, move[:3, :3] @ seen.attitude))

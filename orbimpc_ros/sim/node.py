@@ -1,20 +1,261 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulator's node: its parameters, a flight at one of two paces, and a service to reset it."""
+"""The simulator's node: a flight in step with its planner or in real time, and its reset."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from geometry_msgs.msg import TwistStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from orbimpc_ros.ros.lifecycle import Managed
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.process import run
-from orbimpc_ros.sim.pacing import LockStep, RealTime
-from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.ros.process import FAILED, qos, run
+from orbimpc_ros.sim.commands import Order
+from orbimpc_ros.sim.faults import Delivery
+from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
+from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation
+
+LOOK = 0.02  # [s] between looks at who is there
+SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
+RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
+PATIENCE = 20.0  # [s] lock-step: give up without an answer
+SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
+NO_ANSWER = (
+    'an answer to the odometry on cmd_vel, which takes a planner with trigger: odom '
+    '(a timer waits for time to go on, and time for the answer); its /diagnostics may say more'
+)
+
+
+class LockStep(FlightSimulation):
+    """Flies a step as soon as the command for the newest odometry's own stamp is there.
+
+    The last odometry is answered too, so that every run has the same messages. Where faults leave
+    nothing to answer, or lose the answer, the step is flown on the last command while that is in
+    force. With faults odometry follows clock and goals at a distance: stamps no longer show what
+    belongs together, and DDS keeps no order among topics. At a ``rate``, or with a shared clock,
+    the next step is not shown before its time.
+    """
+
+    def __init__(self, node: Managed, settings: SimSettings) -> None:
+        super().__init__(node, settings)
+        self._shared = math.inf  # what the shared clock shows, if there is one [ns]
+        if settings.clock == 'shared':
+            self._shared = -math.inf
+            node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
+        self.start()
+        node.every(LOOK, self.look)
+        if settings.rate > 0.0:
+            took = settings.scenario.model.step / settings.rate
+            node.every(took, self._on_due)
+            if settings.rate <= 1.0 / SHORTEST_TIMEOUT:
+                wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
+                node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
+
+    def start(self) -> None:
+        """Start as soon as planner and readers are there."""
+        self._begun = False
+        self._asking = False  # whether a step waits for a command
+        self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
+        self._newest = -np.inf  # true time of the last odometry sent [s]
+        self._goal_sent = False
+        self._order: Order | None = None
+        self._heard = -np.inf  # when the last command came, in simulated time [s]
+        self._sent: list[Delivery] = []
+        self._held_back: list[Delivery] = []  # odometry that follows
+        self._progress = self._asked_at = self.node.steady_now()
+        self._wait()
+
+    @property
+    def now(self) -> int:
+        """Return the simulated time [ns], which jumps where faults make it."""
+        return round((self.flight.vehicle.time + self.jump) * SECOND)
+
+    def look(self) -> None:
+        """Start once planner and readers are there; send again, or give up, without an answer."""
+        if self.finished:
+            return
+        if not self._begun:
+            self._begin_or_wait()
+        elif self._held_back:
+            if self.node.steady_now() - self._asked_at >= 0.5 * LOOK:
+                self.deliver(self.now, self._held_back)
+                self._held_back = []
+        elif self._asking:
+            self._keep_asking()
+
+    def _begin_or_wait(self) -> None:
+        absent = self.all_awaited()
+        if not absent:
+            self._begun = True
+            self._ask_when_due()
+        elif self.waited > self.settings.wait_timeout:
+            self._give_up(absent, self.waited)
+
+    def _keep_asking(self) -> None:
+        now, patience = self.node.steady_now(), self.settings.wait_timeout
+        if self.settings.clock != 'shared':  # where vehicles wait for each other, too
+            patience = min(PATIENCE, patience)
+        if self._awaited is None:
+            if now - self._asked_at > SETTLED:
+                self._fly_on()
+        elif now - self._progress > patience:
+            self._give_up(self.planner_lacking or NO_ANSWER, now - self._progress)
+        elif now - self._asked_at > RESEND:
+            self._send()
+
+    def _give_up(self, awaited: str, waited: float) -> None:
+        self.node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
+        self.node.exit_code = FAILED
+
+    def _on_clock(self, message: Clock) -> None:
+        self._shared = message.clock.sec * SECOND + message.clock.nanosec
+        self._ask_when_due()
+
+    def _ask_when_due(self) -> None:
+        """Ask, unless the shared clock has not come to the next step."""
+        half = 0.5 * self.settings.scenario.model.step * SECOND  # rounding is less
+        if self.now <= self._shared + half:
+            self._on_due()
+
+    def _on_due(self) -> None:
+        """Ask for the command of the next step, unless one is under way."""
+        if not self._begun or self._asking or self.finished:
+            return
+        self._asking = True
+        self._progress = self.node.steady_now()
+        self._sent = self.view.of(self.flight)
+        self._awaited = self._to_be_answered()
+        self._send()
+
+    def _to_be_answered(self) -> int | None:
+        """Return the stamp of the odometry that a planner answers, which may not be there."""
+        fresh = None
+        for sent in self._sent:
+            self._goal_sent |= sent.finite and not sent.is_odometry
+            if sent.is_odometry and sent.finite and sent.content.time > self._newest:
+                self._newest = sent.content.time
+                fresh = self.stamp_of(sent, self.now)
+        return fresh if self._goal_sent else None
+
+    def _send(self) -> None:
+        self._asked_at = self.node.steady_now()
+        apart = self.settings.faults.any
+        self._held_back = [sent for sent in self._sent if apart and sent.is_odometry]
+        self.show([sent for sent in self._sent if not (apart and sent.is_odometry)])
+
+    def on_order(self) -> None:
+        """Fly a step if this is the answer awaited."""
+        order = self.orders.latest
+        if self.finished or order is None or order.stamp != self._awaited:
+            return
+        if not self.view.command_lost(self.flight.ticks):
+            self._order, self._heard = order, self.flight.vehicle.time
+        self._fly_on()
+
+    def _fly_on(self) -> None:
+        if self.flight.over:
+            self.finish()
+            return
+        held = self._heard + self.settings.command_timeout - self.flight.vehicle.time
+        self.fly(self._order, held)
+        self._asking, self._awaited = False, None
+        if not self.settings.rate:
+            self._ask_when_due()
+
+
+class RealTime(FlightSimulation):
+    """Flies a step when its time is over, on the command in force; waits for the first command.
+
+    The vehicle is stopped when no command has come for ``command_timeout``, or as soon as DDS
+    misses signs of life from the last planner that promised some, long before a command is due. On
+    a busy machine living planners miss some, too: the command is in force again with the next one.
+    """
+
+    def __init__(self, node: Managed, settings: SimSettings) -> None:
+        super().__init__(node, settings)
+        self.start()
+        node.every(LOOK, self.look)
+        node.every(settings.scenario.model.step, self.on_time)
+        # A planner that promises no signs of life does not match, which is no fault.
+        events = SubscriptionEventCallbacks(
+            liveliness=node.at_work(self.on_life), incompatible_qos=lambda _event: None
+        )
+        promised = qos(lease=settings.lease)
+        node.create_subscription(
+            TwistStamped, 'cmd_vel', lambda _message: None, promised, event_callbacks=events
+        )
+
+    def start(self) -> None:
+        """Wait for subscribers, then for a first command."""
+        self._begins = False
+        self._order: Order | None = None
+        self._until = -np.inf  # when the command in force ends, on the steady clock [s]
+        self._ends = -np.inf  # when it would have ended, had the planner not been missed [s]
+        self._begun = self.node.steady_now()  # this step
+        self._latched = False
+        self._wait()
+
+    @property
+    def now(self) -> int:
+        """Return the time of ROS [ns], which jumps where faults make it."""
+        now: int = self.node.get_clock().now().nanoseconds
+        return now + round(self.jump * SECOND)
+
+    def on_order(self) -> None:
+        """Put a command in force."""
+        if self.view.command_lost(self.flight.ticks):
+            return
+        self._order, self._latched = self.orders.latest, False
+        self._until = self.node.steady_now() + self.settings.command_timeout
+
+    def on_life(self, event: Any) -> None:
+        """Stop, or go on, as signs of life from the planner cease or come again."""
+        if event.alive_count == 0 and event.alive_count_change < 0:
+            self._stop('the planner gives no sign of life')
+            return
+        # The one that was missed is back; a new one would not lessen the missed ones.
+        back = event.alive_count_change > 0 > event.not_alive_count_change
+        if back and self._latched and self.node.steady_now() < self._ends:
+            self._latched, self._until = False, self._ends
+            self.node.get_logger().info('the planner lives: its command is in force again')
+
+    def look(self) -> None:
+        """Stop when the command in force has ended."""
+        if not self._latched and self.node.steady_now() >= self._until:
+            self._stop(f'no command for {self.settings.command_timeout:g} s')
+
+    def _stop(self, reason: str) -> None:
+        """Stop the vehicle, and report why, even where it has been stopped for another reason."""
+        if self._order is None or self.finished:
+            return
+        self._ends = self._until
+        self._latched, self._until = True, min(self._until, self.node.steady_now())
+        share, turn = self.settings.failsafe_fraction, self.settings.failsafe_rate
+        kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
+        self.warn(f'{reason}: {kept if share or turn else "stopped"}')
+
+    def on_time(self) -> None:
+        """Fly a step, unless nobody has commanded yet, and show where it led."""
+        self._begins = self._begins or not self.readers_awaited()
+        if self.finished or not self._begins:
+            return
+        if self._order is not None:
+            self.fly(self._order, self._until - self._begun)
+        if self.finished:
+            return
+        self._begun = self.node.steady_now()
+        self.show(self.view.of(self.flight))
+        if self.flight.over:
+            self.finish()
 
 
 class SimNode(Managed):

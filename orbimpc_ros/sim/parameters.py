@@ -10,8 +10,6 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.errors import BadInput
@@ -23,6 +21,7 @@ from orbimpc_ros.ros.parameters.spec import (
     MAX_DURATION,
     TINY,
     Values,
+    is_topic,
     parameter,
     settings_from,
     specs_of,
@@ -279,18 +278,13 @@ def wanted_readers(text: str) -> dict[str, int]:
         BadInput: not such a list.
     """
     wanted: dict[str, int] = {}
-    malformed = BadInput('wait_for', text, 'topics, each with the number of its readers: odom 2')
     for entry in filter(None, (each.strip() for each in text.split(','))):
-        topic, _, count = entry.partition(' ')
-        try:
-            validate_topic_name(topic)
-        except InvalidTopicNameException:
-            raise malformed from None
-        if '//' in topic or topic in wanted or not (count or '1').strip().isdecimal():
-            raise malformed
-        wanted[topic] = int(count or 1)
-    if not all(0 < count <= 100 for count in wanted.values()):
-        raise malformed
+        topic, _, given = entry.partition(' ')
+        count = int(given or 1) if (given or '1').strip().isdecimal() else 0
+        if not is_topic(topic) or topic in wanted or not 0 < count <= 100:
+            allowed = 'topics, each with the number of its readers: odom 2'
+            raise BadInput('wait_for', text, allowed)
+        wanted[topic] = count
     return wanted
 
 

@@ -1,11 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A flight on topics: commanded, flown a step at a time, and shown. What sets its pace is apart."""
+"""A flight on topics: awaited, commanded, flown a step at a time, and shown; its pace is apart."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,17 +21,9 @@ from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.lifecycle import Managed
-from orbimpc_ros.ros.messages import (
-    ERROR,
-    OK,
-    SECOND,
-    WARN,
-    Stamp,
-    health_message,
-    odometry_message,
-    time_message,
-)
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, qos
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.commands import Order, Orders
@@ -38,7 +31,6 @@ from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Continuous, measured
-from orbimpc_ros.sim.waiting import Waiting
 from orbimpc_ros.sim.world import Airspeeds, departure, outcome
 
 try:
@@ -48,6 +40,10 @@ except ImportError:  # the PyPI wheels of ROS have no tf2
 
 DEPTH = 10  # in lock-step no message may push another out
 REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
+SILENT = 2.0  # [s] of waiting are not worth a word
+MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
+TRANSITIONS = 'transition_event'  # a topic of every managed node
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of a reader that is known before its node is
 
 
 class FlightSimulation(ABC):
@@ -57,7 +53,6 @@ class FlightSimulation(ABC):
         flight: now.
         view: the messages of it that reach a planner.
         orders: the commands that have come.
-        waiting: for planner and readers before it begins.
         finished: whether the flight has ended.
         airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
@@ -68,14 +63,11 @@ class FlightSimulation(ABC):
         self.orders = Orders(self.settings.scenario.model, self.settings.frames)
         self._refused: Counter[str] = Counter()  # commands, by topic and field
         self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
-        commands = node.create_subscription(
-            TwistStamped, 'cmd_vel', node.at_work(self._on_twist), qos(DEPTH)
-        )
-        node.create_subscription(
-            WrenchStamped, 'cmd_thrust', node.at_work(self._on_force), qos(DEPTH)
+        self._commands, _ = (
+            node.create_subscription(kind, topic, node.at_work(self._take, topic), qos(DEPTH))
+            for topic, kind in (('cmd_vel', TwistStamped), ('cmd_thrust', WrenchStamped))
         )
         self._create_publishers()
-        self.waiting = Waiting(node, settings, self._odometry, self._goal, commands)
         self._begin(settings.begin)
 
     def _begin(self, time: float) -> None:
@@ -128,15 +120,86 @@ class FlightSimulation(ABC):
         self._captured.publish(Bool(data=False))
         self.start()
 
+    # --- who it waits for
+
+    def _wait(self) -> None:
+        """Wait anew for planner and readers, and log for whom whenever that changes."""
+        self._since = self._counted_from = self.node.steady_now()
+        self._announced, self._met_at = '', math.inf
+
+    @property
+    def waited(self) -> float:
+        """Return how long it has waited, the configuration of a planner left out [s]."""
+        return self.node.steady_now() - self._counted_from
+
+    def readers_awaited(self) -> str:
+        """Return which readers are missing; empty if none is."""
+        return self._announce(self._readers_lacking())
+
+    def all_awaited(self) -> str:
+        """Return what is missing of planner and readers; empty if nothing is."""
+        coming = self._planner_being_configured()
+        if coming:  # its first start compiles, for as long as that takes
+            self._counted_from = self.node.steady_now()
+            return self._announce(f'{coming} to be configured: it may be compiling machine code')
+        return self._announce(self._readers_lacking() or self.planner_lacking)
+
+    @property
+    def planner_lacking(self) -> str:
+        """Return what is missing of a planner; empty if nothing is."""
+        if not self._goal.get_subscription_count():
+            return 'a subscriber of goal'
+        return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
+
+    def _announce(self, awaited: str) -> str:
+        lasts = self.node.steady_now() - self._since > SILENT
+        if awaited and awaited != self._announced and lasts:
+            self._announced = awaited
+            self.node.get_logger().info(f'waits for {awaited}')
+        return awaited
+
+    def _readers_lacking(self) -> str:
+        found, wanted = self._odometry.get_subscription_count(), self.settings.wait_subscribers
+        if found < wanted:
+            return f'subscribers of odom: {wanted} (there are {found})'
+        readers = self.settings.wait_for
+        counts = {topic: self._count(topic) for topic in readers}
+        missing = [
+            f'{count} of {topic} (there are {counts[topic]})'
+            for topic, count in readers.items()
+            if counts[topic] < count
+        ]
+        if missing:
+            self._met_at = math.inf
+            return f'readers: {", ".join(missing)}'
+        self._met_at = min(self._met_at, self.node.steady_now())
+        waited = not readers or self.node.steady_now() - self._met_at >= MEETING
+        return '' if waited else 'the planner to meet its readers'
+
+    def _count(self, topic: str) -> int:
+        """Return how many read a topic beside planner and this node."""
+        vehicle = {self.node.get_fully_qualified_name(), *self._planners()}
+        found = self.node.get_subscriptions_info_by_topic(topic)
+        return sum(e.node_name != UNKNOWN and _name(e) not in vehicle for e in found)
+
+    def _planner_being_configured(self) -> str:
+        """Return the name of a planner that does not subscribe to the goal yet; empty for none.
+
+        Only a managed node is known to be on its way: others may read goals by another node.
+        """
+        readers = map(_name, self.node.get_subscriptions_info_by_topic(self._goal.topic_name))
+        found = self._planners() - {*readers}
+        managed = (name for name in found if self.node.count_publishers(f'{name}/{TRANSITIONS}'))
+        return min(managed, default='')
+
+    def _planners(self) -> set[str]:
+        return {*map(_name, self.node.get_publishers_info_by_topic(self._commands.topic_name))}
+
     # --- commands
 
-    def _on_twist(self, message: TwistStamped) -> None:
-        self._take('cmd_vel', self.orders.take_twist, message)
-
-    def _on_force(self, message: WrenchStamped) -> None:
-        self._take('cmd_thrust', self.orders.take_force, message)
-
-    def _take(self, topic: str, take: Callable[[Any, int], bool], message: Any) -> None:
+    def _take(self, topic: str, message: Any) -> None:
+        """Take in a command; a complete one is an order."""
+        take = self.orders.take_twist if topic == 'cmd_vel' else self.orders.take_force
         try:
             complete = take(message, self.now)
         except BadInput as error:
@@ -167,7 +230,7 @@ class FlightSimulation(ABC):
         at, flight = self.now, self.flight
         stamp = Stamp(at, self.settings.frames)
         if self.settings.clock == 'lockstep':
-            self._time.publish(Clock(clock=time_message(at)))
+            self._time.publish(Clock(clock=messages.time_message(at)))
         if flight.scenario.traffic:
             self._obstacles.publish(outputs.traffic_markers(stamp, flight))
         if self.settings.goal_path_steps:
@@ -177,7 +240,7 @@ class FlightSimulation(ABC):
             name = f'{self.node.get_fully_qualified_name()}: truth'
             self._truth.publish(outputs.truth(at, name, flight, self.airspeeds))
         if TransformBroadcaster is not None:
-            shown = odometry_message(stamp, measured(flight.vehicle))
+            shown = messages.odometry_message(stamp, measured(flight.vehicle))
             self._transforms.sendTransform(outputs.transform(shown))
         self.deliver(at, seen)
 
@@ -207,7 +270,7 @@ class FlightSimulation(ABC):
     def warn(self, text: str) -> None:
         """Report what is wrong."""
         self.node.get_logger().warning(text, throttle_duration_sec=1.0)
-        self._diagnose(ERROR, text, dict(self._refused))
+        self._diagnose(messages.ERROR, text, dict(self._refused))
 
     def finish(self) -> None:
         """Report how the flight ended; then exit, or wait for a restart."""
@@ -218,17 +281,21 @@ class FlightSimulation(ABC):
         numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
         if self.airspeeds is not None:
             numbers |= {'least_airspeed': self.airspeeds.least, 'stalls': self.airspeeds.stalls}
-        self._diagnose(OK if flight.captured else WARN, ending, numbers)
+        self._diagnose(messages.OK if flight.captured else messages.WARN, ending, numbers)
         self.node.get_logger().info(ending)
         if self.settings.exit_when_done:
             self.node.exit_code = DONE if flight.captured else FAILED
 
     def _diagnose(self, level: bytes, text: str, values: Mapping[str, object]) -> None:
         name = self.node.get_fully_qualified_name()
-        self._health.publish(health_message(self.now, name, 'flight', level, text, values))
+        self._health.publish(messages.health_message(self.now, name, 'flight', level, text, values))
 
 
 def own_frame(body: str, namespace: str) -> str:
     """Return a body's frame: vehicles share a world and /tf, where each body has its own name."""
     prefix = namespace.strip('/')
     return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
+
+
+def _name(endpoint: Any) -> str:
+    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
+from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
@@ -280,18 +281,13 @@ def met(
 
     It is ``flown`` between two ``times`` since the start [s]; a ``grazed`` depth does not count.
     """
-    if not traffic:
-        return frozenset()
-    balls = [each.body for each in traffic if isinstance(each.body, Ball)]
-    places = np.array([ball.centre for ball in balls])
-    velocities = np.array([each.shifts[1] / each.times[1] for each in traffic])
-    radii = np.maximum(0.0, np.array([ball.radius for ball in balls]) - grazed)
-    away = flown[0] - places - times[0] * velocities
-    drift = flown[1] - flown[0] - (times[1] - times[0]) * velocities
-    squared = np.einsum('ji,ji->j', drift, drift)
-    share = -np.einsum('ji,ji->j', away, drift) / np.where(squared > 0.0, squared, 1.0)
-    nearest = away + np.clip(share, 0.0, 1.0)[:, None] * drift
-    return frozenset(np.flatnonzero(np.einsum('ji,ji->j', nearest, nearest) < radii**2).tolist())
+    found = set()
+    for number, each in enumerate(traffic):
+        begin, end = centre(each.body) + each.moved(np.array(times))
+        nearest, _ = closest_approach(flown, (begin, end))
+        if isinstance(each.body, Ball) and nearest < each.body.radius - grazed:
+            found.add(number)
+    return frozenset(found)
 
 
 def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:

@@ -19,8 +19,7 @@ from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
-from orbimpc_ros.ros.planner.core import Core, planner_of
-from orbimpc_ros.ros.planner.inputs import PLAN, others
+from orbimpc_ros.ros.planner.core import PLAN, Core, others, planner_of
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed, traffic_markers

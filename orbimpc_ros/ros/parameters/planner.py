@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.validate_topic_name import validate_topic_name
-
 from orbimpc_ros.loop.compensation import DISTURBANCES, ESTIMATED, GIVEN, Response
 from orbimpc_ros.loop.fallback import SAFE_COMMANDS, decided
 from orbimpc_ros.loop.goal.forecast import FORECASTS
@@ -26,6 +23,7 @@ from orbimpc_ros.ros.parameters.spec import (
     MAX_DURATION,
     TINY,
     Values,
+    is_topic,
     parameter,
     settings_from,
     specs_of,
@@ -291,7 +289,8 @@ def planner_settings(values: Values) -> PlannerSettings:
         if refused:
             raise BadInput(name, given, allowed)
     for topic in settings.avoid:
-        _require_topic(topic)
+        if not is_topic(topic):
+            raise BadInput('avoid', topic, 'names of topics, such as /uav2/plan')
     for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
         getattr(settings, made)  # raises
     return settings
@@ -329,14 +328,3 @@ def _combinations(s: PlannerSettings) -> list[tuple[str, object, bool, str]]:
         ('avoid_radius', s.avoid_radius, bool(s.avoid) and not s.avoid_radius,
             "above 0 with avoid: the sum of both vehicles' radii"),
     ]  # fmt: skip
-
-
-def _require_topic(topic: str) -> None:
-    """Refuse a word in ``avoid`` that names no topic."""
-    allowed = 'names of topics, such as /uav2/plan'
-    try:
-        validate_topic_name(topic)
-    except InvalidTopicNameException:
-        raise BadInput('avoid', topic, allowed) from None
-    if '//' in topic:  # which that lets pass, and a subscription does not
-        raise BadInput('avoid', topic, allowed)

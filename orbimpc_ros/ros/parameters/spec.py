@@ -14,7 +14,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import Parameter
+from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
@@ -161,6 +163,15 @@ def settings_from(settings: type[S], values: Values) -> S:
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
     """Return the values that were given, and defaults for the rest."""
     return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
+
+
+def is_topic(name: str) -> bool:
+    """Return whether a name can be that of a topic."""
+    try:
+        validate_topic_name(name)
+    except InvalidTopicNameException:
+        return False
+    return '//' not in name  # which that lets pass, and a subscription does not
 
 
 def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:

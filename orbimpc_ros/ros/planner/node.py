@@ -35,21 +35,10 @@ from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, RosTime, Stamp, hea
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.planner.core import AFRESH, DISABLED, INACTIVE, RESET, Core, planner_of
+from orbimpc_ros.ros.planner import core, outputs
+from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
-from orbimpc_ros.ros.planner.inputs import NAMED, OBSTACLES, PLAN, STREAM, others
-from orbimpc_ros.ros.planner.outputs import (
-    CLAIMS,
-    COMMANDS,
-    NUMBERS,
-    command_messages,
-    condition,
-    numbers,
-    outputs,
-    refutation_messages,
-    report_messages,
-)
 from orbimpc_ros.ros.planner.wings import WINGS, Wing
 from orbimpc_ros.ros.process import LIFE, qos, run
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
@@ -59,7 +48,7 @@ INPUTS: Mapping[str, type] = {
     'goal': PoseStamped,
     'goal_path': Path,
     'wind': TwistWithCovarianceStamped,
-    OBSTACLES: MarkerArray,
+    core.OBSTACLES: MarkerArray,
 }
 HALVES: Mapping[str, type] = dict(zip(POSE_TWIST, (PoseStamped, TwistStamped), strict=True))
 LATEST = qos(1, ReliabilityPolicy.BEST_EFFORT)
@@ -104,7 +93,6 @@ class PlannerNode(Managed):
         """Compile a planner for the parameters, and connect inputs and outputs."""
         self._enabled, self._altitude = True, math.nan
         self._wing: Wing | None = None
-        self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # when it was last looked around [s]
         self._ticked, self._late_ticks = math.inf, 0  # when the timer ticked last [s]
@@ -117,7 +105,7 @@ class PlannerNode(Managed):
             known = settings.frames, self._switched, partial(self._log, warn=True)
             self._wing = WINGS[settings.autopilot](self, *known)
         settings, planner = planner_of(settings)
-        names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
+        names = {topic: self.resolve_topic_name(topic) for topic in core.NAMED}
         if settings.odometry == 'pose_twist':
             names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
         self._frame_check = VelocityFrameCheck(settings.frames.velocity)
@@ -127,7 +115,7 @@ class PlannerNode(Managed):
             simulated=self._time.simulated,
             counted=self._time.simulated,
             names=names,
-            others=others(settings.avoid, names[PLAN], self.resolve_topic_name),
+            others=core.others(settings.avoid, names[core.PLAN], self.resolve_topic_name),
         )
         self._create_subscriptions(settings)
         self._create_timers(settings)
@@ -139,13 +127,14 @@ class PlannerNode(Managed):
 
     def activate(self) -> None:
         """Plan and command, of what comes from now on."""
-        self._forget_plan()
+        self._patience.cancel()
+        self._core.start_afresh()
         self._core.inputs.forget()
         self._begin_anew()
 
     def deactivate(self) -> None:
         """Command what is safe for the last time."""
-        self.safe(INACTIVE)
+        self.safe(core.INACTIVE)
 
     def clean_up(self) -> None:
         """Let changed parameters wait for the next time."""
@@ -167,13 +156,15 @@ class PlannerNode(Managed):
     def _create_publishers(self, settings: PlannerSettings) -> None:
         self._publishers_of: dict[str, Publisher] = {
             topic: self.create_publisher(kind, topic, qos(lease=LIFE), event_callbacks=UNSENT)
-            for topic, kind in outputs(settings).items()
+            for topic, kind in outputs.outputs(settings).items()
         }
         self._begin_anew()
         self._event_publishers = {n: self.create_publisher(Bool, n, LATCHED) for n in EVENTS}
         self._events, self._shown = Events(), dict[str, bool]()
         self._publish_events()
-        self._numbers = {n: self.create_publisher(Float64, f'~/{n}', qos()) for n in NUMBERS}
+        self._numbers = {
+            n: self.create_publisher(Float64, f'~/{n}', qos()) for n in outputs.NUMBERS
+        }
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
 
@@ -194,7 +185,7 @@ class PlannerNode(Managed):
             # Markers add up: one that is lost leaves a body out, or leaves one where none is. So
             # these are to be reliable; who offers less is reported as a mismatch. The rest is whole
             # each time.
-            profile = qos(MARKERS) if topic == OBSTACLES else LATEST
+            profile = qos(MARKERS) if topic == core.OBSTACLES else LATEST
             callback = self.at_work(self._hear, topic)
             listening[topic] = self.create_subscription(
                 kind, topic, callback, profile, event_callbacks=UNHEARD
@@ -204,7 +195,7 @@ class PlannerNode(Managed):
             self.create_subscription(Bool, 'engaged', self.guard(self._on_engaged), LATEST)
         if settings.tf:
             self._listen_to_transforms()
-        self._obstacles = listening[OBSTACLES]
+        self._obstacles = listening[core.OBSTACLES]
         measured = listening[next(iter(odometry))]
         self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
@@ -246,12 +237,15 @@ class PlannerNode(Managed):
     # --- inputs
 
     def _hear(self, topic: str, message: Any) -> None:
-        """Take in a message; plan if it is odometry, or what odometry has waited for."""
-        now, ros, inputs = self.steady_now(), self.ros_now, self._core.inputs
-        if topic == OBSTACLES:
+        """Take in a message; answer odometry as soon as it has what belongs to it."""
+        latest = self._core.inputs.latest
+        if topic == core.OBSTACLES:
             self._core.planner.expect_hazards()  # its publisher may not have been noticed yet
-        before = inputs.odometry
-        refusal = inputs.update(topic, message, now, ros)
+        before = latest.get('odom')
+        # Transforms come in while it is inactive, too.
+        answering = self.active and self._core.settings.trigger == 'odom'
+        at = self.steady_now(), self.ros_now, self._stop()
+        refusal, decision = self._core.take(topic, message, *at, answering=answering)
         if refusal:
             self._refuse(refusal)
             if topic == 'odom':
@@ -259,27 +253,17 @@ class PlannerNode(Managed):
             return
         if topic == 'goal':
             self._altitude = message.pose.position.z or math.nan  # 0: that which is held
-            goal = inputs.latest['goal']
-            self._events.send(goal.value.position, streams=goal.run >= STREAM)
-        measured = inputs.odometry is not before
-        # Transforms come in while it is inactive, too.
-        if self.active and self._core.settings.trigger == 'odom':
-            # DDS does not order topics. A source that stamps odometry and goals alike, such as the
-            # simulator in lock-step, means them to be used together; then runs repeat exactly.
-            if inputs.complete and (measured or self._is_unanswered(now, ros)):
-                self._plan_now(now, ros)
-            elif measured:
-                self._wait()
+            goal = latest['goal']
+            self._events.send(goal.value.position, streams=goal.run >= core.STREAM)
+        measured = latest.get('odom') is not before
+        if decision is not None:
+            self._answer(decision)
+        elif measured and answering:
+            self._wait()
         if measured:  # no command waits for it
-            self._frame_check.note(inputs.latest['odom'].value)
+            self._frame_check.note(latest['odom'].value)
         if topic == 'goal':
             self._publish_events()
-
-    def _is_unanswered(self, now: float, ros: RosTime) -> bool:
-        """Return whether the latest odometry still waits for its answer, and is worth one."""
-        known = self._core.inputs.odometry
-        waits = known is not None and known.stamp.nanoseconds != self._answered
-        return waits and self._core.unsafe(now, ros) is None
 
     def _wait(self) -> None:
         """Let new odometry wait for a while for what belongs to it."""
@@ -317,7 +301,7 @@ class PlannerNode(Managed):
         """Answer a repeated request again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._sent_at > REPEAT
-        if stamp != self._answered or not waited or self._unsafe():
+        if stamp != self._core.answered or not waited or self._unsafe():
             return
         self._send(self._first)
         if self._decision is not None:
@@ -351,17 +335,16 @@ class PlannerNode(Managed):
         if self._core.inputs.missing:
             self._show_changes()
         else:
-            self._plan_now(self.steady_now(), self.ros_now)
+            self._answer(self._core.decide(self.steady_now(), self.ros_now, self._stop()))
 
-    def _plan_now(self, now: float, ros: RosTime) -> None:
+    def _answer(self, decision: Decision) -> None:
+        """Publish what was decided on the latest odometry, and look around while there is time."""
         self._patience.cancel()
-        odometry = self._core.inputs.latest['odom']
-        decision = self._core.decide(now, ros, self._stop())
-        outdated = self._core.outdated
+        odometry, outdated = self._core.inputs.latest['odom'], self._core.outdated
         if decision.state is not None and outdated is not None:
             decision = self._core.decide(self.steady_now(), self.ros_now, outdated)
         self._publish(odometry.stamp, decision)
-        self._answered = odometry.stamp.nanoseconds
+        self._core.answered = odometry.stamp.nanoseconds
         self._look_for_events()
         # The next odometry, which must not wait, is farthest now: watch if that is due soon.
         if self.steady_now() - self._watched >= 0.5 * self._watch_period:
@@ -371,7 +354,7 @@ class PlannerNode(Managed):
     def _stop(self) -> Reason | None:
         """Return why no plan may be followed, whatever the inputs; None if one may."""
         if not self._enabled:
-            return DISABLED
+            return core.DISABLED
         sources = self._monitor.sources
         return Reason(Cause.SOURCES, sources) if sources else None
 
@@ -388,7 +371,7 @@ class PlannerNode(Managed):
 
     def _be_safe(self, reason: Reason) -> None:
         # Stamped now: it is no answer to any odometry.
-        now = max(self._time.nanoseconds, self._answered + 1)
+        now = max(self._time.nanoseconds, self._core.answered + 1)
         known, settings = self._core.inputs.odometry, self._core.settings
         frames = settings.frames if known is None else known.stamp.frames
         decision = self._core.decide(self.steady_now(), self.ros_now, reason)
@@ -398,7 +381,7 @@ class PlannerNode(Managed):
 
     def _publish(self, stamp: Stamp, decision: Decision) -> None:
         command, settings = decision.command, self._core.settings
-        self._first = command_messages(settings, stamp, command)
+        self._first = outputs.command_messages(settings, stamp, command)
         self._send(self._first)
         if self._wing is not None and self._gate and not settings.dry_run:
             of_plan = settings.problem.forward, settings.problem.step, settings.period
@@ -406,10 +389,10 @@ class PlannerNode(Managed):
         if self._engaged and not settings.dry_run:
             self._core.planner.sent(command, self._time.nanoseconds / SECOND)
         self._stamp, heard = stamp, self._heard
-        self._tell(decision, heard - CLAIMS)  # the vehicle did not wait for it
+        self._tell(decision, heard - outputs.CLAIMS)  # the vehicle did not wait for it
         self._decision = self._core.proved(decision, catches='certificate' in heard)
-        self._tell(self._decision, heard & CLAIMS)
-        self._publish_numbers(numbers(self._decision))
+        self._tell(self._decision, heard & outputs.CLAIMS)
+        self._publish_numbers(outputs.numbers(self._decision))
         self._show_changes()
 
     @property
@@ -422,13 +405,13 @@ class PlannerNode(Managed):
         """Publish what there is to say of a decision, on topics that somebody listens to."""
         known, name = self._core.inputs.odometry is not None, self.get_fully_qualified_name()
         made = self._core.settings, self._stamp, decision, name
-        self._send(report_messages(*made, oriented=known, heard=topics))
+        self._send(outputs.report_messages(*made, oriented=known, heard=topics))
         if 'certificate' in topics:
-            self._send(refutation_messages(decision))
+            self._send(outputs.refutation_messages(decision))
 
     def _send(self, messages: Mapping[str, Any]) -> None:
         for topic, message in messages.items():
-            wanted = topic not in COMMANDS or self._engaged
+            wanted = topic not in outputs.COMMANDS or self._engaged
             if wanted and topic in self._publishers_of:  # of commands, none on a dry run
                 self._publishers_of[topic].publish(message)
         self._sent_at = self.steady_now()
@@ -504,8 +487,8 @@ class PlannerNode(Managed):
         missing = self._core.inputs.missing
         waiting = f'waits for {missing}' if missing else ''
         if not (self.active and self._enabled):
-            waiting = (DISABLED if self.active else INACTIVE).words
-        return condition(wrong, waiting, self._decision, self._notices())
+            waiting = (core.DISABLED if self.active else core.INACTIVE).words
+        return outputs.condition(wrong, waiting, self._decision, self._notices())
 
     def _show_changes(self) -> None:
         """Log what is new of the condition, and publish it if the level has changed."""
@@ -569,21 +552,16 @@ class PlannerNode(Managed):
         if not -back <= by <= forth:
             self._start_afresh(f'the clock jumped by {by:.3g} s')
 
-    def _start_afresh(self, why: str, reason: Reason = AFRESH) -> None:
+    def _start_afresh(self, why: str, reason: Reason = core.AFRESH) -> None:
         self.get_logger().warning(f'{reason.words}: {why}')
-        self._forget_plan(wind=reason is RESET)
-        self._core.inputs.start_afresh()
+        self._patience.cancel()
+        self._core.start_afresh(wind=reason is core.RESET)
         self._events.begin()
         self._publish_events()
         self.safe(reason)
 
-    def _forget_plan(self, *, wind: bool = False) -> None:
-        self._patience.cancel()
-        self._core.planner.start_afresh(wind=wind)
-        self._answered = -1
-
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._start_afresh('asked to', RESET)
+        self._start_afresh('asked to', core.RESET)
         response.success = True
         response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
         return response
@@ -591,7 +569,7 @@ class PlannerNode(Managed):
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._enabled = request.data
         if self.active and not self._enabled:
-            self._be_safe(DISABLED)
+            self._be_safe(core.DISABLED)
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
         self._show_changes()

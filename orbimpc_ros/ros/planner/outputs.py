@@ -228,15 +228,15 @@ def report_messages(
 
 def _path(settings: PlannerSettings, stamp: Stamp, decision: Decision) -> Path | None:
     """Return where the vehicle will be; without a plan only whoever avoids it has to know."""
-    problem, start = settings.problem, decision.advanced + decision.led
-    if decision.plan is not None:
-        step = (decision.problem or problem).step
-        return messages.plan_message(stamp, decision.plan, step, start)
-    if not settings.avoid or decision.state is None:
+    problem, plan = decision.problem or settings.problem, decision.plan
+    if plan is not None:
+        flown = [*zip(plan.positions, plan.projected, strict=True)]
+    elif settings.avoid and decision.state is not None:
+        flown = obeyed(settings.problem, decision.state, decision.command)
+    else:
         return None
-    flown = obeyed(problem, decision.state, decision.command)
     poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
-    return messages.path_message(stamp, problem.step, poses, start)
+    return messages.path_message(stamp, problem.step, poses, decision.advanced + decision.led)
 
 
 def _certificate(decision: Decision) -> UInt8MultiArray | None:

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.messages import SECOND, RosTime
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.inputs import GOALS, READ, TRANSFORMS, read, require_attitude
+from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import (
     CLOCK,
