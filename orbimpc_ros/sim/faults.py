@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import NamedTuple
 
@@ -64,7 +64,7 @@ class Faults:
     @property
     def any(self) -> bool:
         """Return whether there is any fault."""
-        return any(getattr(self, field.name) != field.default for field in fields(self))
+        return self != NO_FAULTS
 
     def jumped(self, ticks: int) -> float:
         """Return how far off stamps are after a number of steps [s]."""

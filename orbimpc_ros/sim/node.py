@@ -17,7 +17,6 @@ from std_srvs.srv import Trigger
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
-from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.process import FAILED, qos, run
 from orbimpc_ros.sim.commands import Order
 from orbimpc_ros.sim.faults import Delivery
@@ -265,7 +264,6 @@ class SimNode(Managed):
         # It makes the time: under simulated time it would wait for itself.
         super().__init__('sim', [Parameter('use_sim_time', value=False)])
         self._live = DynamicParameters(self, SIM, sim_settings)
-        warn_of_unused(self)
 
     def configure(self) -> None:
         """Set up the flight that the parameters describe."""

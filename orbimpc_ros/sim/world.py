@@ -165,24 +165,19 @@ class Flight:
             held: how long into the step the command is in force [s]; after that the model's
                 failsafe is.
         """
-        step = self.scenario.model.step
-        if held >= step:
-            later = self._flown(step, fraction, body_rate)
-        else:
-            later = self._cut_short(max(0.0, held), fraction, body_rate)
-        return replace(later, ticks=self.ticks + 1)
-
-    def _cut_short(self, held: float, fraction: float, body_rate: Array) -> Flight:
-        model = self.scenario.model
-        obeyed = self._flown(held, fraction, body_rate) if held > 0.0 else self
-        safe = replace(obeyed, vehicle=model.released(obeyed.vehicle))
-        rest = safe._flown(model.step - held, model.failsafe_fraction, model.failsafe_turn)
-        if held <= 0.0:
-            return rest
-        nearest = min((obeyed, rest), key=lambda flight: flight.miss)
-        trail = obeyed.trail + rest.trail
+        model, later, parts = self.scenario.model, self, list[Flight]()
+        if held > 0.0:
+            later = self._flown(min(held, model.step), fraction, body_rate)
+            parts.append(later)
+        if held < model.step:
+            safe = replace(later, vehicle=model.released(later.vehicle))
+            left = model.step - max(0.0, held)
+            later = safe._flown(left, model.failsafe_fraction, model.failsafe_turn)
+            parts.append(later)
+        nearest = min(parts, key=lambda flight: flight.miss)
         kept = {name: getattr(nearest, name) for name in ('miss', 'missed_at', 'headed')}
-        return replace(rest, trail=trail, **kept)
+        trail = tuple(vehicle for part in parts for vehicle in part.trail)
+        return replace(later, ticks=self.ticks + 1, trail=trail, **kept)
 
     def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
         """Return the flight after a time [s] under one command, its goal swinging on."""

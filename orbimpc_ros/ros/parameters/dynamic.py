@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence, Sized
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -15,7 +15,11 @@ from rclpy.parameter import Parameter
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PLANNER
+from orbimpc_ros.ros.parameters.sections import unused_sections
 from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values
+
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.lifecycle import Managed
 
 S = TypeVar('S')
 
@@ -24,6 +28,8 @@ OF_ROS = ('use_sim_time', 'start_type_description_service')
 
 class DynamicParameters(Generic[S]):
     """A node's parameters as settings: declared, checked, and kept up to date.
+
+    Sections of parameter files that reach no node are logged.
 
     Args:
         node: that has the parameters.
@@ -35,7 +41,7 @@ class DynamicParameters(Generic[S]):
     """
 
     def __init__(
-        self, node: Node, specs: Sequence[ParameterSpec], settings_of: Callable[[Values], S]
+        self, node: Managed, specs: Sequence[ParameterSpec], settings_of: Callable[[Values], S]
     ) -> None:
         self._node, self._specs, self._settings_of = node, specs, settings_of
         _refuse_unknown(node, specs)
@@ -49,6 +55,9 @@ class DynamicParameters(Generic[S]):
         node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_changed)
+        for section in unused_sections(node):
+            name = node.get_fully_qualified_name()
+            node.get_logger().warning(f'section {section} is not for {name}: not used')
 
     def settings(self) -> S:
         """Return the settings as they are now."""

@@ -43,13 +43,6 @@ def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[s
     ]
 
 
-def warn_of_unused(node: Managed) -> None:
-    """Log which sections of the parameter files do not reach a node."""
-    for section in unused_sections(node):
-        name = node.get_fully_qualified_name()
-        node.get_logger().warning(f'section {section} is not for {name}: not used')
-
-
 def given(file: str, node: str, parameter: str) -> Any:
     """Return the value that a parameter file has for a node, of several the last; None without.
 

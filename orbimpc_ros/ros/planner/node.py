@@ -34,7 +34,6 @@ from orbimpc_ros.ros.lifecycle import Managed, NodeClock
 from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, RosTime, Stamp, health_message
 from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
-from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner import core, outputs
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
@@ -87,7 +86,6 @@ class PlannerNode(Managed):
         self._live = DynamicParameters(self, PLANNER, planner_settings)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))
-        warn_of_unused(self)
 
     def configure(self) -> None:
         """Compile a planner for the parameters, and connect inputs and outputs."""
