@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import Model, launched, measured

@@ -20,7 +20,7 @@ def scenario(name: str) -> Scenario:
 
 def problem(name: str, floor: str = '') -> Problem:
     """Return the problem of a file of parameters, with a floor of its own or another."""
-    from orbimpc_ros.ros.parameters import planner_settings
+    from orbimpc_ros.ros.parameters.planner import planner_settings
     from orbimpc_ros.tool import settings
 
     changes = [f'floor.shape={floor}'] if floor else []

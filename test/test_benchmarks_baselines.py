@@ -14,7 +14,7 @@ from benchmarks.baselines import BASELINES, baseline_named
 from benchmarks.baselines.baseline import Baseline, Sight
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure

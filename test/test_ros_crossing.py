@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.outputs import obeyed
 from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.fleet import separations

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.scaling import weighed
-from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings

@@ -17,7 +17,7 @@ from harness import python, run
 from planners import QUICK, Bench, moving, told
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import executor_named
 from orbimpc_ros.sim.parameters import SIM
 

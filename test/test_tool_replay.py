@@ -35,7 +35,7 @@ from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import shown
 from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool import bags, settings

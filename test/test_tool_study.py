@@ -15,7 +15,7 @@ from harness import PATIENCE, ROOT, TOOL, orbimpc, wait_for
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.settings import config

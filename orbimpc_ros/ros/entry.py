@@ -31,7 +31,7 @@ ROS = (
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
 PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
-TABLES = {'planner': 'orbimpc_ros.ros.parameters', 'sim': 'orbimpc_ros.sim.parameters'}
+TABLES = {'planner': 'orbimpc_ros.ros.parameters.planner', 'sim': 'orbimpc_ros.sim.parameters'}
 DONE, BAD_INPUT = 0, 2  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 WIDTH = 80  # of --help

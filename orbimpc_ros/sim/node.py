@@ -50,7 +50,6 @@ class LockStep(FlightSimulation):
         if settings.clock == 'shared':
             self._shared = -math.inf
             node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
-        self.start()
         node.every(LOOK, self.look)
         if settings.rate > 0.0:
             took = settings.scenario.model.step / settings.rate
@@ -181,7 +180,6 @@ class RealTime(FlightSimulation):
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
-        self.start()
         node.every(LOOK, self.look)
         node.every(settings.scenario.model.step, self.on_time)
         # A planner that promises no signs of life does not match, which is no fault.

@@ -16,8 +16,8 @@ import yaml
 
 from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import OF_ROS
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import ParameterSpec, completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool import bags, files

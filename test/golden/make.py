@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.core import DISABLED
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed

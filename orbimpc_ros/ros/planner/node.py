@@ -32,8 +32,8 @@ from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.entry import report_compilation, without_compiler
 from orbimpc_ros.ros.lifecycle import Managed, NodeClock
 from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, RosTime, Stamp, health_message
-from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
+from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner import core, outputs
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary

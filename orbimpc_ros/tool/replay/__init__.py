@@ -67,7 +67,7 @@ def opened(
 
     The settings are those that are given, or noted in the bag by its recorder.
     """
-    from orbimpc_ros.ros.parameters import planner_settings  # with ROS, which --help is without
+    from orbimpc_ros.ros.parameters.planner import planner_settings  # --help is without ROS
     from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.offline import resolved
     from orbimpc_ros.tool.replay.recording import recording_of

@@ -14,7 +14,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.task import Future
 
-from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import RANGE, attached, qos
 from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import settings

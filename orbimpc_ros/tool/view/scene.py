@@ -24,7 +24,7 @@ from orbimpc_ros.ros.messages import (
     read_odometry,
     read_sighting,
 )
-from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import attitude, fields, point, seconds
 from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
