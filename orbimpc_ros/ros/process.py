@@ -72,6 +72,15 @@ def qos(
     )
 
 
+LATEST = qos(1, ReliabilityPolicy.BEST_EFFORT)
+LATCHED = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def full_name(endpoint: Any) -> str:
+    """Return the full name of the node that has an endpoint of a topic, as the graph shows it."""
+    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+
+
 @contextmanager
 def initialised(
     words: Sequence[str] = (), *, domain: int | None = None, context: Context | None = None

@@ -15,7 +15,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
@@ -24,7 +23,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.process import DONE, FAILED, qos
+from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, full_name, qos
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines import EngineFailure
@@ -82,8 +81,7 @@ class FlightSimulation(ABC):
 
     def _create_publishers(self) -> None:
         create = self.node.create_publisher
-        kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._captured = create(Bool, 'captured', kept)
+        self._captured = create(Bool, 'captured', LATCHED)
         self._odometry = create(OdometryMessage, 'odom', qos(DEPTH))
         self._goal = create(PoseStamped, 'goal', qos(DEPTH))
         self._markers = create(MarkerArray, 'world_markers', qos())
@@ -180,20 +178,20 @@ class FlightSimulation(ABC):
         """Return how many read a topic beside planner and this node."""
         vehicle = {self.node.get_fully_qualified_name(), *self._planners()}
         found = self.node.get_subscriptions_info_by_topic(topic)
-        return sum(e.node_name != UNKNOWN and _name(e) not in vehicle for e in found)
+        return sum(e.node_name != UNKNOWN and full_name(e) not in vehicle for e in found)
 
     def _planner_being_configured(self) -> str:
         """Return the name of a planner that does not subscribe to the goal yet; empty for none.
 
         Only a managed node is known to be on its way: others may read goals by another node.
         """
-        readers = map(_name, self.node.get_subscriptions_info_by_topic(self._goal.topic_name))
+        readers = map(full_name, self.node.get_subscriptions_info_by_topic(self._goal.topic_name))
         found = self._planners() - {*readers}
         managed = (name for name in found if self.node.count_publishers(f'{name}/{TRANSITIONS}'))
         return min(managed, default='')
 
     def _planners(self) -> set[str]:
-        return {*map(_name, self.node.get_publishers_info_by_topic(self._commands.topic_name))}
+        return {*map(full_name, self.node.get_publishers_info_by_topic(self._commands.topic_name))}
 
     # --- commands
 
@@ -295,7 +293,3 @@ def own_frame(body: str, namespace: str) -> str:
     """Return a body's frame: vehicles share a world and /tf, where each body has its own name."""
     prefix = namespace.strip('/')
     return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
-
-
-def _name(endpoint: Any) -> str:
-    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'

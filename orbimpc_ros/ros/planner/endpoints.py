@@ -10,6 +10,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
 
+from orbimpc_ros.ros.process import full_name
+
 ERROR = 'ERROR: '  # how rclpy begins what makes two profiles incompatible
 
 
@@ -68,7 +70,7 @@ def _mismatch(node: Node, end: Publisher | Subscription) -> str:
     # DDS shows its view of one's own profile as of any other, its defaults filled in.
     own = [each.qos_profile for each in same if each.node_name == node.get_name()]
     for other in others if own else ():
-        who = f'{topic} of {other.node_namespace.rstrip("/")}/{other.node_name}'
+        who = f'{topic} of {full_name(other)}'
         if other.topic_type != kind:
             return f'{who} is a {other.topic_type}, not a {kind}'
         pair = (own[0], other.qos_profile)

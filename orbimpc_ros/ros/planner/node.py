@@ -17,7 +17,6 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
@@ -39,7 +38,7 @@ from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
 from orbimpc_ros.ros.planner.wings import WINGS, Wing
-from orbimpc_ros.ros.process import LIFE, qos, run
+from orbimpc_ros.ros.process import LATCHED, LATEST, LIFE, qos, run
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
 
 EVENTS = ('arrived', 'caught')  # topics
@@ -50,8 +49,6 @@ INPUTS: Mapping[str, type] = {
     core.OBSTACLES: MarkerArray,
 }
 HALVES: Mapping[str, type] = dict(zip(POSE_TWIST, (PoseStamped, TwistStamped), strict=True))
-LATEST = qos(1, ReliabilityPolicy.BEST_EFFORT)
-LATCHED = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)

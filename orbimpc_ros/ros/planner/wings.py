@@ -19,7 +19,6 @@ import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.publisher import Publisher
-from rclpy.qos import ReliabilityPolicy
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
@@ -28,7 +27,7 @@ from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import Setpoint
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.process import LATEST, qos
 
 FRESH = 0.4  # [s]: without a position for longer, no setpoint leaves
 APART = 0.1  # [s] at most, from an attitude to the position that goes with it
@@ -122,8 +121,7 @@ class Wing(ABC):
         return self._node.steady_now() - self._at[what]
 
     def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
-        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(kind, topic, self._node.guard(callback), latest)
+        self._node.create_subscription(kind, topic, self._node.guard(callback), LATEST)
 
     def _mode_is(self, *, right: bool) -> None:
         """Take in whether the autopilot is in the mode that takes setpoints."""
