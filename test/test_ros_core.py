@@ -103,7 +103,7 @@ def test_the_state_is_advanced_by_the_age_of_odometry():
     assert answer.advanced >= 0.08 - 1e-6
     moved = answer.plan.positions[0] - [0.1, 0.0]
     assert np.linalg.norm(moved) == pytest.approx(answer.advanced, rel=1e-3)  # at 1 m/s
-    known = driven.core.settings, Stamp(stamp(0.1), FRAMES), answer, 'planner'
+    known = driven.settings, Stamp(stamp(0.1), FRAMES), answer, 'planner'
     begun = report_messages(*known, oriented=True)['plan'].poses[0].header.stamp
     assert begun.sec * SECOND + begun.nanosec >= stamp(0.18) - 1000
 

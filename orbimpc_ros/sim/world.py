@@ -72,14 +72,9 @@ class Scenario:
     rope_length: float = 0.0  # the rope hangs so far, half of it above the plane of flight [m]
 
     def __post_init__(self) -> None:
-        n = self.model.dimension
-        self.approach.validate(n)
+        self.approach.validate(self.model.dimension)
         if self.approach.is_the_goals:
-            raise BadInput('approach.direction', [], f'{n} numbers')
-        if len(self.start.position) != n:
-            raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
-        if len(self.rope.center) != n:
-            raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
+            raise BadInput('approach.direction', [], f'{self.model.dimension} numbers')
 
 
 @dataclass(frozen=True)
