@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_776,
+    'orbimpc_ros': 36_642,
     'orbimpc_ros/mpc': 19_071,
     'orbimpc_ros/loop': 4_050,
-    'orbimpc_ros/ros': 4_993,
-    'orbimpc_ros/sim': 3_122,
-    'orbimpc_ros/tool': 5_358,
+    'orbimpc_ros/ros': 4_955,
+    'orbimpc_ros/sim': 3_027,
+    'orbimpc_ros/tool': 5_357,
     'benchmarks': 3_685,
     'test': 19_294,
 }
