@@ -14,25 +14,24 @@ from orbimpc_ros.mpc.problem.floor import largest_fraction
 SEEDS = range(30)
 
 
+def is_rotation(q):
+    orthogonal = np.allclose(q.T @ q, np.eye(len(q)), atol=1e-12)
+    return orthogonal and np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+
+
 @pytest.mark.parametrize('n', [2, 3])
 @pytest.mark.parametrize('seed', SEEDS)
-def test_exp_reaches_the_group_and_log_returns(n, seed):
+def test_exp_and_quaternions_reach_the_group_and_return(n, seed):
     rng = np.random.default_rng(seed)
     q = rotation(rng, n)
-    phi = so.log(q)
-    assert np.allclose(q.T @ q, np.eye(n), atol=1e-12)
-    assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+    phi, quaternion = so.log(q), so.to_quaternion(q)
+    assert is_rotation(q)
     assert np.linalg.norm(phi) <= np.pi + 1e-9
     assert np.allclose(so.exp(phi), q, atol=1e-12)
-
-
-@pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('seed', SEEDS)
-def test_log_inverts_exp_below_half_a_turn(n, seed):
-    rng = np.random.default_rng(seed)
-    phi = rng.normal(size=1 if n == 2 else 3)
-    phi *= 10.0 ** rng.uniform(-13, 0) * 3.1 / np.linalg.norm(phi)
-    assert np.allclose(so.log(so.exp(phi)), phi, rtol=1e-9, atol=1e-15)
+    assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert np.allclose(so.from_quaternion(quaternion, n), q, atol=1e-12)
+    less = 10.0 ** rng.uniform(-13, 0) * 3.1 * phi / np.linalg.norm(phi)
+    assert np.allclose(so.log(so.exp(less)), less, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -43,7 +42,7 @@ def test_nearest_is_nearer_than_any_other_rotation(n, seed):
     if n == 2:
         matrix = np.array([[matrix[0, 0], -matrix[1, 0]], [matrix[1, 0], matrix[0, 0]]])
     best = so.nearest(matrix)
-    assert np.linalg.det(best) == pytest.approx(1.0, abs=1e-12)
+    assert is_rotation(best)
     distance = np.linalg.norm(matrix - best)
     for _ in range(50):
         step = so.exp(rng.normal(size=1 if n == 2 else 3) * 10.0 ** rng.uniform(-3, 0.5))
@@ -57,21 +56,11 @@ def test_thrust_aligned_keeps_the_axis_and_finds_the_best_roll(seed):
     matrix = sum(w * rotation(rng, 3) for w in mix)
     q = so.project_all(matrix[None], np.eye(3), 'thrust_aligned')[0][0]
     heading = matrix[:, 0]
-    assert np.allclose(q.T @ q, np.eye(3), atol=1e-12)
-    assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+    assert is_rotation(q)
     assert np.allclose(np.linalg.norm(heading) * q[:, 0], heading, atol=1e-12)
     distance = np.linalg.norm(matrix - q)
     for roll in np.linspace(-np.pi, np.pi, 41):
         assert np.linalg.norm(matrix - q @ so.exp(np.array([roll, 0, 0]))) >= distance - 1e-12
-
-
-@pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('seed', SEEDS)
-def test_quaternions_are_unit_and_return(n, seed):
-    q = rotation(np.random.default_rng(seed), n)
-    quaternion = so.to_quaternion(q)
-    assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-12)
-    assert np.allclose(so.from_quaternion(quaternion, n), q, atol=1e-12)
 
 
 def test_planar_rotation_of_a_tilted_body_is_its_heading_from_above():
@@ -87,16 +76,12 @@ def test_turning_onto_an_axis_gets_there_by_the_shortest_way(seed):
     goal = {0: q[:, 0], 1: -q[:, 0]}.get(seed, goal)
     turned = so.turned_onto(q, goal)
     assert np.allclose(turned[:, 0], goal, atol=1e-9)
-    assert np.allclose(turned.T @ turned, np.eye(3), atol=1e-12)
+    assert is_rotation(turned)
     between = np.arccos(np.clip(q[:, 0] @ goal, -1, 1))
     assert np.linalg.norm(so.log(q.T @ turned)) == pytest.approx(between, abs=1e-6)
 
 
 # --- orbitopes
-
-
-def smallest_eigenvalue(matrix):
-    return np.linalg.eigvalsh(orbitopes.lmi(orbitopes.coordinates(matrix)))[0]
 
 
 @pytest.mark.parametrize('seed', SEEDS)
@@ -105,7 +90,8 @@ def test_margin_is_the_smallest_eigenvalue_of_the_lmi(seed):
     matrix = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 0.5)
     if seed % 3 == 0:  # singular values that coincide, either sign of the determinant
         matrix = rotation(rng, 3) @ np.diag(rng.choice([0.0, 1.0, -1.0], size=3)) @ rotation(rng, 3)
-    assert orbitopes.margin(matrix) == pytest.approx(smallest_eigenvalue(matrix), abs=1e-12)
+    least = np.linalg.eigvalsh(orbitopes.lmi(orbitopes.coordinates(matrix)))[0]
+    assert orbitopes.margin(matrix) == pytest.approx(least, abs=1e-12)
 
 
 @pytest.mark.parametrize('n', [2, 3])

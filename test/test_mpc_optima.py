@@ -27,6 +27,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import turned_onto
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -63,8 +64,8 @@ def test_the_papers_minute_long_problem_is_proved():
 
 # --- convex problems
 
-BRANCHING = ('polygon', 'circle', 'shell', 'solid', 'boxes', 'discs', 'cones', 'acceleration')
-CONVEX = [each for each in FAMILIES if not any(word in each for word in BRANCHING)]
+CHOICES = ('polygon', 'circle', 'shell', 'solid', 'boxes', 'discs', 'cones', 'acceleration')
+CONVEX = [each for each in FAMILIES if not any(word in each for word in CHOICES)]
 
 
 @pytest.mark.parametrize('seed', range(2))
@@ -124,40 +125,18 @@ def test_the_optimum_of_a_descent_is_that_of_another_formulation(seed):
 # --- choices
 
 
-def branching():
-    """Seed, dimension, floor, boxes, whether consecutive points share a face, horizon."""
-    for seed in range(3):
-        yield seed, 2, floor('polygon', 0.5, 4), 0, False, 3
-        yield seed, 2, floor('polygon', 0.4, 3), 0, False, 3
-        yield seed, 2, floor('none'), 1, False, 3
-        yield seed, 2, floor('none'), 1, True, 3
-    yield 0, 2, floor('polygon', 0.6, 4), 1, False, 2
-    yield 0, 3, floor('polygon', 0.5, 6), 0, False, 2
-    yield 0, 3, floor('none'), 1, True, 3
-
-
-@pytest.mark.parametrize(('seed', 'n', 'shape', 'boxes', 'sharing', 'horizon'), list(branching()))
-def test_searches_find_what_enumeration_finds(seed, n, shape, boxes, sharing, horizon):
+def of_choices(seed, n, shape, boxes, sharing, horizon):
+    """A goal about boxes ahead, with any weights."""
     rng = np.random.default_rng(seed)
     problem = Problem(n, horizon=horizon, floor=shape, weights=weights(rng))
     start = state(rng, problem)
     middle = start.position + start.rotation[:, 0] * 1.9
     obstacles = tuple(box(rng, n, middle) for _ in range(boxes))
     problem = replace(problem, obstacles=obstacles, no_corner_cutting=sharing)
-    targets = np.tile(middle + 0.3 * rng.normal(size=n), (horizon, 1))
-    expected = enumerated(problem, start, targets)
-    if expected == np.inf:
-        with pytest.raises(Infeasible):
-            Solver(problem).solve(start, targets)
-        return
-    plan = Solver(problem).solve(start, targets)
-    assert plan.status == 'optimal'
-    assert plan.objective == pytest.approx(expected, rel=1e-5, abs=1e-6)
-    assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
+    return Case(problem, start, np.tile(middle + 0.3 * rng.normal(size=n), (horizon, 1)))
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_steps_that_can_be_exchanged_lose_nothing(seed):
+def exchangeable(seed):
     """Pure length to an arrival: only the sum of the steps counts, so their order is free."""
     rng = np.random.default_rng(seed)
     alone = Weights(position=0.0, input=0.0, length=1.0, terminal=0.0)
@@ -165,12 +144,47 @@ def test_steps_that_can_be_exchanged_lose_nothing(seed):
     problem = Problem(horizon=3, terminal='constraint', floor=shape, weights=alone)
     start = state(rng, problem)
     beyond = start.position + start.rotation[:, 0] + rng.uniform(-1.3, 1.3, size=2)
-    targets = np.tile(beyond, (3, 1))
-    expected = enumerated(problem, start, targets)
-    try:
-        assert Solver(problem).solve(start, targets).objective == pytest.approx(expected, rel=1e-5)
-    except Infeasible:
-        assert expected == np.inf
+    return Case(problem, start, np.tile(beyond, (3, 1)))
+
+
+def weighed_apart(seed):
+    """Weights of twelve orders of magnitude, often without one on turning."""
+    rng = np.random.default_rng(seed)
+    chosen = Weights(*10.0 ** rng.uniform(-6, 6, 2), 0.0, 10.0 ** rng.uniform(-6, 6))
+    chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
+    problem = Problem(horizon=2, floor=floor('polygon', 0.6, 4), weights=chosen)
+    return Case(problem, state(rng, problem), goals(rng, problem, distance=1.0))
+
+
+BRANCHING = [
+    *(of_choices(seed, 2, floor('polygon', 0.5, 4), 0, False, 3) for seed in range(3)),
+    *(of_choices(seed, 2, floor('polygon', 0.4, 3), 0, False, 3) for seed in range(3)),
+    *(of_choices(seed, 2, floor('none'), 1, False, 3) for seed in range(3)),
+    *(of_choices(seed, 2, floor('none'), 1, True, 3) for seed in range(3)),
+    of_choices(0, 2, floor('polygon', 0.6, 4), 1, False, 2),
+    of_choices(0, 3, floor('polygon', 0.5, 6), 0, False, 2),
+    of_choices(0, 3, floor('none'), 1, True, 3),
+    *map(exchangeable, range(2)),
+]
+
+
+@pytest.mark.parametrize(
+    ('known', 'near'),
+    [
+        *((each, {'rel': 1e-5, 'abs': 1e-6}) for each in BRANCHING),
+        *((weighed_apart(seed), {'rel': 1e-3}) for seed in range(6)),
+    ],
+)
+def test_searches_find_what_enumeration_finds(known, near):
+    expected, solver = enumerated(*known), Solver(known.problem, gap_tolerance=1e-6)
+    if expected == np.inf:
+        with pytest.raises(Infeasible):
+            solver.solve(known.state, known.goals)
+        return
+    plan = solver.solve(known.state, known.goals)
+    assert plan.status == 'optimal'
+    assert plan.objective == pytest.approx(expected, **near)
+    assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
 
 
 # --- floors
@@ -234,18 +248,7 @@ def test_wings_are_proved_over_long_horizons(horizon):
         assert solver.solve(State.at(np.zeros(2), np.eye(2)), targets).status == 'optimal'
 
 
-# --- invariances
-
-
-@pytest.mark.parametrize('seed', range(6))
-def test_weights_far_apart_are_no_trouble(seed):
-    rng = np.random.default_rng(seed)
-    chosen = Weights(*10.0 ** rng.uniform(-6, 6, 2), 0.0, 10.0 ** rng.uniform(-6, 6))
-    chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
-    problem = Problem(horizon=2, floor=floor('polygon', 0.6, 4), weights=chosen)
-    start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
-    plan = Solver(problem, gap_tolerance=1e-6).solve(start, targets)
-    assert plan.objective == pytest.approx(enumerated(problem, start, targets), rel=1e-3)
+# --- weights
 
 
 def test_a_cost_far_below_the_usual_is_proved_in_proportion_to_itself():
