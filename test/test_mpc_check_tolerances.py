@@ -7,13 +7,15 @@ makes a cost of it, so that nothing but the tolerance in question can object.
 
 import math
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from plans import assembled, changed
 
 from orbimpc_ros.mpc.check import command_violations, violations
-from orbimpc_ros.mpc.plan import UNPROVED, Command
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 
 # As documented, not as imported: a check that allows more must not have its tests follow it.
@@ -24,81 +26,71 @@ GOALS = np.zeros((5, 2))
 FAR = 1e9  # [m] from the origin, where numbers are 1e-7 apart
 
 
-def resting(problem, x=(0.0, 0.0), place=(0.0, 0.0)):
-    """The state at rest, and a plan whose rotations all have the coordinates x."""
+def resting(problem=FREE, x=(0.0, 0.0), place=(0.0, 0.0)):
+    """The vehicle at rest, and a plan whose rotations all have the coordinates x."""
     coasted = np.eye(2) if problem.rotation_order == 2 else None
     state = State.at(place, np.zeros((2, 2)), attitude=np.eye(2), coasted=coasted)
-    return state, assembled(problem, state, GOALS, np.tile(x, (problem.horizon, 1)))
+    return Checked(problem, state, GOALS, assembled(problem, state, GOALS, np.tile(x, (5, 1))))
+
+
+class Checked(NamedTuple):
+    """What the check is asked of."""
+
+    problem: Problem
+    state: State
+    goals: np.ndarray
+    plan: Plan
+
+    def but(self, **changes):
+        """Return the same with something else in the plan."""
+        return self._replace(plan=replace(self.plan, **changes))
 
 
 def with_one(name, index):
     """A plan with one number of an array moved."""
 
     def made(error):
-        state, plan = resting(FREE)
-        array = getattr(plan, name)
-        return FREE, state, GOALS, replace(plan, **{name: changed(array, index, error)})
+        known = resting()
+        return known.but(**{name: changed(getattr(known.plan, name), index, error)})
 
     return made
-
-
-def with_rotations(problem, coordinates):
-    def made(error):
-        return problem, *_with_goals(*resting(problem, coordinates(error)))
-
-    return made
-
-
-def _with_goals(state, plan):
-    return state, GOALS, plan
 
 
 def above_a_floor(error):
-    problem = replace(FREE, floor=Floor('circle', 4, 2 * TOLERANCE))
-    return problem, *_with_goals(*resting(problem, (2 * TOLERANCE - error, 0.0)))
+    floor = Floor('circle', 4, 2 * TOLERANCE)
+    return resting(replace(FREE, floor=floor), (2 * TOLERANCE - error, 0.0))
 
 
-def inside_a_box(error):
-    problem = replace(FREE, obstacles=(Box([-1.0, -error], [1.0, 1.0]),))
-    return problem, *_with_goals(*resting(problem))
-
-
-def across_a_corner(error):
-    problem = replace(FREE, obstacles=(Box([-1.0, -error], [1.0, 1.0]),), no_corner_cutting=True)
-    return problem, *_with_goals(*resting(problem))
+def inside_a_box(error, **given):
+    return resting(replace(FREE, obstacles=(Box([-1.0, -error], [1.0, 1.0]),), **given))
 
 
 def beside_the_arrival(error):
-    problem = replace(FREE, terminal='constraint')
-    return problem, *resting(problem)[:1], changed(GOALS, (4, 1), error), resting(problem)[1]
+    known = resting(replace(FREE, terminal='constraint'))
+    return known._replace(goals=changed(GOALS, (4, 1), error))
 
 
 def bounded_above_its_cost(error):
-    state, plan = resting(FREE)
-    return (
-        FREE,
-        state,
-        GOALS,
-        replace(plan, proof=replace(UNPROVED, lower_bound=error, cost_unit=4.0)),
-    )
+    return resting().but(proof=replace(UNPROVED, lower_bound=error, cost_unit=4.0))
 
 
 def skewed(error):
-    state, plan = resting(FREE)
-    shear = np.array([[1.0, error], [0.0, 1.0]])
-    return FREE, state, GOALS, replace(plan, projected=changed(plan.projected, 5, shear))
+    known, shear = resting(), np.array([[1.0, error], [0.0, 1.0]])
+    return known.but(projected=changed(known.plan.projected, 5, shear))
 
 
 def turned_from(problem, k):
     """A plan whose projected rotations Q_k and after are turned a little."""
 
     def made(error):
-        state, plan = resting(problem)
-        projected = plan.projected.copy()
-        projected[k:] = [[1.0, -error], [error, 1.0]]
-        return problem, state, GOALS, replace(plan, projected=projected)
+        known = resting(problem)
+        return known.but(projected=changed(known.plan.projected, slice(k, None), turned(error)))
 
     return made
+
+
+def turned(sine):
+    return np.array([[1.0, -sine], [sine, 1.0]])
 
 
 @pytest.mark.parametrize(
@@ -107,11 +99,11 @@ def turned_from(problem, k):
         (with_one('positions', (2, 1)), TOLERANCE, 'positions differ by 1e-06 from a rollout'),
         (with_one('velocities', (2, 1)), TOLERANCE, 'velocities differ by 1e-06 from a rollout'),
         (with_one('rotations', (3, 1, 1)), TOLERANCE, 'rotations differ by 1e-06 from a rollout'),
-        (with_rotations(COASTING, lambda e: (0.0, e)), TOLERANCE, 'R_1 strays 1e-06 from where'),
-        (with_rotations(COASTING, lambda e: (-e, 0.0)), TOLERANCE, 'R_1 thrusts backwards by 1e-0'),
+        (lambda e: resting(COASTING, (0.0, e)), TOLERANCE, 'R_1 strays 1e-06 from where'),
+        (lambda e: resting(COASTING, (-e, 0.0)), TOLERANCE, 'R_1 thrusts backwards by 1e-0'),
         (above_a_floor, TOLERANCE, 'floor violated by 1e-06'),
         (inside_a_box, TOLERANCE, 'obstacle violated by 1e-06'),
-        (across_a_corner, TOLERANCE, 'obstacle violated by 1e-06'),
+        (partial(inside_a_box, no_corner_cutting=True), TOLERANCE, 'obstacle violated by 1e-06'),
         (beside_the_arrival, TOLERANCE * (1 + ROUNDING), 'terminal constraint missed by 1e-06'),
         (bounded_above_its_cost, 4 * TOLERANCE, 'the lower bound exceeds the cost of 0 by 4e-06'),
         (skewed, ORTHOGONAL, 'a projected rotation is not orthogonal'),
@@ -128,21 +120,18 @@ def test_a_plan_may_be_off_by_exactly_its_tolerance(made, allowed, complaint):
 
 
 def test_at_its_goal_a_plan_may_cost_nothing():
-    state, plan = resting(Problem())
-    nothing = replace(plan, proof=replace(UNPROVED, lower_bound=0.0))
-    assert nothing.objective == 0.0
-    assert violations(Problem(), state, GOALS, nothing) == []
-    more = replace(nothing, objective=5e-324)
-    assert violations(Problem(), state, GOALS, more) == ['the objective is 0, not 4.94066e-324']
+    nothing = resting(Problem()).but(proof=replace(UNPROVED, lower_bound=0.0))
+    assert nothing.plan.objective == 0.0
+    assert violations(*nothing) == []
+    assert violations(*nothing.but(objective=5e-324)) == ['the objective is 0, not 4.94066e-324']
 
 
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_an_objective_may_be_off_by_what_summing_costs(side):
-    problem = Problem()
-    state, plan = resting(problem, (0.5, 0.0))
+    known = resting(Problem(), (0.5, 0.0))
     for share, fine in ((0.9, True), (1.1, False)):
-        told = replace(plan, objective=plan.objective * (1.0 + side * share * SUMMING))
-        assert (violations(problem, state, GOALS, told) == []) is fine
+        told = known.but(objective=known.plan.objective * (1.0 + side * share * SUMMING))
+        assert (violations(*told) == []) is fine
 
 
 @pytest.mark.parametrize('which', ['hull', 'max_rate'])
@@ -150,78 +139,74 @@ def test_limits_that_rounding_blurs(which):
     """One and chords are no multiples of the tolerance: it is met from either side."""
     problem = replace(FREE, max_rate=0.3 if which == 'max_rate' else 0.0)
     limit = problem.chord if which == 'max_rate' else 1.0
-    for share, fine in ((0.9, True), (1.1, False)):
-        state, plan = resting(problem, (limit + share * TOLERANCE, 0.0))
-        assert violations(problem, state, GOALS, plan) == (
-            [] if fine else [f'{which} violated by 1.1e-06']
-        )
+    for share, told in ((0.9, []), (1.1, [f'{which} violated by 1.1e-06'])):
+        assert violations(*resting(problem, (limit + share * TOLERANCE, 0.0))) == told
 
 
 @pytest.mark.parametrize('order', [1, 2])
 @pytest.mark.parametrize(('step', 'forward'), [(0.1, 300.0), (2.0, 0.1)])
 def test_lengths_may_be_off_in_proportion_to_what_a_step_moves(order, step, forward):
     problem = replace(FREE, translation_order=order, step=step, forward=forward)
-    length = forward * step**order
-    state, plan = resting(problem)
+    known = resting(problem)
     for share, fine in ((0.9, True), (1.1, False)):
-        error = share * TOLERANCE * length
-        off = replace(plan, positions=changed(plan.positions, (5, 0), error))
-        assert (violations(problem, state, GOALS, off) == []) is fine
-        off = replace(plan, velocities=changed(plan.velocities, (5, 0), error / step))
-        assert (violations(problem, state, GOALS, off) == []) is fine
+        error = share * TOLERANCE * forward * step**order
         boxed = replace(problem, obstacles=(Box([-error, -9e9], [9e9, 9e9]),))
-        assert (violations(boxed, state, GOALS, plan) == []) is fine
+        for off in (
+            known.but(positions=changed(known.plan.positions, (5, 0), error)),
+            known.but(velocities=changed(known.plan.velocities, (5, 0), error / step)),
+            known._replace(problem=boxed),
+        ):
+            assert (violations(*off) == []) is fine
 
 
 @pytest.mark.parametrize('axis', [0, 1])
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_far_from_the_origin_rounding_is_allowed_for(axis, side):
     """1e9 m away it is as much as the tolerance of a step of a metre: together 2e-6 m."""
-    problem = replace(FREE, terminal='constraint')
     place = side * FAR * np.eye(2)[axis]
-    state, plan = resting(problem, place=place)
-    there = np.tile(place, (5, 1))
-    assert violations(problem, state, there, plan) == []
+    known = resting(replace(FREE, terminal='constraint'), place=place)
+    known = known._replace(goals=np.tile(place, (5, 1)))
+    assert violations(*known) == []
     for error, fine in ((1.7e-6, True), (2.4e-6, False)):
-        off = replace(plan, positions=changed(plan.positions, (3, axis), side * FAR + error))
-        assert (violations(problem, state, there, off) == []) is fine
-        aside = changed(there, (4, axis), side * FAR + error)
-        assert (violations(problem, state, aside, plan) == []) is fine
+        there = side * FAR + error
+        off = known.but(positions=changed(known.plan.positions, (3, axis), there))
+        assert (violations(*off) == []) is fine
+        aside = known._replace(goals=changed(known.goals, (4, axis), there))
+        assert (violations(*aside) == []) is fine
 
 
 # --- the command
 
 
-def still(problem=FREE):
-    return resting(problem)[1], Command(0.0, np.zeros(1), np.eye(2))
+STILL = Command(0.0, np.zeros(1), np.eye(2))
 
 
-def turned(sine):
-    return np.array([[1.0, -sine], [sine, 1.0]])
-
-
-def test_a_commanded_speed_may_be_off_by_exactly_the_tolerance():
-    plan, command = still()
-    fast, faster = TOLERANCE, np.nextafter(TOLERANCE, 1.0)
-    assert command_violations(FREE, plan, replace(command, speed_fraction=fast)) == []
-    found = command_violations(FREE, plan, replace(command, speed_fraction=faster))
-    assert found == ['the commanded speed is not that of the plan']
-
-
-def test_a_commanded_rotation_may_be_off_its_rate_by_exactly_the_tolerance():
-    plan, command = still()
-    near, off = turned(ORTHOGONAL), turned(np.nextafter(ORTHOGONAL, 1.0))
-    assert command_violations(FREE, plan, replace(command, rotation=near)) == []
-    found = command_violations(FREE, plan, replace(command, rotation=off))
-    assert found == ['the commanded rotation is not where the commanded rate leads']
+@pytest.mark.parametrize(
+    ('made', 'allowed', 'complaint'),
+    [
+        (
+            lambda e: {'speed_fraction': e},
+            TOLERANCE,
+            'the commanded speed is not that of the plan',
+        ),
+        (
+            lambda e: {'rotation': turned(e)},
+            ORTHOGONAL,
+            'the commanded rotation is not where the commanded rate leads',
+        ),
+    ],
+)
+def test_a_command_may_be_off_by_exactly_its_tolerance(made, allowed, complaint):
+    for error, told in ((allowed, []), (np.nextafter(allowed, 1.0), [complaint])):
+        assert command_violations(FREE, resting().plan, replace(STILL, **made(error))) == told
 
 
 def test_a_commanded_rotation_may_be_off_its_plan_by_exactly_the_tolerance():
-    plan, command = still()
+    plan = resting().plan
     sines = 2.0 * math.sin(0.5 * TOLERANCE) + np.spacing(TOLERANCE) * np.arange(-20, 21)
     off = {}
     for sine in sines:
-        told = replace(command, rotation=turned(sine), body_rate=np.array([sine]))
+        told = replace(STILL, rotation=turned(sine), body_rate=np.array([sine]))
         # The angle as the norm of what a rotation changes has it.
         seen = 2.0 * math.asin(np.linalg.norm(turned(sine) - np.eye(2)) / math.sqrt(8.0))
         off[seen] = command_violations(FREE, plan, told)

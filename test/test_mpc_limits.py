@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import convex
 from plans import assembled
 from problems import floor, goals, needs_machine_code, rotation, state
 from stepping import Stepped, odometry
@@ -203,9 +204,9 @@ def test_plans_keep_both_cones_at_every_step_and_the_check_sees_those_that_do_no
     found = ' '.join(violations(problem, start, PAD, without))
     assert 'tilt violated by' in found
     assert 'glide_slope violated by' in found
-    plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
-    assert plan.is_closed
-    assert plan.proof.checked
+    plan = Solver(problem, gap_tolerance=1e-3 if floor.exists else 1e-6).solve(start, PAD)
+    assert plan.status == 'optimal'
+    assert floor.exists or plan.objective == pytest.approx(convex(problem, start, PAD), rel=1e-5)
     assert tilts(plan).max() <= 0.2 + 1e-5
     assert slopes(plan).min() >= 0.6 - 1e-5
     assert without.lower_bound <= plan.objective

@@ -24,7 +24,6 @@ from problems import (
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.rotations import turned_onto
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
@@ -102,24 +101,6 @@ def test_goals_out_of_all_proportion_are_no_trouble(n, distance):
     assert plan.status == 'optimal'
     if distance:
         assert np.allclose(plan.rotations[1, :, 0], way, atol=0.03)
-
-
-@pytest.mark.parametrize('seed', range(2))
-def test_the_optimum_of_a_descent_is_that_of_another_formulation(seed):
-    rng = np.random.default_rng(seed)
-    problem = Problem(
-        3, 1, 2, horizon=8, forward=3.6, weights=Weights(0.3, 0.05, 0.3, 1.0), tilt=0.2,
-        glide_slope=0.6,
-    )  # fmt: skip
-    upright = turned_onto(np.eye(3), np.array([0.0, 0.0, 1.0]))
-    start = State.at(
-        rng.uniform([-9, -9, 14], [9, 9, 20]), 0.45 * upright, attitude=upright,
-        velocity=rng.uniform(-1.5, 1.5, 3), disturbance=[0.0, 0.0, -1.62],
-    )  # fmt: skip
-    pad = np.zeros((8, 3))
-    plan = Solver(problem).solve(start, pad)
-    assert plan.status == 'optimal'
-    assert plan.objective == pytest.approx(convex(problem, start, pad), rel=1e-5)
 
 
 # --- choices

@@ -13,21 +13,17 @@ import adversary
 import numpy as np
 import pytest
 from problems import floor, seeds
-from toy_floor import Eastward
 
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import reading, sets
 from orbimpc_ros.mpc.proof.document import Certificate, verified
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.stated import Sets
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
-from orbimpc_ros.mpc.solve.solver import Solver
 
 DRAWS = 60  # of each seed
 OF_A_COST = 1e-9
@@ -117,14 +113,6 @@ def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
 
 
 # --- documents
-
-
-def test_floors_that_the_format_cannot_state_have_no_certificates(monkeypatch):
-    monkeypatch.setitem(SHAPES, 'eastward', Eastward())
-    problem, state = Problem(floor=Floor('eastward')), State.at(np.zeros(2), np.eye(2))
-    plan = Solver(problem).solve(state, np.ones((5, 2)))
-    with pytest.raises(Unproved, match='no proof'):
-        certificate_of(problem, state, np.ones((5, 2)), plan.proof)
 
 
 EXTREMES = [0, -0.0, 1e-320, 1e-300, 1e300, -1e300, float('inf'), float('nan'), 10**400, 'x', None,

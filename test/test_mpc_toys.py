@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -40,10 +41,11 @@ def test_plans_keep_to_a_new_floor(dimension, limits):
     problem = Problem(dimension, floor=east(), **limits)
     turned = np.eye(dimension)
     start = State.at(np.zeros(dimension), 0.6 * turned, coasted=turned)
-    plan = Solver(problem, coasting=True).solve(
-        start, np.tile(BEHIND[0, [0, 1, 1][:dimension]], (5, 1))
-    )
-    assert plan.lower_bound == 0.0  # proofs do not know this floor
+    goals = np.tile(BEHIND[0, [0, 1, 1][:dimension]], (5, 1))
+    plan = Solver(problem, coasting=True).solve(start, goals)
+    assert plan.lower_bound == 0.0
+    with pytest.raises(Unproved, match='no proof'):  # certificates cannot state this floor
+        certificate_of(problem, start, goals, plan.proof)
     first = 1 if problem.rotation_order == 1 else 2
     assert plan.rotations[first:, 0, 0].min() >= 0.5 - 1e-6
     assert plan.rotations[first:, 0, 0].min() <= 0.5 + 1e-4  # it wants the other way
