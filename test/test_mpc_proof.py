@@ -186,6 +186,7 @@ BALL = {'centre': [1.0, 0.0], 'radius': 1.0, 'of': 'end'}
         (('limits',), {'bodies': [{**BALL, 'of': 'all'}]}, 'of'),
         (('tree',), 7, 'tree'),
         (('tree', 'nodes'), [[0, 0, 0, 0]], 'nodes'),
+        (('tree', 'point'), [[[0.1], [0.1, 0.2]]], 'lists of the same length'),
         (('tree', 'points'), [], "unknown tree field 'points'"),
     ],
 )
