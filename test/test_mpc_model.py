@@ -1,13 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The discrete model: rollouts, maps, inputs, the condensed quadratic, and what weights mean."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from plans import assembled
 from problems import CASES, ORDERS, disturbed, goals, weights
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -22,38 +23,18 @@ MODELS += [{**each, 'discretisation': 'held'} for each in ORDERS if each['transl
 SPEEDS = [(0.02, 0.1), (0.7, 3.0), (2.0, 1000.0)]
 
 
-def moved(problem, start, headings):
-    """Positions and velocities, step by step, as docs/mathematics.md 1.1 has them."""
-    h, z, w = problem.step, problem.forward, start.disturbance
-    s, p = [start.position], [start.velocity]
-    for old, new in itertools.pairwise(headings):
-        mean = {'euler': old, 'exact': 0.5 * (old + new), 'held': new}[problem.discretisation]
-        way = h * (z * mean + w)
-        if problem.translation_order == 2:
-            way = h * p[-1]
-            if problem.discretisation == 'exact':
-                way = way + h**2 * (z * (old / 3.0 + new / 6.0) + 0.5 * w)
-            if problem.discretisation == 'held':
-                way = way + 0.5 * h**2 * (z * new + w)
-        s.append(s[-1] + way)
-        p.append(p[-1] + h * (z * mean + w))
-    if problem.translation_order == 1:
-        return np.array(s), z * np.array(headings) + w
-    return np.array(s), np.array(p)
-
-
 @pytest.mark.parametrize('model', MODELS)
 def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
+    """As the check rolls them out; that these are the steps as stated, convex optima hold."""
     rng = np.random.default_rng([*map(ord, str(model))])
     problem = Problem(**model, horizon=6, step=rng.uniform(0.1, 2), forward=1.7)
     start, targets = disturbed(rng, problem), goals(rng, problem)
     x = rng.uniform(-1, 1, size=(6, 2 if problem.dimension == 2 else 9))
     flown = trajectory_of(problem, start, targets, x)
-    positions, velocities = moved(problem, start, flown.headings)
-    np.testing.assert_allclose(flown.positions, positions, atol=1e-11)
-    np.testing.assert_allclose(flown.velocities, velocities, atol=1e-11)
+    plan = assembled(problem, start, targets, x)
+    assert not [each for each in violations(problem, start, targets, plan) if 'differ' in each]
     mapped = dynamics.drift(problem, start) + problem.maps.reach @ flown.headings
-    np.testing.assert_allclose(mapped, positions[1:], atol=1e-11)
+    np.testing.assert_allclose(mapped, flown.positions[1:], atol=1e-11)
     assert np.allclose(coordinates(flown.rotations[1:]), x)
     inputs = np.einsum('kj,jab->kab', dynamics.input_map(problem), flown.rotations)
     np.testing.assert_allclose(flown.inputs[: len(inputs)], inputs, atol=1e-9)
