@@ -15,8 +15,6 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command, command_of, stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 
-NAN, INF = np.nan, np.inf
-
 
 def good(n):
     rng = np.random.default_rng(n)
@@ -24,22 +22,41 @@ def good(n):
 
 
 @pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('value', [NAN, INF, -INF])
+@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
 def test_not_finite(n, value):
+    _, _, plan = straight(Problem(n), np.ones(5))
     for broken in (
         replace(good(n), speed_fraction=value),
         replace(good(n), body_rate=changed(good(n).body_rate, -1, value)),
         replace(good(n), rotation=changed(good(n).rotation, (1, 0), value)),
     ):
         assert flaw(Problem(n), broken) == 'the command is not finite'
-        _, _, plan = straight(Problem(n), np.ones(5))
         assert command_violations(Problem(n), plan, broken) == ['command is not finite']
 
 
-def test_a_speed_is_a_share_of_all():
-    for fraction, fine in ((0.0, True), (1.0, True), (-1e-9, False), (1.0 + 1e-9, False)):
-        found = flaw(Problem(), replace(good(2), speed_fraction=fraction))
-        assert ('speed fraction' in found) is not fine
+@pytest.mark.parametrize(
+    ('given', 'name', 'most', 'told'),
+    [
+        ({}, 'speed_fraction', 1.0, 'is not in [0, 1]'),
+        ({'max_rate': 0.3}, 'body_rate', 0.3 * (1.0 + 1e-6), 'is beyond 0.3'),
+        ({'step': 0.5}, 'body_rate', 2.0 * np.pi * (1.0 + 1e-6), 'is beyond 6.28319'),
+        ({'step': 2.0}, 'body_rate', 0.5 * np.pi * (1.0 + 1e-6), 'is beyond 1.5708'),
+    ],
+)
+def test_a_command_may_be_at_its_limits_and_not_beyond(given, name, most, told):
+    """Without a limit of the rate it is half a turn in a step."""
+    problem, rate = Problem(**given), name == 'body_rate'
+    for value, fine in ((most, True), (np.nextafter(most, 9.0), False)):
+        command = replace(good(2), **{name: np.array([-value]) if rate else value})
+        assert (flaw(problem, command) == '') is fine
+        assert fine or told in flaw(problem, command)
+    assert rate or told in flaw(problem, replace(good(2), speed_fraction=-1e-9))
+
+
+def test_a_rate_in_space_is_as_large_as_its_vector():
+    size = float(np.linalg.norm(good(3).body_rate))
+    assert flaw(Problem(3, max_rate=size), good(3)) == ''
+    assert 'beyond' in flaw(Problem(3, max_rate=0.99 * size), good(3))
 
 
 @pytest.mark.parametrize(('n', 'shape'), [(2, 'circle'), (2, 'polygon'), (3, 'circle')])
@@ -54,36 +71,9 @@ def test_no_command_is_below_the_floor_but_a_stop_that_was_asked_for(n, shape):
         assert flaw(replace(problem, floor=Floor(fraction=0.7)), slow) == ''
 
 
-@pytest.mark.parametrize('step', [0.1, 1.0, 2.0])
-def test_without_a_limit_half_a_turn_in_a_step_is_the_limit(step):
-    half_a_turn = np.array([-np.pi / step])
-    assert flaw(Problem(step=step), replace(good(2), body_rate=half_a_turn)) == ''
-    more = 1.00001 * half_a_turn
-    found = flaw(Problem(step=step), replace(good(2), body_rate=more))
-    assert found == f'a body rate of {-more[0]:.6g} rad/s is beyond {np.pi / step:.6g}'
-
-
-def test_a_rate_may_be_beyond_its_limit_by_exactly_the_tolerance():
-    largest = 0.3 * (1.0 + 1e-6)
-    assert flaw(Problem(max_rate=0.3), replace(good(2), body_rate=np.array([-largest]))) == ''
-    more = np.array([-np.nextafter(largest, 1.0)])
-    assert 'is beyond 0.3' in flaw(Problem(max_rate=0.3), replace(good(2), body_rate=more))
-    about = good(3).body_rate
-    size = float(np.linalg.norm(about))
-    assert flaw(Problem(3, max_rate=size), good(3)) == ''
-    assert 'beyond' in flaw(Problem(3, max_rate=0.99 * size), good(3))
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_a_rotation_may_be_off_by_exactly_the_tolerance(n):
-    told = 'the commanded rotation is not a rotation'
-    for entry, expected in ((1e-9, ''), (np.nextafter(1e-9, 1.0), told)):
-        sheared = changed(np.eye(n), (1, 0), entry)
-        assert flaw(Problem(n), replace(good(n), rotation=sheared)) == expected
-
-
 def broken_rotations(n):
     turned = good(n).rotation
+    yield changed(np.eye(n), (1, 0), np.nextafter(1e-9, 1.0))
     yield turned * (1.0 + 1e-8)
     yield turned * np.array([-1.0] + [1.0] * (n - 1))  # a mirror
     for i in range(n):
@@ -96,6 +86,8 @@ def broken_rotations(n):
 
 @pytest.mark.parametrize('n', [2, 3])
 def test_no_rotation(n):
+    within = changed(np.eye(n), (1, 0), 1e-9)
+    assert flaw(Problem(n), replace(good(n), rotation=within)) == ''
     for broken in broken_rotations(n):
         found = flaw(Problem(n), replace(good(n), rotation=broken))
         assert found == 'the commanded rotation is not a rotation'

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plans import straight
 from problems import needs_machine_code, polled
 from stepping import Stepped, odometry
 
@@ -22,9 +23,7 @@ from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def test_what_may_be_faster_counts_as_larger_until_it_is_seen_again():
-    disc = replace(
-        MovingObstacle.drifting(Ball([6.0, 0.0], 1.0), [0.0, 0.0]), reserve=0.4, unsure=1.5
-    )
+    disc = replace(still([6.0, 0.0], 1.0), reserve=0.4, unsure=1.5)
     start = State.at([0.0, 0.0], np.eye(2), hazards=(disc,))
     boat = Problem(horizon=8, step=0.5, forward=3.0)
     kept = traffic_of(boat, start).kept[0]
@@ -99,34 +98,36 @@ def test_plans_stay_clear_at_all_times(model):
     assert plans >= 2
 
 
-@pytest.mark.parametrize('between', [False, True])
-def test_a_plan_that_hits_is_refused(between):
-    """At the end of a step, or in the middle of one only, through a disc thinner than a step."""
-    problem = Problem(horizon=3, step=1.0, forward=1.0)
-    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([9.0, 0.0], (3, 1))
-    plan = Solver(problem).solve(start, goals)
-    assert violations(problem, start, goals, plan) == []
-    centre = [1.5, 0.0] if between else [2.0, 0.0]
-    for radius, refused in ((0.2, True), (1e-9, False)):
-        clear = MovingObstacle.drifting(
-            Ball([*centre[:1], 2.0 * radius * (not refused)], radius), [0.0, 0.0]
-        )
-        found = violations(problem, replace(start, hazards=(clear,)), goals, plan)
-        assert bool(found) is refused
-        static = replace(problem, obstacles=(clear.body,))
-        assert bool(violations(static, start, goals, plan)) is refused
+def still(centre, radius):
+    """A ball that stays where it is."""
+    return MovingObstacle.drifting(Ball(centre, radius), np.zeros(len(centre)))
 
 
-def test_a_body_that_meets_the_plan_half_way_between_two_steps_is_seen():
-    problem = Problem(horizon=3, step=1.0, forward=1.0)
-    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([9.0, 0.0], (3, 1))
-    plan = Solver(problem).solve(start, goals)
-    across = Ball([1.5, 1.5], 0.3)
-    dash = MovingObstacle(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.5], [0, 0]])
-    found = violations(problem, replace(start, hazards=(dash,)), goals, plan)
-    assert any('hazard 0' in each for each in found)
-    clear = MovingObstacle(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.1], [0, 0]])
-    assert violations(problem, replace(start, hazards=(clear,)), goals, plan) == []
+def dashing(far):
+    """A ball beside the way that comes at half time between two steps, and goes back."""
+    shifts = [[0.0, 0.0], [0.0, 0.0], [0.0, -far], [0.0, 0.0]]
+    return MovingObstacle(Ball([1.5, 1.5], 0.3), [0.0, 1.0, 1.5, 2.0], shifts)
+
+
+@pytest.mark.parametrize(
+    ('hazard', 'hit'),
+    [
+        (still([2.0, 0.0], 0.2), True),  # at the end of a step
+        (still([2.0, 2e-9], 1e-9), False),
+        (still([1.5, 0.0], 0.2), True),  # within a step only
+        (still([1.5, 2e-9], 1e-9), False),
+        (dashing(1.5), True),
+        (dashing(1.1), False),
+    ],
+)
+def test_a_plan_that_hits_is_refused(hazard, hit):
+    problem = Problem(horizon=3)
+    start, goals, plan = straight(problem, np.ones(3))
+    found = violations(problem, replace(start, hazards=(hazard,)), goals, plan)
+    assert [each.partition(' violated')[0] for each in found] == ['hazard 0'] * hit
+    if not hazard.shifts.any():
+        static = replace(problem, obstacles=(hazard.body,))
+        assert bool(violations(static, start, goals, plan)) is hit
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,7 @@ def test_a_body_that_meets_the_plan_half_way_between_two_steps_is_seen():
 def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
     controller = Stepped(Problem(horizon=3), gap_tolerance=0.05)
     around = MovingObstacle.drifting(Ball([4.0, 0.0], 1.0), velocity)
-    controller.hazards = (MovingObstacle.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
+    controller.hazards = (still([0.0, 9.0], 1.0), around)
     tick = controller.tick(odometry(speed=0.0), np.tile([4.5, 0.0], (3, 1)))
     assert tick.plan is not None
     assert tick.reason == told
@@ -170,10 +171,7 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
     """The goal is 0.2 m from both discs, so that who keeps 0.4 m away cannot arrive."""
     problem = Problem(horizon=6, step=0.5, forward=1.0, terminal='constraint')
     controller = Stepped(problem, gap_tolerance=0.01, reserve=0.4)
-    still = [
-        MovingObstacle.drifting(Ball([2.5, 0.7 * side], 0.5), [0.0, 0.0]) for side in (-1.0, 1.0)
-    ]
-    controller.hazards = tuple(still)
+    controller.hazards = tuple(still([2.5, 0.7 * side], 0.5) for side in (-1.0, 1.0))
     goals = np.tile([2.5, 0.0], (6, 1))
     tick = controller.tick(odometry(speed=0.0), goals)
     assert tick.status == 'optimal'
@@ -186,19 +184,15 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
 def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     problem = Problem(horizon=6, step=0.5, forward=1.0)
     asides = 0.65, -0.8, 1.5  # the way passes the discs at 0.15, 0.3 and 1 m
-    hazards = tuple(MovingObstacle.drifting(Ball([2.5, y], 0.5), [0.0, 0.0]) for y in asides)
+    hazards = tuple(still([2.5, y], 0.5) for y in asides)
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([3.0, 0.0], (6, 1))
     plan = Solver(problem).solve(start, goals)
-    found = achieved_clearance(problem, replace(start, hazards=hazards), plan, 0.6)
+    beside = replace(start, hazards=hazards)
+    found = achieved_clearance(problem, beside, plan, 0.6)
     assert found.tolist() == pytest.approx([0.0, 0.2, 0.6])
-    assert (
-        achieved_clearance(problem, replace(start, hazards=hazards), None, 0.6).tolist()
-        == [0.0] * 3
-    )
-    asked = [
-        each.reserve for each in with_clearance(replace(start, hazards=hazards), found).hazards
-    ]
-    assert asked == pytest.approx(found.tolist())
+    assert achieved_clearance(problem, beside, None, 0.6).tolist() == [0.0] * 3
+    asked = with_clearance(beside, found).hazards
+    assert [each.reserve for each in asked] == pytest.approx(found.tolist())
 
 
 # --- what is flown where a plan does not keep the vehicle clear
@@ -243,7 +237,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
 def test_the_clearest_way_is_flown_where_none_is_clear():
     """Shut in by a disc that is too large to leave within the horizon."""
     controller = Stepped(BOAT)
-    controller.hazards = (MovingObstacle.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
+    controller.hazards = (still([9.0, 1.0], 30.0),)
     tick = controller.tick(odometry(), FAR)
     assert tick.status in ('infeasible', 'failed')
     assert tick.fallback == 'clearest way'
@@ -273,9 +267,9 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     assert depth[-1] <= 1e-6
     gone = np.flatnonzero(depth <= 1e-6)[0]
     assert (depth[gone:] <= 1e-6).all()  # and stays out
-    still = replace(start, hazards=(MovingObstacle.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
-    with pytest.raises((Infeasible, SolverFailure)):  # shut in, not just inside of a margin
-        Solver(problem).solve(still, goals, None, polled(600))
+    shut = replace(start, hazards=(still([0.0, 0.0], 40.0),))
+    with pytest.raises((Infeasible, SolverFailure)):  # not just inside of a margin
+        Solver(problem).solve(shut, goals, None, polled(600))
 
 
 @needs_machine_code
