@@ -1,6 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A controller without a plan or a goal, and with a goal beyond all reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plans import START, assembled
@@ -8,10 +10,12 @@ from problems import ORDERS, floor
 from problems import state as random_state
 from stepping import Stepped, odometry
 
+from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal, reach
@@ -224,3 +228,42 @@ def test_a_speed_that_the_model_does_not_know_is_told(speed, told):
     tick = Stepped(Problem()).tick(odometry(speed=speed), np.tile([3.0, 1.0], (5, 1)))
     assert tick.status == 'optimal'
     assert tick.reason.endswith(told) if told else tick.reason == ''
+
+
+# --- safe commands under gravity
+
+UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
+WEIGHT = np.array([0.0, 0.0, -9.81])
+
+
+@pytest.mark.parametrize('tilt', [0.0, 0.5, 1.0])
+def test_hovering_leaves_no_acceleration_along_the_weight(tilt):
+    problem = Problem(3, 1, 2, forward=20.0)
+    attitude = UP @ exp(np.array([0.0, 0.0, tilt]))
+    command = safe_command('hover', problem, attitude, 0.0, WEIGHT)
+    thrust = 20.0 * command.speed_fraction * attitude[:, 0]
+    assert thrust[2] == pytest.approx(9.81)
+    assert not command.body_rate.any()
+
+
+def test_what_tilts_too_far_to_be_carried_is_thrust_least_astray():
+    problem = Problem(3, 1, 2, forward=12.0)
+    for tilt in np.linspace(0.7, np.pi, 9):
+        attitude = UP @ exp(np.array([0.0, 0.0, tilt]))
+        command = safe_command('hover', problem, attitude, 0.0, WEIGHT)
+        left = [
+            np.linalg.norm(12.0 * share * attitude[:, 0] + WEIGHT)
+            for share in (command.speed_fraction, *np.linspace(0.0, 1.0, 101))
+        ]
+        assert left[0] <= min(left) + 1e-9
+    assert safe_command('hover', problem, UP, 0.0).speed_fraction == 0.0  # nothing to carry
+
+
+def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
+    problem = Problem(3, 1, 2, forward=20.0, floor=Floor('circle', fraction=0.6))
+    controller = Stepped(problem, safe='hover', disturbance=WEIGHT)
+    tick = controller.safe(UP, Reason(Cause.ODOMETRY, 'lost'))
+    assert tick.command.speed_fraction == 0.6
+    free = Stepped(replace(problem, floor=Floor()), safe='hover', disturbance=WEIGHT)
+    command = free.safe(UP, Reason(Cause.ODOMETRY, 'lost')).command
+    assert command.speed_fraction == pytest.approx(9.81 / 20.0)

@@ -1,23 +1,157 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Lags: where they leave a vehicle, what it is sent, and how well it arrives in spite of them."""
+"""What a plan starts from: measurements in wind, delays, and where lags leave a vehicle."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from problems import ORDERS, rotation
 from scenarios import spacecraft_problem
 from stepping import Stepped, flown, started
 
-from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
+from orbimpc_ros.loop.compensation import (
+    CommandHistory,
+    Compensator,
+    Interval,
+    Response,
+    advanced,
+)
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Command
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 LONG = 6.0  # [s] twenty time constants: by then lags are over
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]
+
+
+def known(problem, wind=None, source='ground'):
+    return Compensator(problem, given=wind, velocity_source=source)
+
+
+def command(fraction, rate=(0.0,)):
+    return Command(fraction, np.array(rate), np.eye(2 if len(rate) == 1 else 3))
+
+
+# --- measurements in wind
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('source', ['ground', 'air'])
+@pytest.mark.parametrize('seed', range(5))
+def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
+    rng = np.random.default_rng([seed, n])
+    model = Model(n, forward=2.0, disturbance=tuple(rng.normal(size=n)))
+    place, attitude = rng.normal(size=n), rotation(rng, n)
+    vehicle = launched(model, place, attitude, fraction=rng.uniform(0.2, 1.0))
+    compensator = known(Problem(n, forward=2.0), model.blown, source)
+    seen = measured(vehicle, source)
+    state = State.at(**compensator.state(seen))
+    np.testing.assert_allclose(state.rotation, vehicle.fraction * vehicle.attitude, atol=1e-12)
+    np.testing.assert_allclose(state.disturbance, model.blown)
+    assert compensator.odd_speed(seen) == ''
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
+    rng = np.random.default_rng(n)
+    for _ in range(50):
+        attitude, wind = rotation(rng, n), 30.0 * rng.normal(size=n)
+        still = np.zeros(1 if n == 2 else 3)
+        seen = Odometry(0.0, np.zeros(n), attitude, 20.0 * rng.normal(size=n), still)
+        for source in ('ground', 'air'):
+            state = State.at(**known(Problem(n, forward=5.0), wind, source).state(seen))
+            share = float(np.linalg.norm(state.rotation[:, 0]))
+            assert 0.0 <= share <= 1.0 + 1e-12
+            np.testing.assert_allclose(state.rotation, share * attitude, atol=1e-12)
+
+
+def test_an_odd_speed_is_one_through_the_air():
+    seen = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.5, 0.0]), np.zeros(1))
+    along = np.array([0.7, 0.0])
+    assert 'measured a forward speed of 1.5 m/s' in known(Problem()).odd_speed(seen)
+    assert known(Problem(), along).odd_speed(seen) == ''
+    assert 'of 1.5 m/s' in known(Problem(), along, 'air').odd_speed(seen)
+
+
+def test_a_wind_of_another_dimension_is_refused():
+    with pytest.raises(BadInput, match='wind'):
+        Model(3, disturbance=(1.0, 2.0))
+
+
+# --- delays
+
+
+@pytest.mark.parametrize('source', ['ground', 'air'])
+@pytest.mark.parametrize('orders', ORDERS)
+def test_a_measurement_moves_on_as_the_vehicle_does(orders, source):
+    """Before a command is known, and with two of them, in a wind or under gravity.
+
+    Rates are near zero, too, where closed forms give way to series. At order 1 they are obeyed at
+    once; what else was commanded comes with the next command.
+    """
+    rng, n, order = np.random.default_rng(1), orders['dimension'], orders['translation_order']
+    problem = Problem(**orders, forward=2.0)
+    for _ in range(20):
+        plant = Plant(n, 1, order, forward=2.0, disturbance=tuple(rng.normal(size=n)))
+        rates = 10.0 ** rng.uniform(-4, 0.5, (3, 1)) * rng.normal(size=(3, plant.rates))
+        first, second = (command(rng.uniform(), rate) for rate in rates[1:])
+        place, attitude, velocity = rng.normal(size=n), rotation(rng, n), rng.normal(size=n)
+        start = launched(
+            plant, place, attitude, fraction=rng.uniform(), velocity=velocity, body_rate=rates[0]
+        )
+        spans = 0.1, 0.3, 0.2
+        known = (None, None), (first, None), (second, first)
+        intervals = [Interval(span, *each) for span, each in zip(spans, known, strict=True)]
+        later = advanced(problem, measured(start, source), intervals, plant.blown, source)
+        turns = rates if problem.rotation_order == 1 else rates[[0, 0, 1]]
+        before, vehicle = start.fraction if order == 1 else 0.0, start
+        shares = before, before, first.speed_fraction
+        for span, rate, share in zip(spans, turns, shares, strict=True):
+            vehicle = flown(plant, vehicle, share, rate, span)
+        expected = measured(vehicle, source)
+        assert later.time == pytest.approx(0.6)
+        for name in ('position', 'attitude', 'body_velocity'):
+            found = getattr(later, name)
+            np.testing.assert_allclose(found, getattr(expected, name), atol=1e-6, err_msg=name)
+        if problem.rotation_order == 2:
+            np.testing.assert_array_equal(later.body_rate, first.body_rate)
+        assert advanced(problem, later, []) is later
+
+
+A, B, C = command(0.1), command(0.2), command(0.3)
+
+
+def told(begin, end, sent=((1.0, A), (2.0, B), (3.0, C))):
+    kept = CommandHistory()
+    for at, given in sent:
+        kept.add(given, at)
+    return [
+        (pytest.approx(interval.duration), interval.command, interval.before)
+        for interval in kept.intervals(begin, end)
+    ]
+
+
+def test_intervals_are_what_was_in_force():
+    assert told(1.5, 1.7) == [(0.2, A, None)]
+    assert told(1.5, 2.5) == [(0.5, A, None), (0.5, B, A)]
+    assert told(2.0, 3.5) == [(1.0, B, A), (0.5, C, B)]
+    assert told(4.0, 4.25) == [(0.25, C, B)]
+    assert told(0.5, 1.25) == [(0.5, None, None), (0.25, A, None)]
+    assert told(0.0, 0.5) == [(0.5, None, None)]
+    assert told(2.5, 2.5) == told(2.5, 2.0) == []
+
+
+def test_forgotten_commands_are_not_in_force():
+    kept = CommandHistory()
+    kept.add(A, 1.0)
+    kept.forget()
+    assert [interval.command for interval in kept.intervals(1.5, 2.0)] == [None]
+
+
+# --- lags
 
 
 def settled(compensator, vehicle):
