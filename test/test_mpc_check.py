@@ -265,11 +265,10 @@ def test_a_gap_far_below_the_unit_of_costs_is_none(units, status):
 def test_every_term_of_the_objective_is_summed(orders, arrival):
     """As the model does, which convex optima hold to the problem as it is stated."""
     rng = np.random.default_rng(int(10 * arrival) + orders['dimension'])
-    for length in (0.0, 0.7):
+    for length, how in ((0.0, 'euler'), (0.7, 'euler'), (0.7, 'exact')):
         chosen = Weights(0.9, 0.4, length, 2.0, attitude=1.3)
-        problem = Problem(
-            **orders, horizon=4, step=0.7, forward=3.0, weights=chosen, arrival_weight=arrival
-        )
+        known = {**orders, 'weights': chosen, 'arrival_weight': arrival, 'discretisation': how}
+        problem = Problem(horizon=4, step=0.7, forward=3.0, **known)
         start, places = state(rng, problem), goals_of(rng, problem)
         n = problem.dimension
         start = replace(start, wanted=rotation(rng, n))
