@@ -12,7 +12,7 @@ PYTHON ?= python3
 VENV ?= .venv
 # More than two cores: for half of their time the tests over DDS wait for processes.
 JOBS ?= 3
-QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_geometry mpc_delay
+QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_geometry mpc_compensation
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
