@@ -64,7 +64,7 @@ class Baseline(ABC):
             velocity_source=settings.velocity_source,
             sideslip=settings.sideslip,
         )
-        self.radius, self.cone = settings.capture_radius, settings.approach
+        self.cone = settings.approach
         self.tuned = {**self.TUNABLE, **tuned}
 
     @abstractmethod
@@ -93,10 +93,6 @@ class Baseline(ABC):
     def sent(self, command: Command, at: float | None = None) -> None:
         """Take note of a command that was sent; see :meth:`Planner.sent`."""
         self._compensator.history.add(command, at)
-
-    def reset(self) -> None:
-        """Forget everything, for instance before another flight."""
-        self._compensator.start_afresh(wind=True, commands=True)
 
     def _led(self, sight: Sight) -> Sight:
         """Return a sight whose goal is led to along the direction of approach, if there is one.

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.bench.interleaved import OURS, Samples
 from orbimpc_ros.mpc.arrays import Array
 
-OWN = ('note', 'beaten', 'failed', 'capped')  # fields that the file does not have
+OWN = ('note', 'beaten', 'failed')  # fields that the file does not have
 LATE = 'ticks late by over a period'  # counted by rows of many planners, besides their times
 HULLS = 'SE(2) hull N='  # begins the problems whose time is fitted over N
 SAME = 1e-4  # relative: objectives closer than this agree
@@ -45,8 +45,6 @@ class BenchRow:
     note: str = ''  # for the table alone
     beaten: bool = False  # whether it found a trajectory that costs less than ours
     failed: bool = False  # whether the measurement itself, or our own solver, broke off
-    # solves that ran into their time limit: its times and ratios are at least these
-    capped: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the file, with None for NaN."""
@@ -107,7 +105,6 @@ def _measured(row: BenchRow, theirs: Samples, ours: Samples, gap: float) -> Benc
         ratio_p99=p99 / base_99,
         note=theirs.refused if theirs is ours else _note(off, same, capped, theirs, ours),
         beaten=bool((off < -same).any()),
-        capped=capped,
     )
 
 

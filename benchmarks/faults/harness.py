@@ -25,6 +25,7 @@ from benchmarks.session import PATIENCE, Session
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.tool.run.processes import Process
 
 STEP = 0.2  # [s]
 EPOCH = 1000.0  # [s] at which simulated time begins
@@ -40,19 +41,32 @@ PLANNER: dict[str, Any] = {
 
 
 class Monitored(Session):
-    """A session whose monitor hears every command, tick and diagnostic.
+    """A session with a planner, of which a monitor hears every command, tick and diagnostic.
 
     Args:
         nodes: their executor.
+        values: of the planner's parameters.
         limits: of commands.
+        module: of the planner.
+
+    Attributes:
+        planner: the process of the one that was started last.
     """
 
-    def __init__(self, nodes: str, limits: Limits) -> None:
+    planner: Process
+
+    def __init__(
+        self, nodes: str, values: Mapping[str, Any], limits: Limits, module: str = session.PLANNER
+    ) -> None:
         super().__init__(nodes)
-        self.monitor = Monitor(limits)
+        self._values, self._module, self.monitor = values, module, Monitor(limits)
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
         self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
+
+    def start(self) -> None:
+        """Start a planner."""
+        self.planner = self.launch(self._module, self._values)
 
     def until_first(self, event: Callable[[Monitor, float], float], since: float) -> float:
         """Spin until an event of the monitor since a time [s]; return when, infinite for never."""
@@ -71,7 +85,6 @@ class Harness(Monitored):
         module: of the planner.
 
     Attributes:
-        planner: its process.
         draw: generator of all draws.
         jump: error of the clock [s]; only where that is simulated.
     """
@@ -85,9 +98,9 @@ class Harness(Monitored):
         seed: int = 0,
         module: str = session.PLANNER,
     ) -> None:
-        self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
-        super().__init__(nodes, Limits(1.0, self._values['max_rate']))
-        self._simulated, self._module = simulated, module
+        values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
+        super().__init__(nodes, values, Limits(1.0, values['max_rate']), module)
+        self._simulated = simulated
         self.draw, self._spoiled = random.Random(seed), dict[str, stimulus.Spoiler]()
         self.jump, self._frozen_at = 0.0, math.nan
         self._begun = time.monotonic()
@@ -96,10 +109,6 @@ class Harness(Monitored):
         self._clock = self.node.create_publisher(Clock, '/clock', qos(KEPT))
         self.node.create_timer(1.0 / RATE, self._feed)
         self.start()
-
-    def start(self) -> None:
-        """Start a planner."""
-        self.planner = self.launch(self._module, self._values)
 
     @property
     def now(self) -> int:

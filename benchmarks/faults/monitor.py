@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -121,8 +120,7 @@ class Monitor:
     @property
     def solve_ms(self) -> float:
         """Return how long the last solve took [ms]."""
-        text = self.ticks[-1].values.get('solve_time_ms', '0') if self.ticks else '0'
-        return float(json.loads(text))
+        return float(self.ticks[-1].values.get('solve_time_ms', 0.0)) if self.ticks else 0.0
 
 
 def complaint(word: str) -> Callable[[Monitor, float], float]:

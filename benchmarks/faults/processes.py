@@ -26,7 +26,7 @@ from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, Limits, complaint
 from benchmarks.faults.stimulus import SLIP, with_field
 from benchmarks.machine import resident
-from benchmarks.session import PATIENCE, PLANNER
+from benchmarks.session import PATIENCE
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.processes import Child
@@ -184,13 +184,9 @@ class Flying(Monitored):
         nodes: their executor.
         step: between ticks [s]; speed, swing and cost of turning are scaled with it.
         seed: of random moments.
-
-    Attributes:
-        planner: its process.
     """
 
     def __init__(self, nodes: str, *, step: float, seed: int) -> None:
-        super().__init__(nodes, Limits(1.0 / step, math.pi / step))
         self.draw = random.Random(seed)
         self.usual = 16 * step  # [s] until the capture
         changes = [
@@ -198,16 +194,13 @@ class Flying(Monitored):
             'max_ticks=400', 'odom_timeout=0.0', 'goal_timeout=0.0', 'goal_prediction=harmonic',
             'start.position=[-10.0, 0.0, 0.0]', f'weights.input={0.05 * step**2}',
         ]  # fmt: skip
-        self._values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
+        values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
+        super().__init__(nodes, values, Limits(1.0 / step, math.pi / step))
         self._odometry = self.listen(Odometry, 'odom')
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._captured = self.listen(Bool, 'captured', kept)
-        self.launch('orbimpc_ros.sim', self._values)
-        self.start_planner()
-
-    def start_planner(self) -> None:
-        """Start a planner."""
-        self.planner = self.launch(PLANNER, self._values)
+        self.launch('orbimpc_ros.sim', values)
+        self.start()
 
     def until_moving(self) -> None:
         """Listen until the vehicle flies.
@@ -272,7 +265,7 @@ def _restarted(nodes: str, long: bool) -> Iterator[Outcome]:
             flying.planner.tell(signal.SIGKILL)
             flying.planner.wait(LEAVE)
             flying.spin(flying.draw.uniform(0.0, 0.5))
-            flying.start_planner()
+            flying.start()
             failure = flying.until_over()
             yield Outcome(f'restarted {number + 1}', flying.monitor.broken(), failure=failure)
 
