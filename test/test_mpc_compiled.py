@@ -5,9 +5,11 @@ import subprocess
 import sys
 import textwrap
 
+import numpy as np
 import pytest
 from harness import python
 
+from orbimpc_ros import Floor, Problem, Solver, State
 from orbimpc_ros.mpc import kernels
 from orbimpc_ros.mpc.kernels import COMPILED
 
@@ -71,3 +73,21 @@ def test_code_from_other_sources_is_forgotten(tmp_path):
     source.write_text('a = 2')
     assert left() == []
     kernels._forget_other_sources.__wrapped__(tmp_path, tmp_path / 'where nobody may write')
+
+
+@pytest.mark.parametrize(
+    'posed',
+    [{}, {'floor': Floor('polygon')}, {'floor': Floor('circle')}, {'dimension': 3}],
+    ids=['hull', 'polygon', 'circle', 'space'],
+)
+def test_arrays_that_are_handed_over_are_given_back(posed):
+    """Machine code counts references its own way, or not at all."""
+    problem = Problem(**posed)
+    n, solver = problem.dimension, Solver(problem)
+    state, goals = State.at(np.zeros(n), np.eye(n)), np.ones((problem.horizon, n))
+    arrays = goals, state.position, state.rotation
+    solver.solve(state, goals)
+    before = [sys.getrefcount(each) for each in arrays]
+    for _ in range(3):
+        solver.solve(state, goals)
+    assert [sys.getrefcount(each) for each in arrays] == before

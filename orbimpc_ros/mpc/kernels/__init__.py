@@ -18,7 +18,9 @@ from typing import Any
 from zlib import crc32
 
 try:
-    from numba import njit
+    from llvmlite import ir
+    from llvmlite.binding import parse_assembly
+    from numba import intp, njit
     from numba.core.caching import CompileResultCacheImpl, FunctionCache
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
@@ -106,9 +108,83 @@ else:
         def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
             super().__init__(typing, target, _Part(target.codegen(), 'part'), *rest)
 
+    class _Whole(JITCodeLibrary):
+        """The code of a function that Python calls, with all its parts.
+
+        It runs while Python holds its lock and the arrays that were handed over. Where it makes no
+        arrays itself it counts no references, and elsewhere by plain additions: numba's atomic ones
+        took half of its time.
+        """
+
+        def add_ir_module(self, added: Any) -> None:
+            """Take up a function and all that it calls; or what Python calls it by."""
+            super().add_ir_module(added)
+            if any(each.name.startswith(WRAPPER) for each in added.functions):
+                return
+            module = self._final_module
+            for library in dict.fromkeys(self._linking_libraries):
+                module.link_in(library._get_module_for_linking(), preserve=True)
+            self._linking_libraries.clear()
+            makes_arrays = any(each.name.startswith(MAKES) for each in module.functions)
+            module.link_in(parse_assembly(str(_counting() if makes_arrays else _idle(*COUNTS))))
+            for name in COUNTS:
+                own = module.get_function(name)
+                own.name, own.linkage = f'own_{name}', 'internal'
+
+        def serialize_using_object_code(self) -> tuple:
+            """Return what is kept: the code, and only the names of what others could link."""
+            name, what, (code, _) = super().serialize_using_object_code()
+            names = _idle(*(each.name for each in self.get_defined_functions()))
+            return name, what, (code, parse_assembly(str(names)).as_bitcode())
+
+    class _WholeCompiler(Compiler):
+        """Compiles a function that Python calls."""
+
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            whole = _Whole(target.codegen(), 'whole')
+            whole.enable_object_caching()
+            super().__init__(typing, target, whole, *rest)
+
+    POINTER, WORD = ir.IntType(8).as_pointer(), ir.IntType(intp.bitwidth)
+    ON_POINTER = ir.FunctionType(ir.VoidType(), [POINTER])
+
+    def _counting() -> ir.Module:
+        """Return functions that count references to arrays, and give up what has none."""
+        module = ir.Module()
+        give_up = ir.Function(module, ON_POINTER, GIVES_UP)
+        for name, more in COUNTS.items():
+            builder = _begun(module, name)
+            (array,) = builder.function.args
+            with builder.if_then(builder.icmp_unsigned('!=', array, POINTER(None))):
+                at = builder.bitcast(array, WORD.as_pointer())
+                count = builder.add(builder.load(at), WORD(more))
+                builder.store(count, at)
+                if more < 0:
+                    with builder.if_then(builder.icmp_unsigned('==', count, WORD(0))):
+                        builder.call(give_up, [array])
+            builder.ret_void()
+        return module
+
+    def _idle(*names: str) -> ir.Module:
+        """Return functions that do nothing."""
+        module = ir.Module()
+        for name in names:
+            _begun(module, name).ret_void()
+        return module
+
+    def _begun(module: ir.Module, name: str) -> ir.IRBuilder:
+        """Return what writes a new function of a pointer."""
+        made = ir.Function(module, ON_POINTER, name)
+        made.attributes.add('alwaysinline')
+        return ir.IRBuilder(made.append_basic_block())
+
 
 STAMP = 'orbimpc_ros.sha256'  # of the sources that the machine code beside it was compiled from
 LOCKS = 'orbimpc_ros.lock'
+WRAPPER = '_ZN7cpython'  # numba's names: of what Python calls a function by,
+MAKES = 'NRT_MemInfo_alloc', 'NRT_Allocate'  # of what makes arrays,
+COUNTS = {'NRT_incref': 1, 'NRT_decref': -1}  # of what counts references to them,
+GIVES_UP = 'NRT_MemInfo_call_dtor'  # and of what gives them up
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
 
@@ -141,7 +217,8 @@ def _nested(function: Callable, **options: Any) -> Callable:
 
 
 def _kept(function: Callable) -> Callable:
-    made: Any = njit(cache=True)(function)
+    options: dict[str, Any] = {'pipeline_class': _WholeCompiler, 'no_cfunc_wrapper': True}
+    made: Any = njit(cache=True, **options)(function)
     if made is not function:  # as it is with NUMBA_DISABLE_JIT
         made._cache = _KeptCode(function)
         folder = Path(function.__code__.co_filename).parent

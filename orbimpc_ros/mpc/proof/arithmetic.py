@@ -29,6 +29,7 @@ PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10*
 HALF_TURN = math.floor(PI * (1 << FINE))
 TURN = math.nextafter(2.0 * math.pi, 7.0)  # [rad] a double beyond 2 pi
 FLOATS = 1e-15  # of the size of terms, that floats may be off by
+SWEEPS = 8  # through the pairs of rows of a matrix: after three or four it is diagonal
 FRACTIONS = Fraction(1, 1 << 110)  # the same of fractions
 
 
@@ -140,7 +141,38 @@ def _coarse(x):
 
 @by_type(least_eigenvalue)
 def _least_eigenvalue(matrix):
-    return np.linalg.eigvalsh(matrix)[0] - 4.0 * FLOATS * np.abs(matrix).sum()
+    """Do the same by Jacobi's method: turn one pair of rows after another."""
+    size = 0.0
+    for i in range(4):
+        for j in range(4):
+            size += abs(matrix[i, j])
+    for _ in range(SWEEPS):
+        for i in range(3):
+            for j in range(i + 1, 4):
+                if abs(matrix[i, j]) > FLOATS * size:
+                    _turn(matrix, i, j)
+    least = min(matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[3, 3])
+    for i in range(3):
+        for j in range(i + 1, 4):
+            least -= 2.0 * abs(matrix[i, j])
+    return least - 16.0 * FLOATS * size
+
+
+@compiled
+def _turn(matrix, i, j):
+    """Turn rows and columns i and j of a symmetric matrix so that entry i, j is no more."""
+    off = (matrix[j, j] - matrix[i, i]) / (2.0 * matrix[i, j])
+    slope = math.copysign(1.0, off) / (abs(off) + math.sqrt(1.0 + off * off))
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    shift = slope * matrix[i, j]
+    matrix[i, i] -= shift
+    matrix[j, j] += shift
+    matrix[i, j] = matrix[j, i] = 0.0
+    for k in range(4):
+        if k not in (i, j):
+            a, b = matrix[k, i], matrix[k, j]
+            matrix[k, i] = matrix[i, k] = cosine * (a - slope * b)
+            matrix[k, j] = matrix[j, k] = cosine * (b + slope * a)
 
 
 def _is_definite(matrix: Any, shift: Fraction) -> bool:

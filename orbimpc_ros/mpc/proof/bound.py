@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.proof.arithmetic import generic, slack
-from orbimpc_ros.mpc.proof.convex import lost, set_hessian
+from orbimpc_ros.mpc.proof.convex import is_bent, lost, set_hessian
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, slid, towed, with_ends
 from orbimpc_ros.mpc.proof.sets import over_orbitope, over_speeds, over_stage, size_of
@@ -96,6 +96,7 @@ class Work(NamedTuple):
         matrix: shape (4, 4).
         squares: the Hessian of the cost, what is left of it, and the rows of an arrival,
             shape (2 N + 2, N).
+        gone: which steps an arrival has eliminated, shape (N,).
     """
 
     flown: Any
@@ -103,6 +104,7 @@ class Work(NamedTuple):
     vectors: Any
     matrix: Any
     squares: Any
+    gone: np.ndarray
 
 
 @generic
@@ -268,7 +270,7 @@ def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
             along = slopes[k, c] * point[k, c]
             value, size = value - along, size + abs(along)
     if not empty:
-        convex, off = lost(stated.motion, stated.ends, shor, point, work.flown, work.squares)
+        convex, off = lost(stated.motion, stated.ends, shor, point, work)
         value = value - off
         if not convex:
             return value, False
@@ -323,7 +325,7 @@ def tree_bound(
         known = begin(root, sets, allowed.is_free, order, region.part[0], region.span[0])
         if known != HELD:
             return least, 0, REFUTED if known == GONE else UNSOUND
-        if np.any(leaves.shor > 0):  # else no leaf's curvature has to be weighed against it
+        if is_bent(leaves.shor):  # else no leaf's curvature has to be weighed against it
             set_hessian(stated.order, stated.motion, stated.costs, work.squares)
         number, waiting[0] = 1, 0
     while number > 0:

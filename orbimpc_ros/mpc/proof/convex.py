@@ -8,8 +8,6 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-import numpy as np
-
 from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
 from orbimpc_ros.mpc.proof.flight import set_arrival
 
@@ -38,7 +36,16 @@ def set_hessian(order, motion, costs, squares):
 
 
 @generic
-def lost(motion, ends, shor, point, flown, squares):
+def is_bent(shor):
+    """Return whether any step of one leaf, or of all, keeps curvature for itself."""
+    bent = False
+    for each in shor.ravel():
+        bent = bent or each > 0
+    return bent
+
+
+@generic
+def lost(motion, ends, shor, point, work):
     """Return whether the cost less a leaf's curvature is convex, and what its tangent may lose.
 
     Where plans have to arrive, convex on the null space of the arrival's rows, which variables are
@@ -49,22 +56,21 @@ def lost(motion, ends, shor, point, flown, squares):
         ends: what is said of the end.
         shor: curvature that steps keep, shape (N,).
         point: where the tangent touches, shape (N, d).
-        flown: positions and velocities there, shape (4, N + 1, n).
-        squares: the Hessian, and what is to be written.
+        work: positions and velocities there, the Hessian, and what is to be written.
     """
+    flown, squares, gone = work.flown, work.squares, work.gone
     count, n = squares.shape[1], flown.shape[2]
     m, arrival, zero = squares[count : 2 * count], squares[2 * count :], 0 * ends.radius
-    bent, top = False, zero
-    for k in range(count):
-        bent = bent or shor[k] > 0
-    if not bent:
+    top = zero
+    if not is_bent(shor):
         return True, zero
     for i in range(count):
         for j in range(i + 1):
             m[i, j] = squares[i, j] - (shor[i] if i == j else zero)
             m[j, i] = m[i, j]
             top = max(top, abs(m[i, j]))
-    gone, off, longest, ratio = np.zeros(count, np.bool_), zero, zero + 1, zero
+    gone[:] = False
+    off, longest, ratio = zero, zero + 1, zero
     if ends.arrives > 0:
         set_arrival(motion, arrival)
     for r in range(ends.arrives):

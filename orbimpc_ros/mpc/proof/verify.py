@@ -181,4 +181,5 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     count, n = problem.horizon, problem.dimension
     flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
     squares = np.zeros((2 * count + 2, count), kind)
-    return Work(flown, slopes, np.zeros((2, width), kind), np.zeros((4, 4), kind), squares)
+    vectors, matrix = np.zeros((2, width), kind), np.zeros((4, 4), kind)
+    return Work(flown, slopes, vectors, matrix, squares, np.zeros(count, np.bool_))
