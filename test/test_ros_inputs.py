@@ -233,18 +233,6 @@ def test_a_timeout_below_zero_is_none():
 # --- what belongs together
 
 
-def test_a_source_stamped_like_the_odometry_is_waited_for(inputs):
-    inputs.update('goal', goal(1.0), 0.0)
-    inputs.update('odom', odometry(1.5), 0.0)
-    assert inputs.complete  # nothing says that they belong together
-    inputs.update('goal', goal(1.5), 0.0)
-    inputs.update('odom', odometry(2.0), 0.1)
-    assert not inputs.complete
-    inputs.update('goal', goal(2.0, x=6.0), 0.1)
-    assert inputs.complete
-    np.testing.assert_array_equal(targets(inputs, ahead(inputs, 3), 0.1), [[6.0, 0.0]] * 3)
-
-
 ALL = list(range(60))
 
 
@@ -267,7 +255,9 @@ def test_a_source_that_shares_every_stamp_is_waited_for(inputs, shares, waits):
         if not inputs.complete:
             found.append(turn)
         if shares(turn):
-            inputs.update('goal', goal(at), at)
+            inputs.update('goal', goal(at, x=at), at)
+            assert inputs.complete
+            assert targets(inputs, ahead(inputs, 1), at)[0, 0] == at
     assert found == waits
 
 

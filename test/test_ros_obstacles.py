@@ -267,38 +267,25 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
         assert inputs.complete
 
 
-def apart_by(step):
-    """Return the inputs of a vehicle that plans so often, and avoids another."""
-    given = settings(avoid=(OTHER,), avoid_radius=1.0, step=step)
-    return Inputs(given, {'plan': '/uav1/plan'}, (OTHER,))
-
-
-def test_who_has_measured_before_is_waited_for_until_its_plan_is_there():
-    inputs = apart_by(1.0)
-    inputs.update('goal', goal(0.5), 0.0)
-    for second in (1.0, 2.0):
-        inputs.update(OTHER, plan(second - 0.3), second)
-        inputs.update('odom', odometry(second), second)
-        assert inputs.complete
-    inputs.update('odom', odometry(3.0), 3.0)
-    assert not inputs.complete
-    inputs.update(OTHER, plan(2.7), 3.0)
-    assert inputs.complete
-
-
 @pytest.mark.parametrize(
-    ('step', 'heard'),
+    ('step', 'heard', 'waits'),
     [
-        (1.0, (1.3, 2.3)),  # it measures later, and waits itself
-        (1.0, (1.0, 2.0)),  # at the same time, and is no leader
-        (1.0, (0.4, 1.4)),  # it is silent
-        (0.1, (2.7, 2.8)),  # there is no time to wait
+        (1.0, (0.7, 1.7), True),  # it has measured before, and its plan is on its way
+        (1.0, (1.3, 2.3), False),  # it measures later, and waits itself
+        (1.0, (1.0, 2.0), False),  # at the same time, and is no leader
+        (1.0, (0.4, 1.4), False),  # it is silent
+        (0.1, (2.7, 2.8), False),  # there is no time to wait
     ],
 )
-def test_who_measures_later_or_is_silent_is_not_waited_for(step, heard):
-    inputs = apart_by(step)
+def test_who_has_measured_before_is_waited_for_until_its_plan_is_there(step, heard, waits):
+    given = settings(avoid=(OTHER,), avoid_radius=1.0, step=step)
+    inputs = Inputs(given, {'plan': '/uav1/plan'}, (OTHER,))
     inputs.update('goal', goal(0.5), 0.0)
-    for second in heard:
-        inputs.update(OTHER, plan(second), second)
+    came = [(at, OTHER, plan) for at in heard] + [(at, 'odom', odometry) for at in (1.0, 2.0)]
+    for at, topic, make in sorted(came, key=lambda each: each[:2]):
+        inputs.update(topic, make(at), at)
+        assert inputs.complete or topic == OTHER
     inputs.update('odom', odometry(3.0), 3.0)
+    assert inputs.complete != waits
+    inputs.update(OTHER, plan(2.9), 3.0)
     assert inputs.complete
