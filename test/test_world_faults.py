@@ -11,7 +11,8 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.vehicle import between
+from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.vehicle import between, measured
 from orbimpc_ros.sim.world import departure
 
 TURN = np.array([0.3])
@@ -56,20 +57,27 @@ def test_noise_has_its_deviation(scenario):
     assert abs(np.mean(shifts)) < 0.005
 
 
-@pytest.mark.parametrize('delay', [0.2, 1.0, 2.5])
-def test_delayed_odometry_shows_the_past(delay):
-    seen = views(Faults(delay=delay), ticks=20)
-    flights = [flight.vehicle for flight, _ in seen]
+LAGGING = Plant(step=1.0, speed_lag=0.5, rate_lag=0.4)
+SCENARIOS = {'in steps': retrieval(), 'continuously': replace(retrieval(), model=LAGGING)}
+
+
+@pytest.mark.parametrize('scenario', SCENARIOS.values(), ids=SCENARIOS)
+@pytest.mark.parametrize('delay', [0.2, 0.73, 1.0, 2.5])
+def test_delayed_odometry_shows_the_vehicle_where_it_was_on_its_way(delay, scenario):
+    """With the speed and the rate of that moment, not of a step."""
+    seen = views(Faults(delay=delay), ticks=20, scenario=scenario)
+    within = 0.01 if scenario.model is LAGGING else 1e-9  # of chords
+    passed = [each for flight, _ in seen for each in flight.trail or (flight.vehicle,)]
     for flight, sent in seen[4:]:
         (odometry,) = of_kind(sent, odometry=True)
         then = flight.vehicle.time - delay
         assert odometry.content.time == pytest.approx(then)
         assert odometry.age == delay
-        before = [v for v in flights if v.time <= then + 1e-9][-1]
-        after = next(v for v in flights if v.time > before.time)
-        truth = before if np.isclose(before.time, then) else between(before, after, then)
-        np.testing.assert_allclose(odometry.content.position, truth.position, atol=1e-12)
-        np.testing.assert_allclose(odometry.content.attitude, truth.attitude, atol=1e-12)
+        k = next(k for k, each in enumerate(passed) if each.time > then - 1e-9)
+        there = passed[k] if passed[k].time < then + 1e-9 else between(*passed[k - 1 : k + 1], then)
+        for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
+            wanted = getattr(measured(there), name)
+            np.testing.assert_allclose(getattr(odometry.content, name), wanted, atol=within)
 
 
 def test_before_its_start_a_vehicle_stood_there():

@@ -14,7 +14,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.plant import Gusts, Plant
 from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
 from orbimpc_ros.sim.world import Airspeeds, Scenario, departure, fixed
@@ -231,24 +230,6 @@ def test_a_flight_catches_between_its_steps_where_it_flew():
     assert flight.miss == pytest.approx(0.0, abs=1e-9)
     assert flight.missed_at == pytest.approx(trail[50].time)
     assert flight.captured
-
-
-def test_late_odometry_shows_the_vehicle_where_it_was_on_its_way():
-    """Between two ticks, too: with the speed and the rate of that moment, not of a step."""
-    plant = plant_of(step=1.0, speed_lag=0.5, rate_lag=0.4)
-    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2), fraction=0.4)))
-    view = View(Faults(delay=0.7), 0, plant.step)
-    for command in ((1.0, 0.2), (0.5, -0.3), (0.8, 0.4)):
-        view.of(flight)
-        flight = flight.after(command[0], np.array(command[1:]))
-    (seen,) = [each.content for each in view.of(flight) if each.is_odometry]
-    was = flight.trail[14]
-    assert seen.time == pytest.approx(was.time)
-    assert was.time == pytest.approx(flight.vehicle.time - 0.7)
-    there = measured(was)
-    for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
-        np.testing.assert_allclose(getattr(seen, name), getattr(there, name), atol=0.05)
-    assert abs(there.body_velocity[0] - measured(flight.vehicle).body_velocity[0]) > 1.0
 
 
 LONG = 10_000.0  # [s]
