@@ -103,7 +103,8 @@ class LaunchedProcess(Child):
 def launching(domain: int, folder: Path):
     """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
 
-    The last arguments are parameter files: the names of those in ``config/``, or paths.
+    The first argument may be a script of several lines instead, as text. The last arguments are
+    parameter files: the names of those in ``config/``, or paths.
     """
     with contextlib.ExitStack() as stack:
 
@@ -118,6 +119,9 @@ def launching(domain: int, folder: Path):
                 name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
                 for name in names
             ]
+            if '\n' in str(module):
+                text, module = textwrap.dedent(str(module)), folder / f'script-{next(_numbers)}.py'
+                module.write_text(text)
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
             process = LaunchedProcess(module, domain, log, parameters or {}, files, remapped or {})
             stack.callback(process.stop)

@@ -204,24 +204,13 @@ def test_a_solver_that_is_not_installed_is_listed_with_a_hint(run, monkeypatch):
         assert rows[name]['required']['ratio_p50'] > 1.0
 
 
-@pytest.fixture
-def second(monkeypatch):
-    """Return a function that replaces the second measurement."""
+def test_a_measurement_that_fails_is_a_row_and_loses_no_other(run, monkeypatch):
+    def compared(each, _quick):
+        if each.key == 'square':
+            raise OSError('the wind has turned')
+        return [BenchRow(each.title, OURS, 1, 1.0, 1.0)]
 
-    def put(happen):
-        rows = [BenchRow(comparison('hull').title, OURS, 1, 1.0, 1.0)]
-        monkeypatch.setattr(
-            bench, 'compared', lambda each, _quick: rows if each.key == 'hull' else happen()
-        )
-
-    return put
-
-
-def test_a_measurement_that_fails_is_a_row_and_loses_no_other(run, second):
-    def fail():
-        raise OSError('the wind has turned')
-
-    second(fail)
+    monkeypatch.setattr(bench, 'compared', compared)
     code, out, _, result = run('--only', 'hull', 'square')
     assert code == 1
     assert 'failed: OSError: the wind has turned' in out

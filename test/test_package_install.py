@@ -4,7 +4,6 @@
 import re
 import shlex
 import sys
-import textwrap
 from itertools import product
 from pathlib import Path
 
@@ -95,15 +94,9 @@ BARE = """
 
 
 @pytest.fixture
-def bare(tmp_path, launch):
+def bare(launch):
     """Start a node without the packages that only general methods and the tool need."""
-
-    def start(node, *arguments):
-        script = tmp_path / f'{node}.py'
-        script.write_text(textwrap.dedent(BARE).format(node=node, others=OTHERS))
-        return launch(script, *arguments)
-
-    return start
+    return lambda node, *arguments: launch(BARE.format(node=node, others=OTHERS), *arguments)
 
 
 def test_a_rope_is_caught_by_a_fast_method_without_any_of_it(bare):

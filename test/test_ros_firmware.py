@@ -54,6 +54,11 @@ def test_setpoints_there_and_back(rng):
     for _ in range(DRAWS):
         wanted, share, origin = drawn(rng), rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
         across, along = firmware.lateral(wanted), firmware.longitudinal(wanted, share, origin)
+        # Within what the firmwares accept.
+        assert -math.pi <= across['airspeed_direction'] <= math.pi
+        assert math.isnan(across['course'])  # which a finite direction takes precedence over
+        names = ('height_rate', 'pitch_direct', 'throttle_direct')
+        assert all(math.isnan(along[name]) for name in names)
         airspeed = along['equivalent_airspeed'] / share
         turn = -across['lateral_acceleration'] / airspeed
         heading = firmware.bearing(across['airspeed_direction'])
@@ -61,27 +66,14 @@ def test_setpoints_there_and_back(rng):
         same([airspeed, turn], [wanted.airspeed, wanted.turn])
         same(along['altitude'] - origin, wanted.altitude)
         heading, speed, *height = firmware.guided(wanted, share)
+        assert 0.0 <= heading['param2'] < 360.0
+        assert heading['param3'] >= firmware.HOLD  # with 0 it would not bank
+        assert bool(height) == math.isfinite(wanted.altitude)  # else it is held
         same(speed['param2'] / share, wanted.airspeed)
         same([each['z'] for each in height], [wanted.altitude][: len(height)])
         ahead = firmware.AHEAD * wanted.airspeed * wanted.turn / firmware.GRAVITY
         found = firmware.bearing(math.radians(heading['param2'])) - ahead
         same(math.remainder(found - wanted.heading, 2.0 * math.pi), 0.0)
-
-
-def test_fields_are_within_what_the_firmwares_accept(rng):
-    for _ in range(DRAWS):
-        wanted = drawn(rng)
-        across = firmware.lateral(wanted)
-        assert -math.pi <= across['airspeed_direction'] <= math.pi
-        assert math.isnan(across['course'])  # which a finite direction takes precedence over
-        along = firmware.longitudinal(wanted, 1.0, 0.0)
-        names = ('height_rate', 'pitch_direct', 'throttle_direct')
-        assert all(math.isnan(along[name]) for name in names)
-        assert math.isnan(along['altitude']) == math.isnan(wanted.altitude)  # held
-        heading, _, *height = firmware.guided(wanted, 1.0)
-        assert 0.0 <= heading['param2'] < 360.0
-        assert heading['param3'] >= firmware.HOLD  # with 0 it would not bank
-        assert bool(height) == math.isfinite(wanted.altitude)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ pytest.importorskip('rclpy')
 
 import itertools
 import signal
-import textwrap
 import time
 
 import pytest
@@ -304,16 +303,6 @@ def test_numbers_come_on_topics_of_their_own(launch, observer):
     assert heard['solve_time'][-1].data > 0.0
 
 
-@pytest.fixture
-def script(tmp_path):
-    def write(text):
-        file = tmp_path / 'script.py'
-        file.write_text(textwrap.dedent(text))
-        return file
-
-    return write
-
-
 def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
     launch, observer, tmp_path, monkeypatch
 ):
@@ -367,8 +356,8 @@ BLOCKED = """
 
 
 @pytest.mark.parametrize('refused', [False, True])
-def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, script, refused):
-    node = launch(script(BLOCKED.format(refused=refused)))
+def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, refused):
+    node = launch(BLOCKED.format(refused=refused))
     observer.until(lambda: 'begins' in node.output, 'its begin')
     if not refused:
         node.tell(signal.SIGTERM)

@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import textwrap
 
 import pytest
 
@@ -42,10 +41,8 @@ SLOW = """
 """
 
 
-def test_what_a_tick_made_in_too_long_a_time_is_not_flown(tmp_path, launch, observer):
-    script = tmp_path / 'slow.py'
-    script.write_text(textwrap.dedent(SLOW))
-    bench = Bench(launch, observer, QUICK, script)
+def test_what_a_tick_made_in_too_long_a_time_is_not_flown(launch, observer):
+    bench = Bench(launch, observer, QUICK, SLOW)
     assert moving(bench.fly(1.0))
     assert not moving(bench.fly(2.0))
     bench.until(lambda: any('odometry is' in told(m)['reason'] for m in bench.ticks), 'why')
