@@ -4,20 +4,17 @@
 ``ORBIMPC_SEEDS=1000:1100 pytest test/test_ros_crossing.py`` flies other crossings.
 """
 
-import math
-
 import numpy as np
 import pytest
 from problems import seeds
 
 pytest.importorskip('rclpy')
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.outputs import obeyed
-from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
@@ -37,47 +34,28 @@ def crossing(count, seed, changes=()):
     return {name: values | each for name, each in own.items()}
 
 
-class Planners:
-    """Planners without nodes, which answer one after the other and hear each other's plans."""
-
-    def __init__(self, values):
-        known = {name: planner_settings(each) for name, each in values.items()}
-        self.avoided = {name: resolved(each, name) for name, each in known.items()}
-        self.planners = {
-            name: OfflinePlanner(each, f'{name}/planner', self.avoided[name], None)
-            for name, each in known.items()
-        }
-
-    def answer(self, name, odometry, goal, at):
-        """Return a planner's messages, given its odometry and goal, stamped ``at`` [ns]."""
-        planner, seconds = self.planners[name], at / SECOND
-        for topic, message in (('goal', goal), ('odom', odometry)):
-            planner.inputs.update(topic, message, seconds, RosTime(at))
-        found = planner.plan(seconds, 0.0, 1.0)
-        planner.went_out(seconds)
-        for other, topics in self.avoided.items():
-            if 'plan' in found and f'{name}/plan' in topics:
-                plans = self.planners[other].inputs
-                plans.update(f'{name}/plan', found['plan'], seconds, RosTime(at))
-        return found
-
-
 def flown(values):
-    """Fly a crossing; return how close any two vehicles came [m], and what fell back."""
-    sims = {name: sim_settings(settings.of_sim(each)) for name, each in values.items()}
-    flights = {name: departure(each.scenario, 0.0) for name, each in sims.items()}
+    """Fly a crossing; return how close any two vehicles came [m], and what fell back.
+
+    Planners answer one after the other, and hear each other's plans.
+    """
+    scenarios = {name: sim_settings(settings.of_sim(v)).scenario for name, v in values.items()}
+    flights = {name: departure(each, 0.0) for name, each in scenarios.items()}
+    known = {name: planner_settings(each) for name, each in values.items()}
+    avoided = {name: resolved(each, name) for name, each in known.items()}
+    planners = {n: OfflinePlanner(each, f'{n}/planner', avoided[n]) for n, each in known.items()}
     tracks, fallbacks = {name: [flight] for name, flight in flights.items()}, []
-    planners = Planners(values)
-    for _ in range(next(iter(sims.values())).scenario.max_ticks):
-        at = round(next(iter(flights.values())).vehicle.time * SECOND)
+    for _ in range(min(each.max_ticks for each in scenarios.values())):
         for name, flight in flights.items():
-            stamp = Stamp(at, sims[name].frames)
-            odometry = messages.odometry_message(stamp, measured(flight.vehicle))
-            said = planners.answer(name, odometry, messages.goal_message(stamp, flight.goal), at)
-            orders = Orders(sims[name].scenario.model, sims[name].frames)
-            orders.take_twist(said['cmd_vel'], at)
-            order = orders.latest
-            flights[name] = flight.after(order.fraction, order.body_rate, math.inf)
+            planner, now = planners[name], flight.vehicle.time
+            planner.sense(now, GoalObservation(now, flight.goal))
+            planner.sense(now, measured(flight.vehicle))
+            said, command = planner.plan(now, 0.0, 1.0), planner.decision.command
+            planner.went_out(planner.at(now).nanoseconds / SECOND)
+            for other, topics in avoided.items():
+                if 'plan' in said and f'{name}/plan' in topics:
+                    planners[other].hear(f'{name}/plan', said['plan'], now)
+            flights[name] = flight.after(command.speed_fraction, command.body_rate)
             tracks[name].append(flights[name])
             fallbacks.append(fields(said['tick'])['fallback'])
     places = {

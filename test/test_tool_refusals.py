@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 from bags import GOLDEN
-from drawing import needs_rerun
+from test_tool_view import needs_rerun
 
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.study import flights
