@@ -11,6 +11,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
+from orbimpc_ros.ros.messages import Frames, read_force, read_odometry, read_speed_and_rate
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import advance, launched
 from orbimpc_ros.tool import bags, settings
@@ -37,32 +38,30 @@ def messages_of(folder):
     return found
 
 
-def vector(message):
-    return np.array([message.x, message.y, message.z])
-
-
-def attitude(message):
-    return from_quaternion(np.array([message.w, message.x, message.y, message.z]), 3)
-
-
-def values_of(folder):
-    return settings.read(bags.notes(folder / 'bag')['parameters'])
-
-
 def check_rollout(folder):
     """What was commanded, flown by the vehicle's model, is the plan's and odometry's next pose.
 
     Flown in space; in the plane z stays zero and turning is about z.
     """
-    found, values = messages_of(folder), values_of(folder)
-    model = sim_settings(values | {'dimension': 3}).scenario.model
-    fraction = values['start.speed_fraction']
+    found, anywhere = messages_of(folder), Frames()
+    values = settings.read(bags.notes(folder / 'bag')['parameters']) | {'dimension': 3}
+    model, fraction = sim_settings(values).scenario.model, values['start.speed_fraction']
     for now, then in itertools.pairwise(sorted(found['odom'])):
-        vehicle = vehicle_of(found['odom'][now], model, fraction)
-        fraction, rate = command_of(found, now, model)
+        _, seen = read_odometry(found['odom'][now], 3, anywhere)
+        _, pushed, rate = read_speed_and_rate(found['cmd_vel'][now], 3, anywhere)
+        full = model.forward
+        if model.translation_order == 1:  # odometry shows the speed, though not the thrust
+            fraction = min(1.0, seen.body_velocity[0] / full)
+        else:
+            _, pushed = read_force(found['cmd_thrust'][now], anywhere)
+            full *= model.mass
+        moving = {'velocity': seen.attitude @ seen.body_velocity, 'body_rate': seen.body_rate}
+        vehicle = launched(model, seen.position, seen.attitude, fraction=fraction, **moving)
+        fraction = pushed / full
         flown = advance(model, vehicle, fraction, rate)
         for pose in (found['plan'][now].poses[1].pose, found['odom'][then].pose.pose):
-            assert np.allclose(vector(pose.position), flown.position, atol=1e-6)
+            place = pose.position
+            assert np.allclose([place.x, place.y, place.z], flown.position, atol=1e-6)
             assert np.allclose(attitude(pose.orientation), flown.attitude, atol=1e-6)
         # At rotation order 2 a rate is taken over at the end of the step and turns in the next.
         turned = flown.attitude if model.rotation_order == 1 else flown.attitude @ exp(rate)
@@ -70,29 +69,8 @@ def check_rollout(folder):
         assert np.allclose(commanded, turned, atol=1e-6)
 
 
-def vehicle_of(odometry, model, fraction):
-    """Return what is flown on from; odometry does not show the thrust, but it does the speed."""
-    pose, twist = odometry.pose.pose, odometry.twist.twist
-    if model.translation_order == 1:
-        fraction = min(1.0, twist.linear.x / model.forward)
-    body = attitude(pose.orientation)
-    return launched(
-        model,
-        vector(pose.position),
-        body,
-        fraction=fraction,
-        velocity=body @ vector(twist.linear),
-        body_rate=vector(twist.angular),
-    )
-
-
-def command_of(found, stamp, model):
-    """Return the share of speed or thrust, and the body rate [rad/s]."""
-    twist = found['cmd_vel'][stamp].twist
-    if model.translation_order == 1:
-        return twist.linear.x / model.forward, vector(twist.angular)
-    force = found['cmd_thrust'][stamp].wrench.force.x
-    return force / (model.mass * model.forward), vector(twist.angular)
+def attitude(message):
+    return from_quaternion(np.array([message.w, message.x, message.y, message.z]), 3)
 
 
 def made_up(positions, values, **others):

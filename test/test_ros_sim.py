@@ -218,35 +218,31 @@ def twist(speed, rate, stamp=NOW):
     return messages.twist_message(at(stamp), speed, np.atleast_1d(rate))
 
 
-def test_orders_join_twist_and_force_of_one_stamp():
-    orders = Orders(Model(2, 1, 2, forward=2.0, mass=3.0), FRAMES)
-    assert not orders.take_twist(twist(0.0, 0.3), NOW)
-    assert not orders.take_force(messages.wrench_message(at(NOW + 1), 3.0), NOW)
-    assert orders.latest is None
-    assert orders.take_twist(twist(0.0, 0.4, NOW + 1), NOW)
-    assert orders.latest.stamp == NOW + 1
-    assert orders.latest.fraction == pytest.approx(0.5)
-    np.testing.assert_array_equal(orders.latest.body_rate, [0.4])
-
-
-def test_a_vehicle_that_pushes_along_z_takes_what_is_along_z():
-    frames = Frames('odom', 'base_link', 'z')
-    rate = np.array([0.1, -0.2, 0.3])
-    sent = Stamp(NOW, frames)
+@pytest.mark.parametrize('axis', ['x', 'z'])
+def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
+    """Along the axis that the vehicle pushes along."""
+    frames, rate = Frames('odom', 'base_link', axis), np.array([0.1, -0.2, 0.3])
+    first, later = Stamp(NOW, frames), Stamp(NOW + 1, frames)
+    message = messages.twist_message(first, 1.0, rate)
+    assert getattr(message.twist.linear, axis) == 1.0
     orders = Orders(Model(3, 1, 1, forward=2.0), frames)
-    message = messages.twist_message(sent, 1.0, rate)
-    assert message.twist.linear.z == 1.0
     assert orders.take_twist(message, NOW)
     assert orders.latest.fraction == pytest.approx(0.5)
     np.testing.assert_allclose(orders.latest.body_rate, rate, atol=1e-15)
-    with pytest.raises(BadInput, match=r'twist\.linear\.z'):
-        orders.take_twist(messages.twist_message(sent, 2.1, rate), NOW)
-    pulled = Orders(Model(3, 1, 2, forward=2.0, mass=3.0), frames)
-    pulled.take_twist(messages.twist_message(sent, 0.0, rate), NOW)
-    force = messages.wrench_message(sent, 3.0)
-    assert force.wrench.force.z == 3.0
-    assert pulled.take_force(force, NOW)
-    assert pulled.latest.fraction == pytest.approx(0.5)
+    with pytest.raises(BadInput, match=rf'twist\.linear\.{axis}'):
+        orders.take_twist(messages.twist_message(first, 2.1, rate), NOW)
+    pushed, force = (
+        Orders(Model(3, 1, 2, forward=2.0, mass=3.0), frames),
+        messages.wrench_message(later, 3.0),
+    )
+    assert getattr(force.wrench.force, axis) == 3.0
+    assert not pushed.take_twist(messages.twist_message(first, 0.0, -rate), NOW)
+    assert not pushed.take_force(force, NOW)
+    assert pushed.latest is None
+    assert pushed.take_twist(messages.twist_message(later, 0.0, rate), NOW)
+    assert pushed.latest.stamp == NOW + 1
+    assert pushed.latest.fraction == pytest.approx(0.5)
+    np.testing.assert_allclose(pushed.latest.body_rate, rate, atol=1e-15)
 
 
 def test_a_twist_alone_is_an_order_at_translation_order_1():

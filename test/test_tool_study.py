@@ -140,8 +140,6 @@ def test_an_engine_is_studied_beside_its_own_guidance():
         row = flown(job('cessna', name, 0, near, seed=700))
         assert row['airspeed'] > 1.1 * 27.6
         assert 0.0 < row['bank'] < 0.6
-    with pytest.raises(BadInput, match='--controllers is waypoint'):
-        flown(job('fixed_wing', 'waypoint'))
 
 
 def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
@@ -152,9 +150,10 @@ def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
     assert '- `lead` missed 1: 0 (broken: stopped' in report(draws_of('cessna'), {'lead': [row]})
 
 
-def test_baselines_do_not_fly_in_space():
-    with pytest.raises(BadInput, match='--controllers is lead'):
-        flown(job('servicer', 'lead'))
+@pytest.mark.parametrize(('study', 'name'), [('servicer', 'lead'), ('fixed_wing', 'waypoint')])
+def test_baselines_fly_in_the_plane_and_guidance_where_an_engine_has_it(study, name):
+    with pytest.raises(BadInput, match=f'--controllers is {name}'):
+        flown(job(study, name))
 
 
 def flight(name, index, time):
