@@ -12,7 +12,7 @@ from harness import ROOT, python, run
 from test_package_layers import imports_of
 
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
-STANDARD = sys.stdlib_module_names
+STANDARD = sys.stdlib_module_names | {'llvmlite'}  # which numba brings
 
 # Who brings what the code imports: rosdep key, distribution on PyPI. None: not needed or not there.
 PROVIDERS = {
