@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Optima by other solvers: convex programs stated anew step by step, and local descents.
+"""Optima by another solver: convex programs stated anew, step by step.
 
 The convex program has nothing in common with what it is an oracle for. Where a floor by faces, or
 boxes, leave a choice, it is that of a branch: of every one, or of the one that a plan has taken.
@@ -13,14 +13,9 @@ from typing import Any, NamedTuple
 
 import cvxpy as cp
 import numpy as np
-from scipy.optimize import minimize
 
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import carried
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.pace import entry_speed
 
 LATE = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}  # share of the new heading in a step
 Cell = tuple[np.ndarray, float]  # normal . value >= offset
@@ -207,43 +202,3 @@ def enumerated(problem: Problem, start: State, goals: np.ndarray) -> float:
     stated = Stated(problem, start, goals)
     branches = itertools.product(*(each.cells for each in stated.choices))
     return min(stated.taking(cells).optimum() for cells in branches)
-
-
-def descended(problem: Problem, start: State, goals: np.ndarray) -> float:
-    """Return the least cost of descents in speeds and turns; in the plane, at rotation order 1."""
-    count, most = problem.horizon, problem.speed_change
-    widest = min(math.pi, problem.widest_turn)
-    first = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
-    entry, paced = entry_speed(problem, start), problem.max_acceleration > 0.0
-    least = problem.floor.clearance(2)
-
-    def cost(y: np.ndarray) -> float:
-        around = first + np.cumsum(y[count:])
-        units = np.column_stack([np.cos(around), np.sin(around)])
-        low = np.array([problem.floor.least(unit) for unit in units])
-        sizes = y[:count] if paced else low + y[:count] * (1.0 - low)
-        headings = sizes[:, None] * units
-        x = coordinates(carried(start.attitude, headings))
-        return trajectory_of(problem, start, goals, x).cost
-
-    chain = np.hstack([np.eye(count) - np.eye(count, k=-1), np.zeros((count, count))])
-    begun = np.eye(count)[0] * entry
-    kept = [
-        {'type': 'ineq', 'fun': lambda y, side=side: most + side * (begun - chain @ y)}
-        for side in (-1.0, 1.0)
-    ]
-    box = [(least if paced else 0.0, 1.0)] * count + [(-widest, widest)] * count
-    found = []
-    turns = [(a, a) for a in (-1.0, -0.3, 0.3, 1.0)]
-    turns += [] if problem.max_rate else [(a, 0.0) for a in np.linspace(-0.9, 0.9, 8)]
-    for once, then in turns:
-        y = np.full(2 * count, then * widest)
-        y[:count], y[count] = entry if paced else 0.5, once * widest
-        known = {'bounds': box, 'constraints': kept if paced else (), 'options': {'maxiter': 80}}
-        y = np.clip(minimize(cost, y, method='SLSQP', **known).x, *np.transpose(box))
-        if paced:  # what it ends with may break the limit by little
-            for k, before in enumerate([entry, *y[: count - 1]]):
-                before = y[k - 1] if k else before
-                y[k] = min(1.0, before + most, max(least, before - most, y[k]))
-        found.append(cost(y))
-    return min(found)

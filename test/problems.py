@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import exp, turned_onto
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import (
@@ -280,3 +280,28 @@ def box(rng: np.random.Generator, n: int, centre: np.ndarray) -> Box:
 
 def floor(shape: str, fraction: float = np.sqrt(0.3), faces: int = 4) -> Floor:
     return Floor(shape, faces, float(fraction))
+
+
+UPRIGHT = turned_onto(np.eye(3), np.array([0.0, 0.0, 1.0]))
+FALLING = np.array([0.0, 0.0, -1.62])  # [m/s^2]
+
+
+def lander(**others: Any) -> Problem:
+    """Return the problem of a lander under the Moon's gravity: eight steps of a second."""
+    usual: dict[str, Any] = {
+        'dimension': 3,
+        'translation_order': 2,
+        'horizon': 8,
+        'forward': 3.6,
+        'weights': Weights(position=0.3, input=0.05, length=0.3, terminal=1.0),
+        'discretisation': 'exact',
+        'tilt': 0.2,
+        'glide_slope': 0.6,
+    }
+    return Problem(**(usual | others))
+
+
+def falling(position: Any, velocity: Any = (0.0, 0.0, 0.0), **more: Any) -> State:
+    """Return the state of a lander, by default upright."""
+    known = {'velocity': velocity, 'attitude': UPRIGHT, 'disturbance': FALLING, **more}
+    return State.at(position, 0.45 * known['attitude'], **known)

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from oracles import convex
 from plans import assembled
-from problems import floor, goals, needs_machine_code, rotation, state
+from problems import (
+    FALLING,
+    UPRIGHT,
+    falling,
+    floor,
+    goals,
+    lander,
+    needs_machine_code,
+    rotation,
+    state,
+)
 from stepping import Stepped, odometry
 
 from orbimpc_ros.mpc.check import approach_margin, command_violations, flaw, violations
@@ -155,31 +165,8 @@ def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
 # --- descents
 
 UP = np.array([0.0, 0.0, 1.0])
-UPRIGHT = turned_onto(np.eye(3), UP)
-WEIGHTS = Weights(position=0.3, input=0.05, length=0.3, terminal=1.0)
 THRUST = Floor('circle', 4, 0.3)
 PAD = np.zeros((8, 3))
-FALLING = np.array([0.0, 0.0, -1.62])
-
-
-def lander(**others):
-    """A lander that falls with 1.62 m/s^2: eight steps of a second."""
-    usual = {
-        'dimension': 3,
-        'translation_order': 2,
-        'horizon': 8,
-        'forward': 3.6,
-        'weights': WEIGHTS,
-        'discretisation': 'exact',
-        'tilt': 0.2,
-        'glide_slope': 0.6,
-    }
-    return Problem(**(usual | others))
-
-
-def falling(position, velocity=(0.0, 0.0, 0.0), attitude=UPRIGHT, fraction=0.45, **more):
-    known = {'velocity': velocity, 'attitude': attitude, 'disturbance': FALLING, **more}
-    return State.at(position, fraction * attitude, **known)
 
 
 def tilts(plan):
@@ -197,7 +184,8 @@ def slopes(plan):
 @pytest.mark.parametrize('floor', [Floor(), THRUST])
 @pytest.mark.parametrize('weight', [0.0, 0.05])
 def test_plans_keep_both_cones_at_every_step_and_the_check_sees_those_that_do_not(floor, weight):
-    problem = lander(floor=floor, weights=replace(WEIGHTS, input=weight))
+    problem = lander(floor=floor)
+    problem = replace(problem, weights=replace(problem.weights, input=weight))
     start = falling([9.0, -7.0, 15.0], [1.0, 1.0, -2.0])
     free = replace(problem, tilt=0.0, glide_slope=0.0)
     without = Solver(free, gap_tolerance=1e-3).solve(start, PAD)

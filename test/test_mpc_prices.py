@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import Stated
-from problems import ORDERS, floor, goals, needs_machine_code, state, weights
+from problems import ORDERS, falling, floor, goals, lander, needs_machine_code, state, weights
 
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem, State, Weights
 from orbimpc_ros.mpc.sensitivity.constraints import explained
@@ -94,15 +94,7 @@ def at(speed, **more):
     return State.at([0.0, 0.0], speed * np.eye(2), **more)
 
 
-UPRIGHT = np.eye(3)[:, [2, 0, 1]]
-LANDER = Problem(
-    3, 1, 2, horizon=8, forward=3.6, weights=Weights(0.3, 0.05, 0.3, 1.0), discretisation='exact',
-    tilt=0.2, glide_slope=0.6,
-)  # fmt: skip
-FALLING = State.at(
-    [9.0, -7.0, 15.0], 0.45 * UPRIGHT, attitude=UPRIGHT, velocity=[1.0, 1.0, -2.0],
-    disturbance=[0.0, 0.0, -1.62],
-)  # fmt: skip
+DESCENT = lander(), falling([9.0, -7.0, 15.0], [1.0, 1.0, -2.0]), [0.0, 0.0, 0.0]
 WING = Problem(
     horizon=5, forward=2.0, floor=floor('circle', 0.4), max_rate=0.5, max_acceleration=0.2
 )
@@ -131,8 +123,8 @@ SUMS = {
         1e-4,
     ),
     'speeds': ('max_acceleration', WING, at(0.5), [7.0, 1.5], 1e-4),
-    'tilt': ('tilt', LANDER, FALLING, [0.0, 0.0, 0.0], 1e-4),
-    'slope': ('glide_slope', LANDER, FALLING, [0.0, 0.0, 0.0], 1e-4),
+    'tilt': ('tilt', *DESCENT, 1e-4),
+    'slope': ('glide_slope', *DESCENT, 1e-4),
     'approach': ('approach', NORTH, at(0.9), [2.0, -0.3], 1e-3),
     'hazard': ('hazard 0', Problem(horizon=4), at(0.5, hazards=(BESIDE,)), [5.0, 0.0], 5e-3),
 }
