@@ -86,10 +86,10 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
     assert len(controller.ends(0.0)) == 6
 
 
-def arriving(horizon=6):
-    """A controller and the goal that it sets off to."""
-    controller = Stepped(Problem(horizon=horizon, terminal='constraint'), shrinking=True)
-    controller.tick(odometry(), np.tile([0.5 * horizon, 2.0], (horizon, 1)))
+def arriving():
+    """A controller that has set off to (3, 2), with five steps left."""
+    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
     return controller
 
 
