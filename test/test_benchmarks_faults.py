@@ -35,19 +35,15 @@ def test_the_monitor_notices_commands_beyond_limits(speed, rates, broken):
     assert LIMITS.broken(HeardCommand(0.0, speed, rates)) == broken
 
 
-def heard(*commands):
-    monitor = Monitor(LIMITS)
-    monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, rate)) for at, speed, rate in commands]
-    return monitor
-
-
 def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
     """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
     due = 1.0 + 0.3
 
     def unsafe(*commands, strict=True):
         fault = Fault('fault', lambda _harness: None, wait=0.3, strict=strict)
-        return unsafe_commands(heard(*commands), fault, 1.0, due)
+        monitor = Monitor(LIMITS)
+        monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, w)) for at, speed, w in commands]
+        return unsafe_commands(monitor, fault, 1.0, due)
 
     busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
     stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]

@@ -6,8 +6,6 @@ import time
 
 import numpy as np
 import pytest
-import yaml
-from harness import ROOT
 
 pytest.importorskip('rclpy')
 
@@ -22,7 +20,6 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.firmware import TOPICS
 from orbimpc_ros.ros.messages import header
-from orbimpc_ros.ros.parameters.planner import PLANNER
 
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 RATE = 30.0  # [Hz] of the autopilot's messages
@@ -128,10 +125,3 @@ def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):
     assert len(autopilot.commands) == before  # nor at the end
     for words in ('engaged: commands', 'not engaged: silent'):
         assert words in autopilot.planner.output
-
-
-@pytest.mark.parametrize('name', TOPICS)
-def test_parameters_for_an_autopilot_are_all_known(name):
-    text = (ROOT / 'config' / f'{name}.yaml').read_text()
-    given = yaml.safe_load(text)['/**/planner']['ros__parameters']
-    assert given.keys() <= {row.name for row in PLANNER}

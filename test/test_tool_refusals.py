@@ -18,7 +18,6 @@ import yaml
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import bags, files, settings
-from orbimpc_ros.tool.settings import config
 
 DUBINS, RETRIEVAL = GOLDEN / 'dubins', GOLDEN / 'retrieval'
 REFUSED = {
@@ -124,14 +123,6 @@ def test_bad_input_is_one_line_and_writes_nothing(line, culprit, tmp_path, monke
 # --- damaged files and shapes that blow up parsers
 
 
-def read_parameters(file):
-    settings.resolve(file)
-
-
-def parameters():
-    return config('retrieval.yaml').read_text()
-
-
 def refusal(read, file):
     """Return the line in which a file is refused; None if it is not."""
     try:
@@ -182,7 +173,7 @@ BAD_PARAMETERS = {
 def test_bad_parameters_of_a_file_are_named(tmp_path, changes, said):
     file = tmp_path / 'mine.yaml'
     file.write_text(yaml.safe_dump({'/**': {'ros__parameters': changes}}))
-    line = refusal(read_parameters, file)
+    line = refusal(settings.resolve, file)
     assert line is not None
     assert said in line
     assert '; ' in line  # what to do about it
