@@ -130,14 +130,6 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
         assert driven.report(seconds + 0.05).advanced == 0.0
 
 
-def poison(monkeypatch, **changes):
-    """Let commands be made with a flaw that the controller's own check has missed."""
-    honest = planners.command_of
-    made = lambda *arguments: replace(honest(*arguments), **changes)  # noqa: E731
-    monkeypatch.setattr(planners, 'command_of', made)
-    monkeypatch.setattr(planners, 'command_violations', lambda *_: [])
-
-
 ATTITUDE = exp(np.array([0.4]))
 
 
@@ -209,7 +201,11 @@ def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     answers.append(driven.safe(Cause.AFRESH))
     driven.odometry(2.0, 2.0)
     driven.goal(2.0, 2.0)
-    poison(monkeypatch, speed_fraction=0.1)
+    # A flaw that the planner's own check of its plan has missed.
+    honest = planners.command_of
+    slow = lambda *arguments: replace(honest(*arguments), speed_fraction=0.1)  # noqa: E731
+    monkeypatch.setattr(planners, 'command_of', slow)
+    monkeypatch.setattr(planners, 'command_violations', lambda *_: [])
     answers.append(driven.report(2.0))
     assert answers[-1].reason.startswith('not sent: a speed fraction of 0.1 is below')
     fallbacks = [answer.fallback for answer in answers]
