@@ -30,8 +30,8 @@ def flown_again(path: Path) -> Iterator[Flight]:
     flight, given = departure(told.scenario, told.begin), {}
     orders = Orders(told.scenario.model, told.frames)
     for topic, message in bags.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):
-        if topic == 'cmd_vel' and orders.take_twist(message, LATER) and orders.latest:
-            given[orders.latest.stamp] = orders.latest
+        if topic == 'cmd_vel' and (order := orders.take_twist(message, LATER)):
+            given[order.stamp] = order
     yield flight
     while not flight.over and (at := round(flight.vehicle.time * SECOND)) in given:
         flight = flight.after(given[at].fraction, given[at].body_rate)

@@ -221,9 +221,9 @@ def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
     message = messages.twist_message(first, 1.0, rate)
     assert getattr(message.twist.linear, axis) == 1.0
     orders = Orders(Model(3, 1, 1, forward=2.0), frames)
-    assert orders.take_twist(message, NOW)
-    assert orders.latest.fraction == pytest.approx(0.5)
-    np.testing.assert_allclose(orders.latest.body_rate, rate, atol=1e-15)
+    order = orders.take_twist(message, NOW)
+    assert order.fraction == pytest.approx(0.5)
+    np.testing.assert_allclose(order.body_rate, rate, atol=1e-15)
     with pytest.raises(BadInput, match=rf'twist\.linear\.{axis}'):
         orders.take_twist(messages.twist_message(first, 2.1, rate), NOW)
     pushed, force = (
@@ -231,20 +231,18 @@ def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
         messages.wrench_message(later, 3.0),
     )
     assert getattr(force.wrench.force, axis) == 3.0
-    assert not pushed.take_twist(messages.twist_message(first, 0.0, -rate), NOW)
-    assert not pushed.take_force(force, NOW)
-    assert pushed.latest is None
-    assert pushed.take_twist(messages.twist_message(later, 0.0, rate), NOW)
-    assert pushed.latest.stamp == NOW + 1
-    assert pushed.latest.fraction == pytest.approx(0.5)
-    np.testing.assert_allclose(pushed.latest.body_rate, rate, atol=1e-15)
+    assert pushed.take_twist(messages.twist_message(first, 0.0, -rate), NOW) is None
+    assert pushed.take_force(force, NOW) is None
+    order = pushed.take_twist(messages.twist_message(later, 0.0, rate), NOW)
+    assert order.stamp == NOW + 1
+    assert order.fraction == pytest.approx(0.5)
+    np.testing.assert_allclose(order.body_rate, rate, atol=1e-15)
 
 
 def test_a_twist_alone_is_an_order_at_translation_order_1():
     orders = Orders(Model(forward=2.0, step=0.5), FRAMES)
     for speed, rate in ((0.0, 0.0), (2.0, 2 * math.pi), (-1e-4, -2 * math.pi)):
-        assert orders.take_twist(twist(speed, rate), NOW)
-        assert orders.latest.fraction == pytest.approx(speed / 2.0)
+        assert orders.take_twist(twist(speed, rate), NOW).fraction == pytest.approx(speed / 2.0)
 
 
 def force(newtons, stamp=NOW):
@@ -281,4 +279,3 @@ def test_what_is_malformed_or_beyond_the_vehicle_is_refused(model, message, culp
     take = orders.take_force if isinstance(message, WrenchStamped) else orders.take_twist
     with pytest.raises(BadInput, match=re.escape(culprit)):
         take(message, NOW)
-    assert orders.latest is None

@@ -34,10 +34,9 @@ class Orders:
         self._model, self._frames = model, frames
         self._twist: Order | None = None  # at translation order 2 without its thrust
         self._thrust = -1, 0.0  # a stamp [ns], and a share of full thrust
-        self.latest: Order | None = None
 
-    def take_twist(self, message: TwistStamped, now: int) -> bool:
-        """Take in ``cmd_vel`` at ``now`` [ns] and return whether it completes an order.
+    def take_twist(self, message: TwistStamped, now: int) -> Order | None:
+        """Take in ``cmd_vel`` at ``now`` [ns] and return the order that it completes, if any.
 
         Raises:
             BadInput: a stamp, a number or a range is not acceptable.
@@ -54,7 +53,7 @@ class Orders:
         self._twist = Order(stamp, share, body_rate)
         return self._complete()
 
-    def take_force(self, message: WrenchStamped, now: int) -> bool:
+    def take_force(self, message: WrenchStamped, now: int) -> Order | None:
         """Take in ``cmd_thrust``, like :meth:`take_twist`."""
         stamp, force = read_force(message, self._frames)
         _require_past(stamp, now)
@@ -69,13 +68,11 @@ class Orders:
             raise BadInput(culprit, value, f'0 to full speed or thrust, {full:g} {unit}')
         return share
 
-    def _complete(self) -> bool:
-        order = self._twist
-        if order is not None and self._model.translation_order == 2:
-            stamp, share = self._thrust
-            order = replace(order, fraction=share) if stamp == order.stamp else None
-        self.latest = order or self.latest
-        return order is not None
+    def _complete(self) -> Order | None:
+        order, (stamp, share) = self._twist, self._thrust
+        if order is None or self._model.translation_order == 1:
+            return order
+        return replace(order, fraction=share) if stamp == order.stamp else None
 
 
 def _require_past(stamp: int, now: int) -> None:

@@ -91,7 +91,7 @@ class LockStep(FlightSimulation):
             self._keep_asking()
 
     def _begin_or_wait(self) -> None:
-        absent = self.all_awaited()
+        absent = self.awaited(planner=True)
         if not absent:
             self._begun = True
             self._ask_when_due()
@@ -150,10 +150,9 @@ class LockStep(FlightSimulation):
         self._held_back = [sent for sent in self._sent if apart and sent.is_odometry]
         self.show([sent for sent in self._sent if not (apart and sent.is_odometry)])
 
-    def on_order(self) -> None:
+    def on_order(self, order: Order) -> None:
         """Fly a step if this is the answer awaited."""
-        order = self.orders.latest
-        if self.finished or order is None or order.stamp != self._awaited:
+        if self.finished or order.stamp != self._awaited:
             return
         if not self.view.command_lost(self.flight.ticks):
             self._order, self._heard = order, self.flight.vehicle.time
@@ -207,11 +206,11 @@ class RealTime(FlightSimulation):
         now: int = self.node.get_clock().now().nanoseconds
         return now + round(self.jump * SECOND)
 
-    def on_order(self) -> None:
+    def on_order(self, order: Order) -> None:
         """Put a command in force."""
         if self.view.command_lost(self.flight.ticks):
             return
-        self._order, self._latched = self.orders.latest, False
+        self._order, self._latched = order, False
         self._until = self.node.steady_now() + self.settings.command_timeout
 
     def on_life(self, event: Any) -> None:
@@ -242,7 +241,7 @@ class RealTime(FlightSimulation):
 
     def on_time(self) -> None:
         """Fly a step, unless nobody has commanded yet, and show where it led."""
-        self._begins = self._begins or not self.readers_awaited()
+        self._begins = self._begins or not self.awaited(planner=False)
         if self.finished or not self._begins:
             return
         if self._order is not None:

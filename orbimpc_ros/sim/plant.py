@@ -124,17 +124,12 @@ class Plant(Continuous):
     ) -> Vehicle:
         """Return the vehicle after a short time [s], by Simpson's rule."""
         now = _Actuated(vehicle.attitude, vehicle.body_rate, vehicle.fraction)
-        begun = self._actuated(now, 0.0, fraction, body_rate)
-        middle = self._actuated(now, 0.5 * dt, fraction, body_rate)
-        end = self._actuated(now, dt, fraction, body_rate)
-        winds = [self._wind(elapsed + after) for after in (0.0, 0.5 * dt, dt)]
-        pushes: list[Array] = [
-            self._pushed(each) + wind
-            for each, wind in zip((begun, middle, end), winds, strict=True)
-        ]
+        pushes, wind, end = list[Array](), vehicle.wind, now
+        for after in (0.0, 0.5 * dt, dt):
+            end, wind = self._actuated(now, after, fraction, body_rate), self._wind(elapsed + after)
+            pushes.append(self._pushed(end) + wind)
         if self.translation_order == 1:
             way, velocity = dt / 6.0 * (pushes[0] + 4.0 * pushes[1] + pushes[2]), pushes[2]
-            wind = winds[2]
         else:
             way, velocity = self._accelerated(vehicle.velocity, pushes, dt)
             wind = vehicle.wind

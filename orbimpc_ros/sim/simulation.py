@@ -51,7 +51,6 @@ class FlightSimulation(ABC):
     Attributes:
         flight: now.
         view: the messages of it that reach a planner.
-        orders: the commands that have come.
         finished: whether the flight has ended.
         airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
@@ -59,7 +58,7 @@ class FlightSimulation(ABC):
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         body = own_frame(settings.child_frame_id, node.get_namespace())
         self.node, self.settings = node, replace(settings, child_frame_id=body)
-        self.orders = Orders(self.settings.scenario.model, self.settings.frames)
+        self._orders = Orders(self.settings.scenario.model, self.settings.frames)
         self._refused: Counter[str] = Counter()  # commands, by topic and field
         self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
         self._commands, _ = (
@@ -109,7 +108,7 @@ class FlightSimulation(ABC):
         """Wait for planner and readers, then fly."""
 
     @abstractmethod
-    def on_order(self) -> None:
+    def on_order(self, order: Order) -> None:
         """Take notice of a command that has come."""
 
     def restart(self) -> None:
@@ -130,17 +129,18 @@ class FlightSimulation(ABC):
         """Return how long it has waited, the configuration of a planner left out [s]."""
         return self.node.steady_now() - self._counted_from
 
-    def readers_awaited(self) -> str:
-        """Return which readers are missing; empty if none is."""
-        return self._announce(self._readers_lacking())
-
-    def all_awaited(self) -> str:
-        """Return what is missing of planner and readers; empty if nothing is."""
-        coming = self._planner_being_configured()
+    def awaited(self, *, planner: bool) -> str:
+        """Return what is missing of readers, and of a ``planner``, too; empty if nothing is."""
+        now, coming = self.node.steady_now(), planner and self._planner_being_configured()
         if coming:  # its first start compiles, for as long as that takes
-            self._counted_from = self.node.steady_now()
-            return self._announce(f'{coming} to be configured: it may be compiling machine code')
-        return self._announce(self._readers_lacking() or self.planner_lacking)
+            self._counted_from = now
+            awaited = f'{coming} to be configured: it may be compiling machine code'
+        else:
+            awaited = self._readers_lacking() or (self.planner_lacking if planner else '')
+        if awaited and awaited != self._announced and now - self._since > SILENT:
+            self._announced = awaited
+            self.node.get_logger().info(f'waits for {awaited}')
+        return awaited
 
     @property
     def planner_lacking(self) -> str:
@@ -148,13 +148,6 @@ class FlightSimulation(ABC):
         if not self._goal.get_subscription_count():
             return 'a subscriber of goal'
         return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
-
-    def _announce(self, awaited: str) -> str:
-        lasts = self.node.steady_now() - self._since > SILENT
-        if awaited and awaited != self._announced and lasts:
-            self._announced = awaited
-            self.node.get_logger().info(f'waits for {awaited}')
-        return awaited
 
     def _readers_lacking(self) -> str:
         found, wanted = self._odometry.get_subscription_count(), self.settings.wait_subscribers
@@ -197,17 +190,17 @@ class FlightSimulation(ABC):
 
     def _take(self, topic: str, message: Any) -> None:
         """Take in a command; a complete one is an order."""
-        take = self.orders.take_twist if topic == 'cmd_vel' else self.orders.take_force
+        take = self._orders.take_twist if topic == 'cmd_vel' else self._orders.take_force
         try:
-            complete = take(message, self.now)
+            order = take(message, self.now)
         except BadInput as error:
             self._refused[f'refused {topic}: {error.culprit}'] += 1
             if self.node.steady_now() - self._refused_at > REFUSALS_SHOWN:
                 self._refused_at = self.node.steady_now()
                 self.warn(f'{topic} refused: {error}')
             return
-        if complete:
-            self.on_order()
+        if order is not None:
+            self.on_order(order)
 
     # --- flown and shown
 

@@ -564,7 +564,7 @@ class Inputs:
             odometry=known.value,
             goal=motion,
             wanted=wanted,
-            traffic=self.traffic(known.value.time) if self.traffic_stamps else None,
+            traffic=self.traffic(known.value.time),
             wind=None if wind is None else wind.value,
             odometry_age=known.age(now, ros),
             goal_age=age,

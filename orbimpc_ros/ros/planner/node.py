@@ -42,13 +42,13 @@ from orbimpc_ros.ros.process import LATCHED, LATEST, LIFE, qos, run
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
 
 EVENTS = ('arrived', 'caught')  # topics
-INPUTS: Mapping[str, type] = {
+INPUTS: dict[str, type] = {
     'goal': PoseStamped,
     'goal_path': Path,
     'wind': TwistWithCovarianceStamped,
     core.OBSTACLES: MarkerArray,
 }
-HALVES: Mapping[str, type] = dict(zip(POSE_TWIST, (PoseStamped, TwistStamped), strict=True))
+HALVES: dict[str, type] = dict(zip(POSE_TWIST, (PoseStamped, TwistStamped), strict=True))
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
@@ -171,12 +171,8 @@ class PlannerNode(Managed):
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
         odometry = HALVES if settings.odometry == 'pose_twist' else {'odom': OdometryMessage}
-        listening = {}
-        for topic, kind in {
-            **odometry,
-            **INPUTS,
-            **dict.fromkeys(self._core.inputs.others, Path),
-        }.items():
+        plans, listening = dict.fromkeys(self._core.inputs.others, Path), {}
+        for topic, kind in (odometry | INPUTS | plans).items():
             # Markers add up: one that is lost leaves a body out, or leaves one where none is. So
             # these are to be reliable; who offers less is reported as a mismatch. The rest is whole
             # each time.

@@ -80,10 +80,9 @@ def values(decision: Decision) -> dict[str, object]:
     """
     plan, catch, case = decision.plan, decision.catch, decision.case
     refuted, wind = decision.refutation is not None, decision.disturbance
-    objective = lower_bound = gap = projection_distance = clear = math.nan
+    costs, projection_distance, clear = numbers(decision), math.nan, math.nan
     fractions: tuple[float, ...] = ()
     if plan is not None:
-        objective, lower_bound, gap = plan.objective, plan.lower_bound, plan.gap
         fractions = tuple(plan.speed_fraction.tolist())
         projection_distance = float(plan.projection_distance[1:].max())
     if case is not None and plan is not None:
@@ -95,9 +94,7 @@ def values(decision: Decision) -> dict[str, object]:
     return {
         'status': decision.status,
         'reason': decision.reason,
-        'objective': objective,
-        'lower_bound': lower_bound,
-        'gap': gap,
+        **{name: costs.get(name, math.nan) for name in ('objective', 'lower_bound', 'gap')},
         'bound_checked': plan is not None and plan.proof.checked,
         'infeasible_checked': decision.infeasible is not None and refuted,
         'nodes': 0 if plan is None else plan.nodes,

@@ -73,8 +73,7 @@ class Wing(ABC):
         self._switched, self._warn = switched, warn
         self._odometry_out = node.create_publisher(OdometryMessage, 'odom', qos())
         self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
-        self._at = dict.fromkeys(('position', 'mode', 'airspeed', 'wind', 'setpoint'), -math.inf)
-        self._in_mode, self._airspeed, self._wind = False, math.nan, np.full(2, math.nan)
+        self._latest: dict[str, tuple[float, Any]] = {}  # when each came [s], and what it was
         node.create_timer(ALIVE, node.guard(self.look), clock=node.steady)
         self._connect()
 
@@ -101,44 +100,44 @@ class Wing(ABC):
 
     def look(self) -> None:
         """Look whether setpoints may leave, and keep the mode while there are some."""
-        engaged, why = self._in_mode, f'{"in" if self._in_mode else "has left"} {self.mode}'
+        engaged = in_mode = self._last('mode', math.inf, otherwise=False)
+        why = f'{"in" if in_mode else "has left"} {self.mode}'
         for what, limit in (('mode', MODE_LOST), ('position', FRESH)):
-            if self._age(what) > limit:
+            if self._last(what, limit) is None:
                 engaged, why = False, f'no {what} for {limit:g} s'
         if engaged != self.engaged:
             self.engaged = engaged
-            if not engaged and self._in_mode:
+            if not engaged and in_mode:
                 self.release()
             self._switched(f'{self.name}: {why}: {"setpoints" if engaged else "silent"}')
-        if self._age('position') <= FRESH and self._age('setpoint') <= 1.0:
+        if self._last('position', FRESH) and self._last('setpoint', 1.0):
             self._keep()
 
-    def _note(self, what: str) -> None:
-        """Note that something has just come, or gone."""
-        self._at[what] = self._node.steady_now()
+    def _note(self, what: str, value: Any = True) -> None:
+        """Note what has just come, or gone."""
+        self._latest[what] = self._node.steady_now(), value
 
-    def _age(self, what: str) -> float:
-        return self._node.steady_now() - self._at[what]
+    def _last(self, what: str, within: float, otherwise: Any = None) -> Any:
+        """Return what came last, if that was within a time [s]."""
+        at, value = self._latest.get(what, (-math.inf, otherwise))
+        return value if self._node.steady_now() - at <= within else otherwise
 
     def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         self._node.create_subscription(kind, topic, self._node.guard(callback), LATEST)
 
     def _mode_is(self, *, right: bool) -> None:
         """Take in whether the autopilot is in the mode that takes setpoints."""
-        self._note('mode')
-        self._in_mode = right
+        self._note('mode', right)
         self.look()
 
     def _airspeed_is(self, true: float) -> None:
         """Take in the true airspeed [m/s]; none above 0 is none."""
-        self._note('airspeed')
-        self._airspeed = true if true > 0.0 else math.nan
+        self._note('airspeed', true if true > 0.0 else math.nan)
 
     def _wind_is(self, message: TwistWithCovarianceStamped) -> None:
         """Take in the wind, and publish it."""
-        self._note('wind')
         linear = message.twist.twist.linear
-        self._wind = np.array([linear.x, linear.y])
+        self._note('wind', np.array([linear.x, linear.y]))
         self._wind_out.publish(message)
 
     def _moved(self, stamp: int, position: Array, velocity: Array, rotation: Array) -> None:
@@ -146,8 +145,8 @@ class Wing(ABC):
 
         Positions [m] and velocities [m/s] are ENU, shape (3,); rotations FLU to ENU, shape (3, 3).
         """
-        airspeed = self._airspeed if self._age('airspeed') <= AIRSPEED_LOST else math.nan
-        wind = self._wind if self._age('wind') <= WIND_LOST else np.full(2, math.nan)
+        airspeed = self._last('airspeed', AIRSPEED_LOST, otherwise=math.nan)
+        wind = self._last('wind', WIND_LOST, otherwise=np.full(2, math.nan))
         through = firmware.through_air(velocity, rotation, airspeed, wind)
         parts = (position, velocity, rotation.ravel())
         if through is None or not np.isfinite(np.concatenate(parts)).all():
