@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_736,
+    'orbimpc_ros': 36_726,
     'orbimpc_ros/mpc': 19_189,
     'orbimpc_ros/loop': 4_050,
     'orbimpc_ros/ros': 4_947,
     'orbimpc_ros/sim': 3_011,
-    'orbimpc_ros/tool': 5_357,
+    'orbimpc_ros/tool': 5_347,
     'benchmarks': 3_678,
     'test': 18_796,
 }

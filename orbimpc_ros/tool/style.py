@@ -17,11 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
 
-from orbimpc_ros.tool import palette
-
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
-NAMES = ('INK', 'BLUE', 'SKY', 'ORANGE', 'GREEN', 'RED', 'GREY')
-PRINT = (*(getattr(palette, name) for name in NAMES), '#B5B5B5')
+# Okabe and Ito's, distinct with every common colour blindness.
+PRINT = ('#222222', '#0072B2', '#56B4E9', '#E69F00', '#009E73', '#D55E00', '#8C8C8C', '#B5B5B5')
 DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
 PAGE = '#0D1117'  # dark
 DOTS_PER_INCH = 200
@@ -76,6 +74,12 @@ def in_both_looks(draw: Callable[[bool], Figure], file: Path) -> None:
         with look(dark):
             figure = draw(dark)
         save(figure, file.with_stem(f'{file.stem}-dark') if dark else file, dark)
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of a colour of the cycle in print."""
+    red, green, blue = bytes.fromhex(PRINT[int(color[1:])][1:])
+    return red, green, blue
 
 
 def paper() -> str:

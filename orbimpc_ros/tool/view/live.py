@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 import rerun as rr
@@ -82,9 +82,6 @@ class Watcher:
 
 def draw(namespace: str, recording: rr.RecordingStream, going: Callable[[], bool]) -> None:
     """Draw what runs now for as long as ``going()``."""
-    watcher = Watcher(namespace, recording)
-    try:
+    with closing(Watcher(namespace, recording)) as watcher:
         while going():
             watcher.spin()
-    finally:
-        watcher.close()
