@@ -135,6 +135,7 @@ LIMITS = {
     'braking': jumping('max_acceleration', -1.0),
     'speeding up': jumping('max_acceleration', 1.0),
     'chord of a body that coasts': jumping('max_rate', 1.0, rotation_order=2),
+    'speed of a body that coasts': jumping('max_acceleration', 1.0, rotation_order=2),
     'decided speed': jumping('max_acceleration', 1.0, decided=True, rotation_order=2),
     'turn from rest': turning(0.3, 0.0),
     'wide turn': turning(1.5, 0.2),
