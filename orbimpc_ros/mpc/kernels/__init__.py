@@ -7,6 +7,7 @@ Without numba the functions are ordinary Python: right, and too slow to be used.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from fcntl import LOCK_EX, LOCK_UN, lockf
@@ -20,7 +21,7 @@ from zlib import crc32
 try:
     from llvmlite import ir
     from llvmlite.binding import parse_assembly
-    from numba import intp, njit
+    from numba import njit
     from numba.core.caching import CompileResultCacheImpl, FunctionCache
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
@@ -145,7 +146,7 @@ else:
             whole.enable_object_caching()
             super().__init__(typing, target, whole, *rest)
 
-    POINTER, WORD = ir.IntType(8).as_pointer(), ir.IntType(intp.bitwidth)
+    POINTER, WORD = ir.IntType(8).as_pointer(), ir.IntType(sys.maxsize.bit_length() + 1)
     ON_POINTER = ir.FunctionType(ir.VoidType(), [POINTER])
 
     def _counting() -> ir.Module:
