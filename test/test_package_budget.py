@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_726,
-    'orbimpc_ros/mpc': 19_189,
+    'orbimpc_ros': 36_727,
+    'orbimpc_ros/mpc': 19_190,
     'orbimpc_ros/loop': 4_050,
     'orbimpc_ros/ros': 4_947,
     'orbimpc_ros/sim': 3_011,
