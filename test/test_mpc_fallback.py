@@ -47,8 +47,8 @@ def test_without_a_plan_the_one_before_serves_twice_and_never_past_its_horizon(
     assert {(tick.status, tick.reason) for tick in ticks} == {(status, str(error))}
     fallbacks = ['shifted plan'] * stand_ins + ['safe command'] * (4 - stand_ins)
     assert [tick.fallback for tick in ticks] == fallbacks
-    for tick in ticks[:stand_ins]:
-        np.testing.assert_allclose(tick.plan.rotations, first.plan.rotations, atol=1e-9)
+    for tick in ticks[:stand_ins]:  # straight ahead, to what an interior-point method leaves open
+        np.testing.assert_allclose(tick.plan.rotations, first.plan.rotations, atol=2e-3)
     assert (ticks[-1].plan, ticks[-1].command.speed_fraction) == (None, 0.0)
 
 
