@@ -89,8 +89,7 @@ else:
 
         def finalize(self) -> None:
             """Take up what the function calls; callers' code is optimised as a whole."""
-            for library in dict.fromkeys(self._linking_libraries):
-                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            _link_parts(self)
             self._finalized = True
 
         def get_pointer_to_function(self, name: str) -> int:
@@ -122,10 +121,8 @@ else:
             super().add_ir_module(added)
             if any(each.name.startswith(WRAPPER) for each in added.functions):
                 return
+            _link_parts(self)
             module = self._final_module
-            for library in dict.fromkeys(self._linking_libraries):
-                module.link_in(library._get_module_for_linking(), preserve=True)
-            self._linking_libraries.clear()
             makes_arrays = any(each.name.startswith(MAKES) for each in module.functions)
             module.link_in(parse_assembly(str(_counting() if makes_arrays else _idle(*COUNTS))))
             for name in COUNTS:
@@ -145,6 +142,12 @@ else:
             whole = _Whole(target.codegen(), 'whole')
             whole.enable_object_caching()
             super().__init__(typing, target, whole, *rest)
+
+    def _link_parts(library: JITCodeLibrary) -> None:
+        """Take up all that a function calls."""
+        for part in dict.fromkeys(library._linking_libraries):
+            library._final_module.link_in(part._get_module_for_linking(), preserve=True)
+        library._linking_libraries.clear()
 
     POINTER, WORD = ir.IntType(8).as_pointer(), ir.IntType(sys.maxsize.bit_length() + 1)
     ON_POINTER = ir.FunctionType(ir.VoidType(), [POINTER])
@@ -176,7 +179,6 @@ else:
     def _begun(module: ir.Module, name: str) -> ir.IRBuilder:
         """Return what writes a new function of a pointer."""
         made = ir.Function(module, ON_POINTER, name)
-        made.attributes.add('alwaysinline')
         return ir.IRBuilder(made.append_basic_block())
 
 
