@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.translation import Translation, maps_of
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -50,7 +49,12 @@ def _control_maps(model: Translation, horizon: int, step: float, forward: float)
 
 
 def coasting_controls(problem: Problem, state: State) -> Array:
-    """Return the control points without any thrust, shape (N, degree + 1, n)."""
-    still = np.zeros((problem.horizon + 1, problem.dimension))
-    coasted = dynamics.translation_rollout(problem, state, still)
+    """Return the control points without any thrust, less s_0, shape (N, degree + 1, n)."""
+    maps, coasted = problem.maps, np.zeros((2, problem.horizon + 1, problem.dimension))
+    coasted[0, 1:] = maps.drift * state.velocity + maps.blown * state.disturbance
+    if problem.inertial:
+        coasted[1, 0] = state.velocity
+        coasted[1, 1:] = maps.carried * state.velocity + maps.hastened * state.disturbance
+    else:
+        coasted[1] = state.disturbance
     return controls(problem.translation.degree, problem.step, *coasted)

@@ -113,7 +113,7 @@ def _depths(
     Of all of each step, or only of where it ends.
     """
     headings = escapes(problem, state, ways)[:, None]
-    points = coasting_controls(problem, state) + control_maps(problem) @ headings
+    points = coasting_controls(problem, state) + control_maps(problem) @ headings + state.position
     weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
     if ends:
         points, weights = points[:, :, -1:], weights[-1:]

@@ -8,6 +8,7 @@ Mathematics: docs/mathematics.md, 1.1, and docs/proofs.md.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.proof.arithmetic import Number, generic
 from orbimpc_ros.mpc.proof.limits import ENDS, STEP
+from orbimpc_ros.mpc.proof.tree import POINTS
 
 # Rows of what is known of a start, as far as the cost sees their coordinates, shape (8, d).
 VELOCITY, BLOWN, HASTENED, WIND, FIRST, WANTED, DECIDED, TIED = range(8)
@@ -122,3 +124,15 @@ def control_of(of, k, degree, i):
     if of == ENDS and k > 0:
         return i * degree if i < 2 else -1
     return degree if i == 0 else -1
+
+
+@lru_cache(maxsize=64)
+def control_points(of: tuple[int, ...], count: int, degree: int) -> np.ndarray:
+    """Return which control points rows of N steps are about, by body; -1 if there is no such row.
+
+    Shape (J, N, 4).
+    """
+    known = [
+        [control_of(each, k, degree, i) for k in range(count) for i in range(POINTS)] for each in of
+    ]
+    return np.array(known, np.int64).reshape(-1, count, POINTS)

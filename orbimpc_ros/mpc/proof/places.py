@@ -10,9 +10,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.proof.limits import ENDS, STEP
+from orbimpc_ros.mpc.proof.flight import control_points
 from orbimpc_ros.mpc.proof.stated import Bodies
-from orbimpc_ros.mpc.proof.tree import POINTS
 
 
 class Places:
@@ -32,18 +31,13 @@ class Places:
     """
 
     def __init__(self, bodies: Bodies, free: Array, reach: Array) -> None:
-        (count, m, n), of = free.shape, bodies.of[:, None]
-        at = np.full((len(bodies.of), count, POINTS), -1)
-        at[:, :, 0] = np.where(of == STEP, 0, m - 1)
-        for i in range(1, m):
-            at[:, :, i] = np.where(of == STEP, i, -1)
-        at[:, 1:, 0] = np.where(of == ENDS, 0, at[:, 1:, 0])
-        at[:, 1:, 1] = np.where(of == ENDS, m - 1, at[:, 1:, 1])
+        count, m, n = free.shape
+        at = control_points(tuple(bodies.of.tolist()), count, m - 1)
         self.rows, steps = at >= 0, np.arange(count)[:, None]
-        at = np.where(self.rows, at, at[:, :, :1])
+        self.points = m * steps + np.where(self.rows, at, at[:, :, :1])
         middles = np.where(self.rows[..., None], bodies.centres, bodies.centres[:, :, :1])
-        self.points = m * steps + at
-        self.free, self.reach = free[steps, at] - middles, reach[steps, at]
+        self.free = free.reshape(-1, n)[self.points] - middles
+        self.reach = reach.reshape(-1, count)[self.points]
         self._bodies, self._radii = bodies, bodies.extents[:, 2 * n, None]
 
     def entered(self, x: Array) -> tuple[Array, Array]:
@@ -55,7 +49,8 @@ class Places:
         Returns:
             Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
         """
-        places, n = self.free + self.reach @ x, x.shape[1]
+        count, n = x.shape
+        places = self.free + (self.reach.reshape(-1, count) @ x).reshape(self.free.shape)
         around = self._radii[:, 0] > 0.0
         along = np.concatenate([-places, places], axis=-1)
         short = (self._bodies.extents[:, None, None, : 2 * n] - along).max(axis=2)

@@ -32,12 +32,11 @@ from orbimpc_ros.mpc.proof.flight import (
     WANTED,
     WIND,
     Motion,
-    control_of,
+    control_points,
     controls_of,
     flown_by,
 )
 from orbimpc_ros.mpc.proof.limits import NO_LIMITS, STEP, Body, Cone, Limits
-from orbimpc_ros.mpc.proof.tree import POINTS
 
 NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
 WIDER = 1e-12  # [rad] by which sectors are wider than they are stated, for rounding of angles
@@ -413,25 +412,23 @@ class Statement:
         return self._beside(self._rows(np.zeros(self.problem.dimension)), (), width)
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
-        n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree
-        centres = self._rows(np.zeros((len(bodies), count, POINTS, n)))
-        extents = self._rows(np.zeros((len(bodies), 2 * n + 1)))
-        margins = self._rows(np.zeros((2, len(bodies), count)))
-        for j, body in enumerate(bodies):
-            low, shifts = self._rows(body.low) - origin, self._rows(body.shifts)
-            extents[j, :n], extents[j, n : 2 * n] = -low, self._rows(body.high) - origin
-            extents[j, -1], margins[0, j] = self._number(body.radius), self._rows(body.grown)
-            still = low if body.radius else 0 * low
-            moved = (shifts[1:] - shifts[:-1])[:, None]
-            for steps in (slice(1), slice(1, count)):
-                first = steps.start or 0
-                on_side = [control_of(body.of, first, degree, i) for i in range(POINTS)]
-                along = self._rows([i for i in on_side if i >= 0]) / degree
-                begun = (still + shifts[:-1])[steps, None]
-                centres[j, steps, : len(along)] = begun + moved[steps] * along[:, None]
+        n, count = self.problem.dimension, self.problem.horizon
+        low = self._rows([each.low for each in bodies]).reshape(-1, n) - origin
+        high = self._rows([each.high for each in bodies]).reshape(-1, n) - origin
+        radii = self._rows([each.radius for each in bodies])
+        grown = self._rows([each.grown for each in bodies]).reshape(-1, count)
+        shifts = self._rows([each.shifts for each in bodies]).reshape(-1, count + 1, n)
+        of = np.array([each.of for each in bodies], np.int64)
+        still = np.where(radii[:, None] > 0, low, 0 * low)
+        begun, moved = still[:, None] + shifts[:, :-1], shifts[:, 1:] - shifts[:, :-1]
+        at = control_points(tuple(of.tolist()), count, self._motion.degree)
+        along = self._rows(np.maximum(at, 0))[..., None] / self._motion.degree
+        centres = begun[:, :, None] + moved[:, :, None] * along
+        margins = np.stack([grown, 0 * grown])
         if any(each.radius and each.of == STEP for each in bodies):
             margins[1] = self._spread(bodies, centres, start)
-        return Bodies(np.array([each.of for each in bodies], np.int64), extents, centres, margins)
+        extents = np.concatenate([-low, high, radii[:, None]], axis=1)
+        return Bodies(of, extents, centres, margins)
 
     def _spread(self, bodies: Sequence[Body], centres: Rows, start: Rows) -> Rows:
         """Return how far apart control points of steps get, as bodies see them, shape (J, N).

@@ -31,6 +31,7 @@ SECTOR, OUTLINE = 4, 12
 WHOLE, WIDE, NARROW = 0.0, 1.0, 2.0
 ON = 1e-15  # by which a point may miss a chord that it is on
 TINY = 1e-300
+MARGIN = 0.15  # of what is cut: no part is narrower
 NEWTON = 4  # steps along a chord where lengths count
 
 
@@ -57,6 +58,14 @@ class Ring(NamedTuple):
     change: float
     last: float
     within: float
+
+
+@compiled
+def cut_near(angle, low, high):
+    """Return where to cut a sector: as near to an angle as leaves no part narrow."""
+    middle, margin = 0.5 * (low + high), MARGIN * (high - low)
+    angle += TURN * np.round((middle - angle) / TURN)
+    return min(high - margin, max(low + margin, angle))
 
 
 @compiled

@@ -45,6 +45,7 @@ from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import adrift, length_weights
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, NOTHING, ProofTree
+from orbimpc_ros.mpc.search.ring import TURN, cut_near
 from orbimpc_ros.mpc.search.shells import (
     ACTIVE,
     ARRIVED,
@@ -77,9 +78,7 @@ from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 # In Tree.counts; of starts beside a node, the next and the last; of those that are given, too.
 STARTS, FROM, SIDE, SIDES, FIRST = range(3, 8)
-TURN = 2.0 * np.pi
 PARTS = 5  # sectors that all directions of a step are cut into
-MARGIN = 0.15  # of a sector: no part is narrower
 NARROWEST = 1e-6  # [rad], a sector that is not cut
 NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough; but
 # at the root, whose point is where to look for the best trajectory
@@ -150,6 +149,13 @@ def _node(tree, i):
     return Node(sector[i], z[i], held[i], point[i], kept[i], pull[i], known[i])
 
 
+@compiled
+def _take(tree, z, cost):
+    """Take a trajectory for the best if it is better."""
+    if cost < tree.numbers[VALUE]:
+        tree.numbers[VALUE], tree.best[:] = cost, z
+
+
 @entry_point
 def _begin(posed, tree, first):
     """Begin a search with its root, after descents from the starts, from the first one on.
@@ -164,8 +170,9 @@ def _begin(posed, tree, first):
     root.known[KEY], root.known[TAKEN], root.known[MU] = -np.inf, 0.0, 0.0
     tree.numbers[LEAST], tree.descent.numbers[ACTIVE] = -np.inf, 0.0
     leave_open(tree, 0, -np.inf, np.inf)
-    if posed.stiff > 0.0 and arrive(posed, tree.best):
-        tree.numbers[VALUE] = cost_of(posed, tree.best)
+    z = tree.descent.z
+    if posed.stiff > 0.0 and arrive(posed, z):
+        _take(tree, z, cost_of(posed, z))
 
 
 @compiled
@@ -197,8 +204,7 @@ def _descend(posed, tolerance, tree, work):
     cost = cost_of(posed, z)
     if misses(posed, z) > ARRIVED:
         return work
-    if cost < numbers[VALUE]:
-        numbers[VALUE], tree.best[:] = cost, z
+    _take(tree, z, cost)
     same = SAME * abs(numbers[VALUE] + posed.constant)
     if tree.descent.numbers[ACTIVE] > 0.0 or cost > numbers[VALUE] + same:
         return work
@@ -219,22 +225,6 @@ def _descend(posed, tolerance, tree, work):
 
 
 @compiled
-def _land(posed, tree):
-    """Take what arrives next to an unfinished descent for the best, if it is better."""
-    z = tree.descent.z.copy()
-    if land(posed, z) and cost_of(posed, z) < tree.numbers[VALUE]:
-        tree.numbers[VALUE], tree.best[:] = cost_of(posed, z), z
-
-
-@compiled
-def _cut_at(angle, low, high):
-    """Return where to cut a sector: near an angle."""
-    middle, width = 0.5 * (low + high), high - low
-    angle += TURN * np.round((middle - angle) / TURN)
-    return min(high - MARGIN * width, max(low + MARGIN * width, angle))
-
-
-@compiled
 def _split(tree, node, k, cutoff):
     """Make the parts of a node, which begin where it has ended, by the directions of a step."""
     counts, whole = tree.counts, _node(tree, node)
@@ -242,7 +232,7 @@ def _split(tree, node, k, cutoff):
     angle = np.arctan2(whole.z[k, 1], whole.z[k, 0])
     every = high - low >= TURN
     parts = PARTS if every else 2
-    cut = angle if every else _cut_at(angle, low, high)
+    cut = angle if every else cut_near(angle, low, high)
     first = counts[MADE]
     tree.nodes[node, 0], tree.nodes[node, 1] = ARCS if every else CUT, k
     tree.nodes[node, 2], tree.nodes[node, 3], tree.nodes[node, 4] = first, parts, -1
@@ -319,7 +309,9 @@ def _search(posed, tolerance, tree, most, work):
         else:
             work = _solve_node(posed, tolerance, tree, take(tree), work)
     if status == PAUSED and posed.stiff > 0.0 and tree.descent.numbers[ACTIVE] > 0.0:
-        _land(posed, tree)
+        z = tree.descent.z.copy()
+        if land(posed, z):
+            _take(tree, z, cost_of(posed, z))
     numbers[LEAST] = min(least_left(tree), numbers[VALUE])
     return status
 

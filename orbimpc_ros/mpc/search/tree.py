@@ -55,9 +55,11 @@ from orbimpc_ros.mpc.search.ring import (
     HALF,
     HIGH,
     LOW,
+    MARGIN,
     SECTOR,
     SLOW,
     TURN,
+    cut_near,
     least_speed,
     nearest_speed,
     outline,
@@ -67,7 +69,6 @@ from orbimpc_ros.mpc.search.ring import (
 STALLS, STARTS, PROMISES = range(3, 6)  # in Tree.counts
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
-MARGIN = 0.15  # of a sector: no part is narrower
 NODE, STEP = 1500.0, 350.0  # what a node costs beside its relaxation, and each step of it
 NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
@@ -201,11 +202,7 @@ def _set_leaf(tree, node, key):
 @compiled
 def _cut_at(ring, angle, low, high):
     """Return where to cut a sector: at a corner of the floor inside it, else near an angle."""
-    middle, width = 0.5 * (low + high), high - low
-    if width > HALF:
-        angle = middle
-    angle += TURN * np.round((middle - angle) / TURN)
-    angle = min(high - MARGIN * width, max(low + MARGIN * width, angle))
+    angle = cut_near(0.5 * (low + high) if high - low > HALF else angle, low, high)
     if ring.faces > 0:
         share = TURN / ring.faces
         corner = share * (np.round(angle / share - 0.5) + 0.5)

@@ -30,9 +30,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model.motion import control_maps
+from orbimpc_ros.mpc.model.motion import coasting_controls, control_maps
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.flight import DECIDED, controls_of, rolled
+from orbimpc_ros.mpc.proof.flight import DECIDED
 from orbimpc_ros.mpc.proof.limits import limits_of
 from orbimpc_ros.mpc.proof.places import Places
 from orbimpc_ros.mpc.proof.splits import (
@@ -134,11 +134,11 @@ class Regions:
         self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
         self.round_floors = list(range(self.first, count)) if problem.floor.radius else []
         self._units, self._inverse = np.eye(count), inverse
-        maps = control_maps(problem)[:, :, 1:]
-        flown = np.zeros((4, count + 1, n))
-        rolled(stated.motion, stated.start, np.zeros((count, n)), flown)
-        free = controls_of(stated.motion, flown[:2])
-        self._places = Places(stated.bodies, free, maps) if self.bodies else None
+        self._places: Places | None = None
+        if self.bodies:
+            maps = control_maps(problem)
+            free = coasting_controls(problem, state) + maps[:, :, :1] * state.rotation[:, 0]
+            self._places = Places(stated.bodies, free, maps[:, :, 1:])
         self._points: dict[int, Points] = {}
         floor = problem.floor
         self._flat: Sides | None = None  # of a floor whose headings have a face
