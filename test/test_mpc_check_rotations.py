@@ -11,7 +11,7 @@ from problems import rotation
 from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.plan import UNPROVED, assemble, command_of
+from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -123,3 +123,26 @@ def test_the_last_step_of_a_plan_has_a_command(n, order):
     assert command_violations(problem, plan, command) == []
     assert not command.body_rate.any()
     assert violations(problem, start, goals, plan) == []
+
+
+@pytest.mark.parametrize(
+    ('made', 'allowed', 'complaint'),
+    [
+        (lambda e: {'speed_fraction': e}, 1e-6, 'speed is not that of the plan'),
+        (
+            lambda e: {'rotation': exp(np.array([e]))},
+            1e-9,
+            'rotation is not where the commanded rate leads',
+        ),
+        (
+            lambda e: {'rotation': exp(np.array([e])), 'body_rate': np.array([e])},
+            1e-6,
+            'rotation is 1e-06 rad from that of the plan',
+        ),
+    ],
+)
+def test_a_command_may_be_off_by_its_tolerance_and_not_by_more(made, allowed, complaint):
+    plan = assembled(Problem(), START, GOALS, np.zeros((5, 2)))
+    still = Command(0.0, np.zeros(1), np.eye(2))
+    for share, told in ((1.0 - 1e-6, []), (1.0 + 1e-6, [f'the commanded {complaint}'])):
+        assert command_violations(Problem(), plan, replace(still, **made(share * allowed))) == told
