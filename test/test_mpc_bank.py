@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The bank of goal models: goals of every family, changes of course, and sightings that are wrong.
+"""Forecasts: goals of every family, changes of course, and sightings that are wrong.
 
 An oracle is the one family that a goal belongs to, fitted by nonlinear least squares to the same
 sightings and started from the truth: the best that a forecast from them can be expected to do.
@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from orbimpc_ros.loop.goal.bank import BELIEVED, MEMORY, Bank
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.geometry.rotations import exp
 
@@ -79,9 +80,9 @@ def direction(rng, n):
     return along / np.linalg.norm(along)
 
 
-def sighted(motion, rng, *, seconds=20.0, noise=0.0):
+def sighted(motion, rng, *, seconds=20.0, noise=0.0, spacing=0.0):
     """Return sightings at 5 to 20 Hz with jitter, a seventh lost: times, and positions."""
-    spacing = 1.0 / rng.uniform(5.0, 20.0)
+    spacing = spacing or 1.0 / rng.uniform(5.0, 20.0)
     times = START + np.arange(0.0, seconds, spacing)
     times = times + 0.2 * spacing * rng.uniform(-1.0, 1.0, size=len(times))
     times = times[rng.uniform(size=len(times)) > 0.15]
@@ -90,7 +91,7 @@ def sighted(motion, rng, *, seconds=20.0, noise=0.0):
 
 
 def shown(times, seen, bank=None):
-    """Return a bank that was shown sightings."""
+    """Return a bank, or another forecast, that was shown sightings."""
     bank = bank or Bank()
     for time, position in zip(times, seen, strict=True):
         bank.observe(GoalObservation(float(time), position.copy()))
@@ -153,6 +154,54 @@ def test_the_same_sightings_give_the_same_bits_whoever_asked_meanwhile():
     ahead = times[-1] + np.arange(5.0)
     for other in (asked, again):
         np.testing.assert_array_equal(silent.at(ahead), other.at(ahead))
+
+
+# --- other forecasts
+
+
+@pytest.mark.parametrize(
+    ('pace', 'spacing', 'noise', 'swings', 'least', 'within'),
+    [
+        (1.0, 1.0, 0.0, 1.0, 6.0, 0.01),
+        (1.0, 1.0, 0.02, 1.3, 20.0, 0.15),
+        (4.0, 0.05, 0.0, 3.0, 0.0, 0.05),
+    ],
+    ids=['exact', 'noise', 'fast'],
+)
+def test_harmonic_knows_a_swing_after_seeing_it_once(pace, spacing, noise, swings, least, within):
+    """With 2 cm of noise within a capture radius of 0.15 m, in the next five seconds."""
+    for seed in range(20):
+        rng = np.random.default_rng([17, seed])
+        motion = drawn('swing', 2, rng)
+        rate = pace * motion.parameters[-1]
+        motion = motion._replace(parameters=np.r_[motion.parameters[:-1], rate])
+        seconds = max(swings * 2.0 * np.pi / rate, least)
+        times, seen = sighted(motion, rng, seconds=seconds, noise=noise, spacing=spacing)
+        forecast, ahead = (
+            shown(times, seen, FORECASTS['harmonic']()),
+            times[-1] + np.arange(1.0, 6.0),
+        )
+        error = np.linalg.norm(forecast.at(ahead) - motion(ahead), axis=1).max()
+        assert error < within
+
+
+@pytest.mark.parametrize('kind', FORECASTS)
+@pytest.mark.parametrize(
+    ('times', 'place'),
+    [([3.0], [1.0, 2.0, 3.0]), (range(10), [4.0, -1.0]), ([1.0] * 3, [1.0, 1.0])],
+)
+def test_what_shows_no_motion_is_forecast_where_it_is(kind, times, place):
+    """One sighting, at rest, the same stamp again; also if it moved before a reset."""
+    forecast = shown(range(5), np.outer(range(5), [1.0, 0.0]), FORECASTS[kind]())
+    forecast.reset()
+    shown(times, np.tile(place, (len(times), 1)), forecast)
+    assert np.allclose(forecast.at(times[-1] + np.arange(1.0, 6.0)), place, atol=1e-3)
+
+
+def test_velocity_goes_straight_on():
+    seen = np.array([[1.0, 0.0], [1.5, -1.0], [2.0, -2.0]])
+    forecast = shown(range(3), seen, FORECASTS['velocity']())
+    assert np.allclose(forecast.at(np.array([4.0])), [[3.0, -4.0]])
 
 
 # --- changes of course, and wrong sightings
