@@ -80,13 +80,13 @@ def test_the_rest_of_a_plan_is_legal_and_leads_where_the_plan_did(share, rate, o
     angles = np.unwrap(np.arctan2(plan.rotations[:, 1, 0], plan.rotations[:, 0, 0]))
     knots = share + np.arange(1, 6)
     here = State.at([share, 0.0], exp(np.array([share * angles[1] + off])))
-    rest = shifted(problem, here, BEHIND, plan, knots, projection='nearest')
+    rest = assembled(problem, here, BEHIND, shifted(problem, here, plan, knots))
     assert violations(problem, here, BEHIND, rest) == []
     assert rest.speed_fraction[1:].min() >= 0.9 - 1e-9
     turned = np.unwrap(np.arctan2(rest.rotations[1:, 1, 0], rest.rotations[1:, 0, 0]))
     np.testing.assert_allclose(turned, np.interp(knots, np.arange(6), angles), atol=0.06)
-    whole = shifted(problem, START, BEHIND, plan, np.arange(1.0, 6.0), projection='nearest')
-    np.testing.assert_allclose(whole.positions, plan.positions, atol=1e-9)
+    whole = shifted(problem, START, plan, np.arange(1.0, 6.0))
+    np.testing.assert_allclose(whole, coordinates(plan.rotations[1:]), atol=1e-9)
 
 
 @pytest.mark.parametrize('speed', [0.3, 1.0])
@@ -95,7 +95,7 @@ def test_the_rest_of_a_plan_in_space_keeps_the_floor_and_is_in_the_hull(speed):
     start, goals = State.at(np.zeros(3), speed * np.eye(3)), np.zeros((5, 3))
     turns = np.array([exp(np.array([0.0, 0.1 * k, 0.0])) for k in range(1, 6)])
     plan = assembled(problem, start, goals, coordinates(speed * turns))
-    rest = shifted(problem, start, goals, plan, 0.5 + np.arange(1, 6), projection='nearest')
+    rest = assembled(problem, start, goals, shifted(problem, start, plan, 0.5 + np.arange(1, 6)))
     assert violations(problem, start, goals, rest) == []
     assert rest.speed_fraction[1:] == pytest.approx(speed, rel=2e-3)
 

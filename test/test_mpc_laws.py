@@ -111,7 +111,7 @@ def test_a_search_that_is_cut_short_has_a_legal_plan_and_a_sound_bound(solved):
 def test_a_guess_leads_to_no_other_optimum(solved):
     """Neither the plan itself, nor one that is none of this state, nor one that lies."""
     family, known, solver, best = solved
-    elsewhere = shifted(*known, best, projection='nearest') or best
+    elsewhere = shifted(known.problem, known.state, best)
     for guess in (best, elsewhere, replace(best, objective=0.1 * best.objective)):
         plan = solver.solve(known.state, known.goals, guess, polled(POLLS))
         assert violations(*known, plan) == []

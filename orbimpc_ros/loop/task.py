@@ -12,7 +12,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.plan import Plan, shifted
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.solve.request import Enough
@@ -54,11 +54,18 @@ class Task:
         return self.problem, self.state, self.goals
 
     @cached_property
-    def rest(self) -> Plan | None:
-        """Return the rest of the previous plan from this state, if it fits."""
+    def onward(self) -> Array | None:
+        """Return the rest of the previous plan, shape (N, d), if it fits."""
         if self.previous is None:
             return None
-        return shifted(*self.known, self.previous, self.knots, projection=self.projection)
+        return shifted(self.problem, self.state, self.previous, self.knots)
+
+    @cached_property
+    def rest(self) -> Plan | None:
+        """Return the rest of the previous plan as one from this state, if it fits."""
+        if self.onward is None:
+            return None
+        return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
 
     def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
         """Return the task of a problem with another number or length of steps, and their goals."""
@@ -78,7 +85,7 @@ class Task:
         ``guessing`` is asked for.
         """
         assert self.solver is not None
-        guess = self.rest if guessing or self.solver.takes_guess(self.state) else None
+        guess = self.onward if guessing or self.solver.takes_guess(self.state) else None
         try:
             plan = self.solver.solve(self.state, self.goals, guess, self.late)
         except Infeasible as error:

@@ -193,16 +193,8 @@ def _whole(at: Array) -> bool:
     return first.is_integer() and float(at[-1]) - first == len(at) - 1
 
 
-def shifted(
-    problem: Problem,
-    state: State,
-    goals: Array,
-    plan: Plan,
-    knots: Array | None = None,
-    *,
-    projection: str,
-) -> Plan | None:
-    """Return the rest of the previous plan, its last rotation held, from a new state.
+def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = None) -> Array | None:
+    """Return the rest of the previous plan, its last rotation held: coordinates, shape (N, d).
 
     Between two steps of the previous plan R e1 turns evenly, as its length changes evenly: on the
     chord a vehicle would slow down. In the plane, what turns by no more than an angle follows it as
@@ -212,11 +204,9 @@ def shifted(
     Args:
         problem: what is to be solved now.
         state: from where.
-        goals: g_1..g_N, shape (N, n) [m].
         plan: the previous one.
         knots: the ends of the steps of now in steps of the previous plan, shape (N,); by default
             that is one step old.
-        projection: ``nearest`` or ``thrust_aligned``.
     """
     if problem.rotation_order == 2:
         return None
@@ -227,7 +217,7 @@ def shifted(
         moved = _as_long(problem, x, moved, at)
     if problem.dimension == 2 and problem.turns_are_angles:
         moved = _followed(problem, state, moved)
-    return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)
+    return moved
 
 
 def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:

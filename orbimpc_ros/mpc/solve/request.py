@@ -19,7 +19,7 @@ class Guess:
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d).
-        cost: its objective, evaluated for the present state and goals.
+        cost: its objective, for a method that trusts it; else infinite.
     """
 
     x: Array

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.check import holds, prepare, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
-from orbimpc_ros.mpc.plan import Plan, Proof, assemble
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
@@ -42,12 +42,13 @@ class _Query(NamedTuple):
     """What a solver is asked, in the units of its caller; see :meth:`Solver.solve`.
 
     Attributes:
+        guess: rotation coordinates R_1..R_N, shape (N, d).
         searched: the state without hazards that are all out of reach: methods know more without.
     """
 
     state: State
     goals: Array
-    guess: Plan | None
+    guess: Array | None
     out_of_time: Callable[[], bool] | None
     searched: State
 
@@ -94,7 +95,7 @@ class Solver:
         self,
         state: State,
         goals: Array,
-        guess: Plan | None = None,
+        guess: Plan | Array | None = None,
         out_of_time: Callable[[], bool] | None = None,
     ) -> Plan:
         """Return the best plan found, checked, with its proof.
@@ -106,7 +107,8 @@ class Solver:
         Args:
             state: where the plan starts; its dimension is the problem's.
             goals: g_1..g_N, shape (N, n) [m].
-            guess: a plan from this very state to start the search from; used if it is feasible.
+            guess: to start the search from; used if it is feasible: a plan from this very state,
+                or its rotation coordinates, shape (N, d).
             out_of_time: polled at least every few milliseconds; True makes the search return the
                 best so far.
 
@@ -137,7 +139,7 @@ class Solver:
         self,
         state: State,
         goals: Array,
-        guess: Plan | None = None,
+        guess: Plan | Array | None = None,
         out_of_time: Callable[[], bool] | None = None,
     ) -> Plan:
         """Return what the method finds, as :meth:`solve` does, but before any check.
@@ -157,11 +159,14 @@ class Solver:
         self,
         state: State,
         goals: Array,
-        guess: Plan | None,
+        guess: Plan | Array | None,
         out_of_time: Callable[[], bool] | None,
     ) -> _Query:
         searched = clear_of_hazards(self.problem, state) if state.hazards else state
-        return _Query(state, goals, guess, out_of_time, searched)
+        x = coordinates(guess.rotations[1:]) if isinstance(guess, Plan) else guess
+        if x is not None and len(x) != self.problem.horizon:
+            x = None
+        return _Query(state, goals, x, out_of_time, searched)
 
     def _found(self, query: _Query) -> Found:
         state, goals = query.searched, query.goals
@@ -218,9 +223,10 @@ class Solver:
         guess, method = query.guess, self._method_for(query.searched)
         if guess is None or not method.takes_guess:
             return None
-        if method.trusts_guess and not self._sound(query, guess):
-            return None
-        return Guess(coordinates(guess.rotations[1:]), guess.objective / self._units.cost)
+        if not method.trusts_guess:
+            return Guess(guess, np.inf)
+        plan = self._assembled(query, guess, UNPROVED)
+        return Guess(guess, plan.objective / self._units.cost) if self._sound(query, plan) else None
 
     def _sound(self, query: _Query, plan: Plan) -> bool:
         return holds(self.problem, query.state, query.goals, plan)
@@ -276,9 +282,8 @@ class Solver:
 
     def _unsought(self, query: _Query) -> Iterator[Array]:
         """Yield the coordinates of the plans that cost no search, shape (N, d)."""
-        guess = query.guess
-        if guess is not None and guess.horizon == self.problem.horizon:
-            yield coordinates(guess.rotations[1:])  # from this state on
+        if query.guess is not None:
+            yield query.guess  # from this state on
         for rotations in straight(self.problem, query.state, query.goals):
             yield coordinates(rotations)
 
