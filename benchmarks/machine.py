@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -91,14 +89,3 @@ def busy(pid: int) -> float:
     """Return the processor time of a process so far, all threads together [s]."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')
-
-
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Switch the garbage collector off: its pauses would count as those of what is measured."""
-    gc.collect()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()

@@ -12,10 +12,9 @@ import sys
 import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.qos import ReliabilityPolicy
 from rclpy.utilities import get_default_context
 
-from orbimpc_ros.ros.process import executor_named, initialised, qos
+from orbimpc_ros.ros.process import LATEST, executor_named, initialised, qos
 from orbimpc_ros.tool.run.processes import interruptions
 
 
@@ -28,9 +27,8 @@ def main() -> None:
         def answer(message: Odometry) -> None:
             commands.publish(TwistStamped(header=message.header))
 
-        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(Odometry, 'odom', answer, latest)
-        node.create_subscription(PoseStamped, 'goal', lambda _message: None, latest)
+        node.create_subscription(Odometry, 'odom', answer, LATEST)
+        node.create_subscription(PoseStamped, 'goal', lambda _message: None, LATEST)
         executor = executor_named(node.get_parameter('executor').value)
         executor.add_node(node)
         while not received:

@@ -29,7 +29,6 @@ from orbimpc_ros.sim.world import Flight, Rope
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1
-CIRCLING, CROSSING = 20.0, 4.0  # [s] of each flight
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 UP = exp(np.array([0.0, -0.5 * math.pi, 0.0]))  # the thrust axis points upwards
 SHORT = 8  # steps that a controller plans among boxes, so as not to be slow
@@ -94,20 +93,6 @@ def boxes(count: int, *, space: bool = False) -> tuple[Box, ...]:
     return tuple(Box(m - d, m + d) for m, d in zip(middles[:count], half[:count], strict=True))
 
 
-def winged(problem: Problem, count: int) -> list[Instance]:
-    """Return consecutive ticks of a wing that follows drifting, swinging goals in known winds.
-
-    It lags behind its commands, and its goals are slower than it can fly: after the approach it
-    circles. Every flight has a wind and a goal of its own.
-    """
-    return _of_flights(problem, count, _wing, CIRCLING)
-
-
-def rotored(problem: Problem, count: int) -> list[Instance]:
-    """Return consecutive ticks of multirotors that fly among boxes to places behind them."""
-    return _of_flights(problem, count, _multirotor, CROSSING)
-
-
 def landings(problem: Problem, count: int) -> list[Instance]:
     """Return the first ticks of descents to the origin, from where an approach may have ended."""
     rng, found = np.random.default_rng(SEED), []
@@ -125,7 +110,8 @@ def landings(problem: Problem, count: int) -> list[Instance]:
 Departure = Callable[[Problem, np.random.Generator], tuple[Plant, Vehicle, Rope]]
 
 
-def _of_flights(problem: Problem, count: int, departs: Departure, seconds: float) -> list[Instance]:
+def in_flight(problem: Problem, count: int, departs: Departure, seconds: float) -> list[Instance]:
+    """Return consecutive ticks of vehicles on flights of so many seconds, each drawn anew."""
     rng, found = np.random.default_rng(SEED), list[Instance]()
     while len(found) < count:
         flown = _flown(problem, *departs(problem, rng))
@@ -159,8 +145,12 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
         vehicle = plant.flown(vehicle, problem.step, *flown)[-1]
 
 
-def _wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
-    """Return a wing, its start, and a goal 80 m away."""
+def wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
+    """Return a wing in a known wind, its start, and a drifting, swinging goal 80 m away.
+
+    It lags behind its commands, and its goal is slower than it can fly: after the approach it
+    circles.
+    """
     angles = rng.uniform(-math.pi, math.pi, size=3)
     blowing, bearing, course = np.column_stack([np.cos(angles), np.sin(angles)])
     plant = Plant(
@@ -183,7 +173,7 @@ def _wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, R
     return plant, plant.begun(start), goal
 
 
-def _multirotor(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
+def multirotor(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
     """Return a multirotor that hovers, and a place behind the boxes."""
     plant = Plant(
         dimension=3,

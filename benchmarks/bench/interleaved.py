@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from benchmarks.bench.instances import Instance
 from benchmarks.bench.solvers import Declined, Solution, Solver
-from benchmarks.machine import uncollected
 
 OURS = 'orbimpc'
 WARM = 1.0  # [s] after which no further warm-up begins
@@ -22,11 +22,6 @@ class Samples:
     times: dict[int, float] = field(default_factory=dict)  # solve times [ms]
     solutions: dict[int, Solution] = field(default_factory=dict)  # results
     refused: str = ''  # why it takes no part (any more); empty if it does
-
-    @property
-    def spent(self) -> float:
-        """Return the time it has used up [s]."""
-        return 1e-3 * sum(self.times.values())
 
 
 def interleaved_run(
@@ -50,13 +45,17 @@ def interleaved_run(
         for _ in range(warm_up):
             if time.perf_counter() < end and not samples[name].refused:
                 _run(solver, instances[0], samples[name], None)
-    with uncollected():
+    gc.collect()
+    gc.disable()  # its pauses would count as those of what is measured
+    try:
         for i, instance in enumerate(instances):
             for name in list(solvers)[:: 1 if i % 2 else -1]:
-                meets = name == OURS or i % every == 0
-                if meets and not samples[name].refused and samples[name].spent < budget:
-                    _run(solvers[name], instance, samples[name], i)
+                into, meets = samples[name], name == OURS or i % every == 0
+                if meets and not into.refused and sum(into.times.values()) < 1e3 * budget:
+                    _run(solvers[name], instance, into, i)
             show(i + 1)
+    finally:
+        gc.enable()
     return samples
 
 

@@ -22,13 +22,15 @@ from benchmarks.bench.instances import (
     arrivals,
     boxes,
     circling,
+    in_flight,
     landings,
-    rotored,
+    multirotor,
     scattered,
-    winged,
+    wing,
 )
 from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.solvers import Ours, Solver
+from benchmarks.bench.solvers.mixed import PROGRAMS
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
 
@@ -36,13 +38,12 @@ GUROBI, SCIP, IPOPT, CVXPY = 'Gurobi', 'SCIP', 'IPOPT (local)', 'CVXPY + Clarabe
 PACKAGES = {GUROBI: 'gurobipy', SCIP: 'pyscipopt', IPOPT: 'casadi', CVXPY: 'cvxpy'}
 CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
 DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
-SEVERAL = 5  # time limits that a rival may use up, where it meets few of the instances
 FULL, RATE = 15.0, 0.4363  # [m/s], [rad/s] of the wing in config/fixed_wing.yaml
 ROUND, OCTAGON = Floor('circle', fraction=2.0 / 3.0), Floor('polygon', 8, 2.0 / 3.0)
 # Turning costs a multirotor, and fuel a lander, whose thrust then keeps to its limits.
 MULTIROTOR, LANDER = Weights(1.0, 1.0, 0.0, 10.0), Weights(0.0, 0.01, 1.0, 0.0)
 TURNING, LENGTH = Weights(0.0, 0.05, 1.0, 0.0), Weights(0.0, 0.0, 1.0, 0.0)
-HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
+FUEL = Weights(0.0, 1.0, 0.1, 0.0)
 ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
 NO_FLOOR, SQUARE = Floor('none'), Floor('polygon', 4, math.sqrt(0.5))
 
@@ -62,10 +63,6 @@ class Comparison:
     closed_loop: bool = False  # whether instances follow each other
     every: int = 1  # rivals meet the first of so many instances, where they would take too long
 
-    def budget(self, cap: float) -> float:
-        """Return how long a solver takes part [s], given the time limit of a solve."""
-        return cap if self.every == 1 else SEVERAL * cap
-
     def solver(self, name: str, cap: float) -> Solver:
         """Return a solver set up for the problem.
 
@@ -79,87 +76,20 @@ class Comparison:
             from benchmarks.bench.solvers.conic import Conic
 
             return Conic(self.problem)
-        from benchmarks.bench.solvers.mixed import gurobi, ipopt, scip
-
-        fast = self.key != DEFAULTS
-        kind = scip(fast) if name == SCIP else {GUROBI: gurobi, IPOPT: ipopt}[name]()
-        return kind(self.problem, self.gap, cap, closed_loop=follows and name != IPOPT)
+        program = PROGRAMS[PACKAGES[name]](
+            self.problem, self.gap, cap, closed_loop=follows and name != IPOPT
+        )
+        if self.key == DEFAULTS:
+            program.emphasis = 'DEFAULT'
+        return program
 
 
 def _times(p50: float, p99: float, **more: float) -> Mapping[str, float]:
     return {'p50_ms': p50, 'p99_ms': p99, **more}
 
 
-def _p50(ratio: float) -> dict[str, float]:
-    return {'ratio_p50': ratio}
-
-
-# Ratios to what others take of their own time, whose share of overhead differs from processor to
-# processor: on two, the hull was faster than CVXPY by 10 and 5, the round floor than IPOPT by 12
-# and 7, the spacecraft by 14 and 8; with its verified bound, which none of the others has.
-def _planar() -> list[Comparison]:
-    paper = Problem(floor=Floor('polygon', 4, math.sqrt(0.3)))
-    gurobi = {'ratio_p50': 10.0, 'ratio_p99': 5.0}
-    circle = {OURS: {'worst_gap': 1e-6}, IPOPT: {'ratio_p50': 5.0, 'ratio_p99': 1.0}}
-    return [
-        Comparison('hull', 'SE(2) N=5 hull', Problem(floor=NO_FLOOR), circling, (20, 200),
-                rivals=(CVXPY,), required={CVXPY: _p50(4.0)}, closed_loop=True),
-        Comparison('square', 'SE(2) N=5 square floor, circling, 1e-4', paper, circling, (10, 200),
-                rivals=(GUROBI, SCIP), closed_loop=True,
-                required={GUROBI: gurobi, SCIP: _p50(50.0)}),
-        *(
-            Comparison(f'circle-{share}', f'SE(2) N=5 circle {share}, circling, 1e-6',
-                    Problem(floor=Floor('circle', fraction=math.sqrt(share))), circling,
-                    (20, 1000), 1e-6, (IPOPT,), circle, True)
-            for share in (0.3, 1.0)
-        ),
-    ]  # fmt: skip
-
-
-def _dubins() -> list[Comparison]:
-    departures = partial(arrivals, goal=np.array([5.0, 10.0]), spread=0.3)
-    circle = Floor('circle', fraction=SQUARE.fraction)
-    return [
-        Comparison('dubins', 'Dubins N=20 square r=0.05 l=1, 1e-4',
-                Problem(weights=TURNING, floor=SQUARE, **ARRIVAL), departures, (1, 9),
-                rivals=(GUROBI, SCIP), required={GUROBI: _p50(4.0), SCIP: _p50(10.0)}),
-        Comparison('dubins-length', 'Dubins N=20 square r=0 l=1, 1e-3',
-                Problem(weights=LENGTH, floor=SQUARE, **ARRIVAL), departures, (1, 3), 1e-3,
-                (GUROBI, SCIP), {OURS: {'p50_ms': 1000.0}}),
-        Comparison('dubins-circle', 'Dubins N=20 circle, 1e-3',
-                Problem(weights=TURNING, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3),
-    ]  # fmt: skip
-
-
-def _space() -> list[Comparison]:
-    departures = partial(arrivals, goal=np.array([5.0, 10.0, 25.0]), spread=0.3)
-    around = partial(scattered, distance=2.0)
-    craft: dict[str, Any] = {'dimension': 3, 'rotation_order': 2, 'translation_order': 2}
-    fuel = Problem(weights=Weights(0.0, 1.0, 0.1, 0.0), floor=NO_FLOOR, **craft, **ARRIVAL)
-    cube = Problem(dimension=3, floor=Floor('polygon', 6, 0.5))
-    return [
-        Comparison('spacecraft', 'spacecraft T=20 hull', fuel, departures, (3, 50),
-                rivals=(CVXPY,), required={CVXPY: _p50(6.0)}),
-        Comparison('se3', 'SE(3) N=5 hull', Problem(dimension=3, floor=NO_FLOOR), around, (5, 100),
-                rivals=(CVXPY,), required={CVXPY: _p50(2.5)}),
-        Comparison('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4', cube, around, (1, 10)),
-    ]  # fmt: skip
-
-
-def _sizes() -> list[Comparison]:
-    across = partial(arrivals, goal=np.array([8.0, 0.0]), spread=0.3)
-    hulls = [
-        Comparison('horizons', f'SE(2) hull N={n}', Problem(horizon=n, floor=NO_FLOOR),
-                partial(scattered, distance=0.5 * n), (4, 30))
-        for n in HORIZONS
-    ]  # fmt: skip
-    strewn = [
-        Comparison('boxes', f'SE(2) N=8 among boxes: {m}',
-                Problem(horizon=8, floor=NO_FLOOR, obstacles=boxes(m)), across, (1, 10),
-                rivals=(GUROBI, SCIP))
-        for m in BOXES
-    ]  # fmt: skip
-    return [*hulls, *strewn]
+def _p50(ratio: float, **more: float) -> Mapping[str, float]:
+    return {'ratio_p50': ratio, **more}
 
 
 def _wing(
@@ -169,39 +99,81 @@ def _wing(
     horizon, step = steps
     problem = Problem(horizon=horizon, step=step, forward=FULL, floor=floor, max_rate=rate)
     known: dict[str, Any] = {'rivals': (GUROBI, SCIP, IPOPT), 'gap': 1e-3}
-    return Comparison(key, f'wing N={horizon} {words}', weighed(problem, 'time'), winged, (4, 200),
-                   closed_loop=True, every=20, **known | more)  # fmt: skip
+    return Comparison(key, f'wing N={horizon} {words}', weighed(problem, 'time'), CIRCLING,
+                      (4, 200), closed_loop=True, every=20, **known | more)  # fmt: skip
 
 
-def _wings() -> list[Comparison]:
-    proved = {OURS: _times(3.0, 50.0), SCIP: _p50(100.0), GUROBI: _p50(30.0)}
-    moving = {OURS: _times(2.0, 30.0)}
-    return [
-        _wing('wing', 'circle 2/3, turn rate, 1e-3', (12, 0.5), ROUND, RATE, required=proved),
-        _wing('wing-far', 'circle 2/3, turn rate, 1e-3', (20, 0.5), ROUND, RATE,
-              required={OURS: _times(15.0, 100.0)}),
-        _wing('wing-octagon', 'octagon 2/3, turn rate, 1e-4', (10, 1.0), OCTAGON, RATE, gap=1e-4,
-              rivals=(GUROBI, SCIP), required={OURS: _times(5.0, 50.0, worst_gap=1e-4)}),
-        _wing('wing-circle', 'circle 2/3, 1e-3', (10, 1.0), ROUND, 0.0, required=moving),
-        _wing('wing-circle', 'circle 2/3, 1e-3', (20, 0.5), ROUND, 0.0, required=moving),
-    ]  # fmt: skip
-
-
-def lifted() -> list[Comparison]:
-    """Return the comparisons under gravity."""
-    craft: dict[str, Any] = {'dimension': 3, 'translation_order': 2, 'forward': 20.0}
-    among = Problem(weights=MULTIROTOR, obstacles=boxes(8, space=True), horizon=20, step=0.2,
-                    discretisation='exact', **craft)  # fmt: skip
-    thrust = Floor('circle', fraction=0.3)
-    down = Problem(horizon=30, step=0.3, weights=LANDER, terminal='constraint', floor=thrust,
-                   discretisation='exact', **craft)  # fmt: skip
-    return [
-        Comparison('multirotor', 'multirotor N=20 under gravity, 8 boxes, 1e-3',
-                weighed(among, 'time'), rotored, (2, 60), 1e-3,
-                required={OURS: _times(5.0, 50.0)}, closed_loop=True),
-        Comparison('lander', 'lander N=30, thrust 0.3, 1e-3', weighed(down, 'time'), landings,
-                (2, 20), 1e-3, required={OURS: _times(20.0, 20.0)}),
-    ]  # fmt: skip
-
-
-COMPARISONS = (*_planar(), *_dubins(), *_space(), *_sizes(), *_wings(), *lifted())
+CIRCLING = partial(in_flight, departs=wing, seconds=20.0)
+TO_CORNER = partial(arrivals, goal=np.array([5.0, 10.0]), spread=0.3)
+TO_FAR_CORNER = partial(arrivals, goal=np.array([5.0, 10.0, 25.0]), spread=0.3)
+ACROSS = partial(arrivals, goal=np.array([8.0, 0.0]), spread=0.3)
+SPACECRAFT: dict[str, Any] = {'dimension': 3, 'rotation_order': 2, 'translation_order': 2}
+LIFTED: dict[str, Any] = {'dimension': 3, 'translation_order': 2, 'forward': 20.0,
+                          'discretisation': 'exact'}  # fmt: skip
+# Ratios to what others take of their own time, whose share of overhead differs from processor to
+# processor: on two, the hull was faster than CVXPY by 10 and 5, the round floor than IPOPT by 12
+# and 7, the spacecraft by 14 and 8; with its verified bound, which none of the others has.
+COMPARISONS = (
+    Comparison('hull', 'SE(2) N=5 hull', Problem(floor=NO_FLOOR), circling, (20, 200),
+               rivals=(CVXPY,), required={CVXPY: _p50(4.0)}, closed_loop=True),
+    Comparison('square', 'SE(2) N=5 square floor, circling, 1e-4',
+               Problem(floor=Floor('polygon', 4, math.sqrt(0.3))), circling, (10, 200),
+               rivals=(GUROBI, SCIP), closed_loop=True,
+               required={GUROBI: _p50(10.0, ratio_p99=5.0), SCIP: _p50(50.0)}),
+    *(
+        Comparison(f'circle-{share}', f'SE(2) N=5 circle {share}, circling, 1e-6',
+                   Problem(floor=Floor('circle', fraction=math.sqrt(share))), circling,
+                   (20, 1000), 1e-6, (IPOPT,), closed_loop=True,
+                   required={OURS: {'worst_gap': 1e-6}, IPOPT: _p50(5.0, ratio_p99=1.0)})
+        for share in (0.3, 1.0)
+    ),
+    Comparison('dubins', 'Dubins N=20 square r=0.05 l=1, 1e-4',
+               Problem(weights=TURNING, floor=SQUARE, **ARRIVAL), TO_CORNER, (1, 9),
+               rivals=(GUROBI, SCIP), required={GUROBI: _p50(4.0), SCIP: _p50(10.0)}),
+    Comparison('dubins-length', 'Dubins N=20 square r=0 l=1, 1e-3',
+               Problem(weights=LENGTH, floor=SQUARE, **ARRIVAL), TO_CORNER, (1, 3), 1e-3,
+               (GUROBI, SCIP), {OURS: {'p50_ms': 1000.0}}),
+    Comparison('dubins-circle', 'Dubins N=20 circle, 1e-3',
+               Problem(weights=TURNING, floor=Floor('circle', fraction=SQUARE.fraction), **ARRIVAL),
+               TO_CORNER, (2, 20), 1e-3),
+    Comparison('spacecraft', 'spacecraft T=20 hull',
+               Problem(weights=FUEL, floor=NO_FLOOR, **SPACECRAFT, **ARRIVAL), TO_FAR_CORNER,
+               (3, 50), rivals=(CVXPY,), required={CVXPY: _p50(6.0)}),
+    Comparison('se3', 'SE(3) N=5 hull', Problem(dimension=3, floor=NO_FLOOR),
+               partial(scattered, distance=2.0), (5, 100), rivals=(CVXPY,),
+               required={CVXPY: _p50(2.5)}),
+    Comparison('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4',
+               Problem(dimension=3, floor=Floor('polygon', 6, 0.5)),
+               partial(scattered, distance=2.0), (1, 10)),
+    *(
+        Comparison('horizons', f'SE(2) hull N={n}', Problem(horizon=n, floor=NO_FLOOR),
+                   partial(scattered, distance=0.5 * n), (4, 30))
+        for n in (5, 10, 20, 50, 100)
+    ),
+    *(
+        Comparison('boxes', f'SE(2) N=8 among boxes: {m}',
+                   Problem(horizon=8, floor=NO_FLOOR, obstacles=boxes(m)), ACROSS, (1, 10),
+                   rivals=(GUROBI, SCIP))
+        for m in (1, 2, 4, 8, 16)
+    ),
+    _wing('wing', 'circle 2/3, turn rate, 1e-3', (12, 0.5), ROUND, RATE,
+          required={OURS: _times(3.0, 50.0), SCIP: _p50(100.0), GUROBI: _p50(30.0)}),
+    _wing('wing-far', 'circle 2/3, turn rate, 1e-3', (20, 0.5), ROUND, RATE,
+          required={OURS: _times(15.0, 100.0)}),
+    _wing('wing-octagon', 'octagon 2/3, turn rate, 1e-4', (10, 1.0), OCTAGON, RATE, gap=1e-4,
+          rivals=(GUROBI, SCIP), required={OURS: _times(5.0, 50.0, worst_gap=1e-4)}),
+    *(
+        _wing('wing-circle', 'circle 2/3, 1e-3', steps, ROUND, 0.0,
+              required={OURS: _times(2.0, 30.0)})
+        for steps in ((10, 1.0), (20, 0.5))
+    ),
+    Comparison('multirotor', 'multirotor N=20 under gravity, 8 boxes, 1e-3',
+               weighed(Problem(weights=MULTIROTOR, obstacles=boxes(8, space=True), horizon=20,
+                               step=0.2, **LIFTED), 'time'),
+               partial(in_flight, departs=multirotor, seconds=4.0), (2, 60), 1e-3,
+               required={OURS: _times(5.0, 50.0)}, closed_loop=True),
+    Comparison('lander', 'lander N=30, thrust 0.3, 1e-3',
+               weighed(Problem(weights=LANDER, terminal='constraint', horizon=30, step=0.3,
+                               floor=Floor('circle', fraction=0.3), **LIFTED), 'time'),
+               landings, (2, 20), 1e-3, required={OURS: _times(20.0, 20.0)}),
+)  # fmt: skip

@@ -92,7 +92,10 @@ def _measured(row: BenchRow, theirs: Samples, ours: Samples, gap: float) -> Benc
     base_50, base_99 = percentiles([ours.times[i] for i in common])
     solutions, same = theirs.solutions.values(), max(SAME, gap)
     gaps = [each.gap for each in solutions if not math.isnan(each.gap)]
-    off = np.array([_off(theirs, ours, i) for i in common])
+    found, own = (
+        np.array([each.solutions[i].objective for i in common]) for each in (theirs, ours)
+    )
+    off = (found - own) / np.maximum(1e-9, np.abs(own))
     capped = sum(each.capped for each in solutions)
     return replace(
         row,
@@ -106,12 +109,6 @@ def _measured(row: BenchRow, theirs: Samples, ours: Samples, gap: float) -> Benc
         note=theirs.refused if theirs is ours else _note(off, same, capped, theirs, ours),
         beaten=bool((off < -same).any()),
     )
-
-
-def _off(theirs: Samples, ours: Samples, i: int) -> float:
-    """Return (theirs - ours) / |ours| of the objectives of an instance."""
-    value = ours.solutions[i].objective
-    return (theirs.solutions[i].objective - value) / max(1e-9, abs(value))
 
 
 def _note(off: Array, same: float, capped: int, theirs: Samples, ours: Samples) -> str:

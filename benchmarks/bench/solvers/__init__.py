@@ -58,9 +58,7 @@ class Ours:
         closed_loop: whether instances follow each other, so that the previous plan is of use.
     """
 
-    def __init__(
-        self, problem: Problem, gap: float = 1e-4, cap: float = 60.0, *, closed_loop: bool = False
-    ) -> None:
+    def __init__(self, problem: Problem, gap: float, cap: float, *, closed_loop: bool) -> None:
         self._problem, self._cap, self._closed_loop = problem, cap, closed_loop
         self._solver = OwnSolver(problem, projection=PROJECTION, gap_tolerance=gap)
         self._plan: Plan | None = None

@@ -41,6 +41,7 @@ class MixedInteger:
         closed_loop: whether instances follow each other, so that a shifted start is of use.
     """
 
+    emphasis = 'FAST'  # SCIP's settings, four times as fast as its defaults around the rope
     model: Any  # of the solver's Python interface
     open: Callable[[], None]  # begins a model with the solver's options
     require: Callable[[Any], None]  # adds a constraint
@@ -135,143 +136,127 @@ class MixedInteger:
         return found
 
 
-def gurobi() -> type[MixedInteger]:
-    """Return the program in Gurobi.
+class _Gurobi(MixedInteger):
+    """A quadratic objective, cones and nonconvex quadratic constraints."""
 
-    Raises:
-        ImportError: it is not installed.
-    """
-    import gurobipy as gp
+    def open(self) -> None:
+        import gurobipy
 
-    class Gurobi(MixedInteger):
-        """A quadratic objective, cones and nonconvex quadratic constraints."""
+        self._library = gurobipy
+        quiet = {'OutputFlag': 0, 'Threads': 1, 'MIPGap': self.gap, 'TimeLimit': self.cap}
+        self.model = gurobipy.Model(env=gurobipy.Env(params=quiet))
 
-        def open(self) -> None:
-            quiet = {'OutputFlag': 0, 'Threads': 1, 'MIPGap': self.gap, 'TimeLimit': self.cap}
-            self.model = gp.Model(env=gp.Env(params=quiet))
+    def require(self, constraint: Any) -> None:
+        self.model.addConstr(constraint)
 
-        def require(self, constraint: Any) -> None:
-            self.model.addConstr(constraint)
+    def minimise(self, squared: Array, linear: Any) -> None:
+        squares = self._library.quicksum(each * each for each in squared)
+        self.model.setObjective(squares + linear)
+        self.model.update()
 
-        def minimise(self, squared: Array, linear: Any) -> None:
-            self.model.setObjective(gp.quicksum(each * each for each in squared) + linear)
-            self.model.update()
+    def start(self, values: Any) -> None:
+        for variable, value in values:
+            variable.Start = value
 
-        def start(self, values: Any) -> None:
-            for variable, value in values:
-                variable.Start = value
-
-        def solve(self) -> None:
-            try:
-                self.model.optimize()
-            except gp.GurobiError as error:
-                raise Declined(str(error)) from None
-
-        def found(self) -> Solution:
-            capped = self.model.Status == gp.GRB.TIME_LIMIT
-            if not self.model.SolCount:
-                return Solution(np.nan, np.nan, capped)
-            return Solution(self.model.ObjVal, self.model.MIPGap, capped)
-
-        def value(self, variable: Any) -> float:
-            return float(variable.X)
-
-    return Gurobi
-
-
-def scip(fast: bool) -> type[MixedInteger]:
-    """Return the program in SCIP.
-
-    Args:
-        fast: whether with SCIP's fast settings, four times as fast around the rope.
-
-    Raises:
-        ImportError: it is not installed.
-    """
-    from pyscipopt import SCIP_PARAMSETTING, Model, quicksum
-
-    class Scip(MixedInteger):
-        """The quadratic cost in one constraint, as squares alone: seen as convex at once."""
-
-        def open(self) -> None:
-            self.model = model = Model()
-            model.hideOutput()
-            for tune in (model.setHeuristics, model.setPresolve, model.setSeparating):
-                tune(SCIP_PARAMSETTING.FAST if fast else SCIP_PARAMSETTING.DEFAULT)
-            model.setParam('limits/gap', self.gap)
-            model.setParam('limits/time', self.cap)
-
-        def require(self, constraint: Any) -> None:
-            self.model.addCons(constraint)
-
-        def minimise(self, squared: Array, linear: Any) -> None:
-            total = self.model.addVar(lb=0.0, ub=None)
-            terms = [self.model.addVar(lb=None, ub=None) for _ in squared]
-            for term, each in zip(terms, squared, strict=True):
-                self.model.addCons(each == term)
-            self.model.addCons(quicksum(term * term for term in terms) <= total)
-            self.model.setObjective(total + linear)
-
-        def start(self, values: Any) -> None:
-            solution = self.model.createPartialSol()
-            for variable, value in values:
-                self.model.setSolVal(solution, variable, value)
-            self.model.addSol(solution)
-
-        def solve(self) -> None:
+    def solve(self) -> None:
+        try:
             self.model.optimize()
+        except self._library.GurobiError as error:
+            raise Declined(str(error)) from None
 
-        def found(self) -> Solution:
-            capped = self.model.getStatus() == 'timelimit'
-            if self.model.getNSols() == 0:
-                return Solution(np.nan, np.nan, capped)
-            value = self.model.getObjVal()
-            gap = (value - self.model.getDualbound()) / max(1e-9, abs(value))
-            return Solution(value, gap, capped)
+    def found(self) -> Solution:
+        capped = self.model.Status == self._library.GRB.TIME_LIMIT
+        if not self.model.SolCount:
+            return Solution(np.nan, np.nan, capped)
+        return Solution(self.model.ObjVal, self.model.MIPGap, capped)
 
-        def value(self, variable: Any) -> float:
-            return float(self.model.getVal(variable))
-
-    return Scip
+    def value(self, variable: Any) -> float:
+        return float(variable.X)
 
 
-def ipopt() -> type[MixedInteger]:
-    """Return the program in IPOPT by CasADi, with exact derivatives.
+class _Scip(MixedInteger):
+    """The quadratic cost in one constraint, as squares alone: seen as convex at once."""
 
-    Raises:
-        ImportError: it is not installed.
-    """
-    import casadi as ca
+    def open(self) -> None:
+        import pyscipopt
 
-    class Ipopt(MixedInteger):
-        """A program without binaries: no polygon, no boxes."""
+        self._library, self.model = pyscipopt, pyscipopt.Model()
+        model, settings = self.model, pyscipopt.SCIP_PARAMSETTING
+        model.hideOutput()
+        for tune in (model.setHeuristics, model.setPresolve, model.setSeparating):
+            tune(getattr(settings, self.emphasis))
+        model.setParam('limits/gap', self.gap)
+        model.setParam('limits/time', self.cap)
 
-        def open(self) -> None:
-            self.model, self._opti = self, ca.Opti()
+    def require(self, constraint: Any) -> None:
+        self.model.addCons(constraint)
 
-        def addVar(self, **_bounds: float) -> Any:  # noqa: N802
-            return self._opti.variable()  # in the unit disk by another limit
+    def minimise(self, squared: Array, linear: Any) -> None:
+        total = self.model.addVar(lb=0.0, ub=None)
+        terms = [self.model.addVar(lb=None, ub=None) for _ in squared]
+        for term, each in zip(terms, squared, strict=True):
+            self.model.addCons(each == term)
+        squares = self._library.quicksum(term * term for term in terms)
+        self.model.addCons(squares <= total)
+        self.model.setObjective(total + linear)
 
-        def require(self, constraint: Any) -> None:
-            self._opti.subject_to(constraint)
+    def start(self, values: Any) -> None:
+        solution = self.model.createPartialSol()
+        for variable, value in values:
+            self.model.setSolVal(solution, variable, value)
+        self.model.addSol(solution)
 
-        def minimise(self, squared: Array, linear: Any) -> None:
-            opti = self._opti
-            opti.minimize(squared @ squared + linear)
-            program = {'x': opti.x, 'f': opti.f, 'g': opti.g}
-            tuned = QUIET | {'ipopt.sb': 'yes', 'ipopt.tol': min(self.gap, LOCAL)}
-            self._solver = ca.nlpsol('plan', 'ipopt', program, tuned)
-            limits = {name: opti.value(getattr(opti, name)) for name in ('lbg', 'ubg')}
-            self._data: dict[str, Any] = {'x0': np.resize(self.heading, opti.nx), **limits}
+    def solve(self) -> None:
+        self.model.optimize()
 
-        def solve(self) -> None:
-            self._found = self._solver(**self._data)
+    def found(self) -> Solution:
+        capped = self.model.getStatus() == 'timelimit'
+        if self.model.getNSols() == 0:
+            return Solution(np.nan, np.nan, capped)
+        value = self.model.getObjVal()
+        gap = (value - self.model.getDualbound()) / max(1e-9, abs(value))
+        return Solution(value, gap, capped)
 
-        def found(self) -> Solution:
-            done = self._solver.stats()['success']
-            return Solution(float(self._found['f']) if done else np.nan)
+    def value(self, variable: Any) -> float:
+        return float(self.model.getVal(variable))
 
-    return Ipopt
+
+class _Ipopt(MixedInteger):
+    """A program without binaries, in CasADi, with exact derivatives: no polygon, no boxes."""
+
+    def open(self) -> None:
+        import casadi
+
+        self._library, self.model, self._opti = casadi, self, casadi.Opti()
+
+    def addVar(self, **_bounds: float) -> Any:  # noqa: N802
+        return self._opti.variable()  # in the unit disk by another limit
+
+    def require(self, constraint: Any) -> None:
+        self._opti.subject_to(constraint)
+
+    def minimise(self, squared: Array, linear: Any) -> None:
+        opti = self._opti
+        opti.minimize(squared @ squared + linear)
+        program = {'x': opti.x, 'f': opti.f, 'g': opti.g}
+        tuned = QUIET | {'ipopt.sb': 'yes', 'ipopt.tol': min(self.gap, LOCAL)}
+        self._solver = self._library.nlpsol('plan', 'ipopt', program, tuned)
+        limits = {name: opti.value(getattr(opti, name)) for name in ('lbg', 'ubg')}
+        self._data: dict[str, Any] = {'x0': np.resize(self.heading, opti.nx), **limits}
+
+    def solve(self) -> None:
+        self._found = self._solver(**self._data)
+
+    def found(self) -> Solution:
+        done = self._solver.stats()['success']
+        return Solution(float(self._found['f']) if done else np.nan)
+
+
+PROGRAMS: dict[str, type[MixedInteger]] = {
+    'gurobipy': _Gurobi,
+    'pyscipopt': _Scip,
+    'casadi': _Ipopt,
+}
 
 
 def _flat(groups: list[Array]) -> Array:
