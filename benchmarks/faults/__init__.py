@@ -6,17 +6,14 @@ from __future__ import annotations
 import argparse
 import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
+from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
 from benchmarks.machine import machine, require_known, writable, write
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-
-if TYPE_CHECKING:
-    from benchmarks.faults.matrix import FaultCase, MatrixRow
+from orbimpc_ros.tool.run.progress import ProgressLine
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,43 +52,30 @@ def run(args: argparse.Namespace) -> int:
 def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixRow]:
     """Return the rows of fault cases and print them; all processes are gone at the end.
 
-    A planner that never recovers ends its row alone.
+    A planner that never recovers ends its row alone. SIGTERM ends them like Ctrl-C.
 
     Args:
         cases: to try.
         long: whether to try each at several moments.
         executor: of the nodes.
     """
-    from benchmarks.faults.matrix import MatrixRow, Outcome, table
     from orbimpc_ros.mpc.kernels.__main__ import PARTS
-    from orbimpc_ros.tool.run.progress import ProgressLine
 
     rows, progress = [MatrixRow(case) for case in cases], ProgressLine(len(cases))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # which leaves in order
     try:
-        with _terminated():
-            for part in PARTS:  # a planner that compiles answers nothing meanwhile
-                part()
-            for number, row in enumerate(rows):
-                begin = time.monotonic()
-                try:
-                    for outcome in row.case.cases(executor, long):
-                        row.outcomes.append(outcome)
-                        row.seconds = time.monotonic() - begin
-                        count = len(row.outcomes)
-                        progress.show(number, f'{row.case.title}: {count} cases')
-                except OrbimpcError as error:
-                    row.outcomes.append(Outcome('then', failure=str(error)))
-            progress.close()
+        for part in PARTS:  # a planner that compiles answers nothing meanwhile
+            part()
+        for number, row in enumerate(rows):
+            begin = time.monotonic()
+            try:
+                for outcome in row.case.cases(executor, long):
+                    row.outcomes.append(outcome)
+                    row.seconds = time.monotonic() - begin
+                    progress.show(number, f'{row.case.title}: {len(row.outcomes)} cases')
+            except OrbimpcError as error:
+                row.outcomes.append(Outcome('then', failure=str(error)))
+        progress.close()
     finally:
         print(table([row for row in rows if row.outcomes]))
     return rows
-
-
-@contextmanager
-def _terminated() -> Iterator[None]:
-    """Treat SIGTERM like Ctrl-C, so that both leave in order."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

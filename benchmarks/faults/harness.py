@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 import random
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 
 from benchmarks import session
 from benchmarks.faults import stimulus
-from benchmarks.faults.monitor import Limits, Monitor
+from benchmarks.faults.monitor import Event, Limits, Monitor, record
 from benchmarks.session import PATIENCE, Session
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
@@ -61,14 +62,14 @@ class Monitored(Session):
         super().__init__(nodes)
         self._values, self._module, self.monitor = values, module, Monitor(limits)
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
-        self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
-        self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
+        self.subscribe(DiagnosticArray, 'tick', partial(record, self.monitor.ticks))
+        self.subscribe(DiagnosticArray, '/diagnostics', partial(record, self.monitor.health))
 
     def start(self) -> None:
         """Start a planner."""
         self.planner = self.launch(self._module, self._values)
 
-    def until_first(self, event: Callable[[Monitor, float], float], since: float) -> float:
+    def until_first(self, event: Event, since: float) -> float:
         """Spin until an event of the monitor since a time [s]; return when, infinite for never."""
         self.spin(PATIENCE, lambda: event(self.monitor, since) < math.inf)
         return event(self.monitor, since)

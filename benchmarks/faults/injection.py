@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmarks.faults.harness import STEP, Harness
 from benchmarks.faults.matrix import FaultCase, Outcome
-from benchmarks.faults.monitor import Monitor, complaint
+from benchmarks.faults.monitor import Event, Monitor, complaint
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
 RUNNING = (MIDWAY, SOLVING)
@@ -35,10 +35,6 @@ SLOW = {
 }
 
 
-def _flawless(_harness: Harness, _since: float) -> str:
-    return ''
-
-
 @dataclass(frozen=True)
 class Fault:
     """A fault, and the reaction that it requires."""
@@ -49,9 +45,7 @@ class Fault:
     # outlives it has had its ticks [s]
     wait: float = 0.0
     strict: bool = True  # whether the planner must be safe as long as the fault lasts
-    event: Callable[[Monitor, float], float] = Monitor.first_safe  # the reaction, since a time [s]
-    # returns any other failure in words, since a time [s]
-    flaw: Callable[[Harness, float], str] = _flawless
+    event: Event = Monitor.first_safe  # the reaction
     times: Sequence[str] = TIMES  # moments of injection in the long form
 
 
@@ -110,10 +104,9 @@ def injected(harness: Harness, fault: Fault, when: str, unit: float) -> Outcome:
             harness.start()
             waits = complaint('wait')
             harness.until(lambda: waits(harness.monitor, begin) < math.inf, 'its diagnostics')
-            due = time.monotonic() + fault.wait
         else:
             begin = time.monotonic()
-            due = begin + fault.wait
+        due = time.monotonic() + fault.wait
         harness.spin(due + STEP - time.monotonic())
         if when != START:
             late = max(0.0, harness.until_first(fault.event, begin) - due) / unit
@@ -121,10 +114,9 @@ def injected(harness: Harness, fault: Fault, when: str, unit: float) -> Outcome:
         unsafe = unsafe_commands(harness.monitor, fault, begin, due)
         if when == START and fault.strict:  # then there is nothing from before to be flown
             unsafe += harness.monitor.moving(begin, due)
-        failure = fault.flaw(harness, begin)
     harness.planner.require_health()
     harness.until_planned()
-    return Outcome(f'{fault.name}, {when}', unsafe, late, failure)
+    return Outcome(f'{fault.name}, {when}', unsafe, late)
 
 
 def unsafe_commands(monitor: Monitor, fault: Fault, begin: float, due: float) -> int:
@@ -146,7 +138,8 @@ def until_due(harness: Harness, when: str) -> None:
     if when == SOLVING:
         heard = len(harness.monitor.ticks)
         harness.until(lambda: len(harness.monitor.ticks) > heard, 'a tick')
-        solved = harness.monitor.ticks[-1].at
-        harness.spin(solved - 1e-3 * harness.monitor.solve_ms + STEP + INTO - time.monotonic())
+        tick = harness.monitor.ticks[-1]
+        solve = 1e-3 * float(tick.values['solve_time_ms'])
+        harness.spin(tick.at - solve + STEP + INTO - time.monotonic())
     else:
         harness.spin(harness.draw.uniform(0.0, STEP))

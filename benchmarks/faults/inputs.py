@@ -13,7 +13,6 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy
 
 from benchmarks.faults import stimulus
 from benchmarks.faults.harness import STEP, Harness
@@ -22,7 +21,8 @@ from benchmarks.faults.monitor import Monitor, complaint
 from benchmarks.faults.stimulus import HUGE, Spoiler, shifted, with_field
 from orbimpc_ros.loop.planner import FALLBACK_TICKS
 from orbimpc_ros.mpc.outcome import Fallback
-from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.messages import ERROR
+from orbimpc_ros.ros.process import LATCHED, qos
 
 STALE = 0.3  # [s] odom_timeout: 1.5 steps
 LADDER = FALLBACK_TICKS * STEP  # [s] that a shifted plan may be flown
@@ -63,41 +63,18 @@ def _contents() -> list[Fault]:
     return [
         _odometry('position', with_field('pose.pose.position.x', *BEYOND)),
         _odometry('orientation', with_field('pose.pose.orientation.w', *BEYOND)),
-        _odometry('quaternion not unit', stimulus.scaled_quaternion('odometry')),
+        _odometry('quaternion not unit', stimulus.scaled_quaternion),
         _odometry('velocity', with_field('twist.twist.linear.x', *BEYOND)),
         _odometry('rate', with_field('twist.twist.angular.z', *BEYOND)),
         _odometry('frame', with_field('header.frame_id', 'map', '', 'x' * HUGE)),
         _odometry('child frame', with_field('child_frame_id', 'map', '', '\x00' * HUGE)),
         _goal('goal position', with_field('pose.position.y', *BEYOND)),
         _goal('goal orientation', with_field('pose.orientation.x', *BEYOND)),
-        _goal('goal quaternion not unit', stimulus.scaled_quaternion('goal')),
+        _goal('goal quaternion not unit', stimulus.scaled_quaternion),
         _goal('goal frame', with_field('header.frame_id', 'map', 'x' * HUGE)),
         _goal('goal stamp in the future', shifted(5.0, 1e6)),
         _goal('goal stamp sec < 0', with_field('header.stamp.sec', -1)),
     ]
-
-
-def _unset() -> list[Fault]:
-    """Return odometry that loses its stamp: at the start it might be that of simulated time."""
-    return [_odometry('stamps not set', with_field('header.stamp', Time()), times=RUNNING)]
-
-
-def _garbage() -> list[Fault]:
-    return [
-        _odometry('no odometry message', stimulus.garbled),
-        _goal('no goal message', stimulus.garbled),
-    ]
-
-
-def _velocities() -> list[Fault]:
-    """Return velocities along the world's axes: doubted, and flown with."""
-    known: Any = {'strict': False, 'event': complaint('see velocity_frame')}
-    turned = stimulus.in_the_world
-    return [_spoiled('of the world', 'odometry', turned, times=(MIDWAY,), **known)]
-
-
-def _frozen() -> list[Fault]:
-    return [Fault('frozen', Harness.frozen, wait=STALE, times=RUNNING)]
 
 
 def _jumps() -> list[Fault]:
@@ -115,12 +92,11 @@ def _jumps() -> list[Fault]:
 def _infeasible() -> list[Fault]:
     """Return a box that grows around the vehicle: no plan is left, the fallbacks have to end."""
 
-    def unreported(harness: Harness, since: float) -> str:
-        reported = any(
-            tick.at >= since and Fallback.SAFE_COMMAND in tick.values['fallback']
-            for tick in harness.monitor.ticks
-        )
-        return '' if reported else 'no reason on tick'
+    def reported(monitor: Monitor, since: float) -> float:
+        """Return when a safe command had been sent and its reason reported."""
+        ticks = (tick for tick in monitor.ticks if Fallback.SAFE_COMMAND in tick.values['fallback'])
+        stated = next((tick.at for tick in ticks if tick.at >= since), math.inf)
+        return max(stated, monitor.first_safe(since))
 
     @contextmanager
     def walled(harness: Harness) -> Iterator[None]:
@@ -128,23 +104,22 @@ def _infeasible() -> list[Fault]:
         yield
         harness.set_live(obstacles=ELSEWHERE)
 
-    return [Fault('walled in', walled, wait=LADDER, flaw=unreported, times=RUNNING)]
+    return [Fault('walled in', walled, wait=LADDER, event=reported, times=RUNNING)]
 
 
 def _mismatch() -> list[Fault]:
     """Return a subscription to commands as latched, which they are not: it would get none."""
-    latched = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
 
     @contextmanager
     def subscribed(harness: Harness) -> Iterator[None]:
         made = harness.node.create_subscription(
-            TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
+            TwistStamped, 'cmd_vel', lambda _message: None, LATCHED, event_callbacks=quiet
         )
         yield
         harness.node.destroy_subscription(made)
 
-    return [Fault('latched cmd_vel', subscribed, strict=False, event=Monitor.first_error,
+    return [Fault('latched cmd_vel', subscribed, strict=False, event=complaint(level=ERROR),
                   times=(MIDWAY,))]  # fmt: skip
 
 
@@ -165,14 +140,21 @@ FAULT_CASES = (
                RUNNING),
     fault_case('goal', 'stale goal', lambda: [_goal('no goal', stimulus.lost)]),
     fault_case('stamps', 'future, repeated, malformed stamps', _stamps, RUNNING),
-    fault_case('unset', 'stamps that are not set, after good ones', _unset),
-    fault_case('garbage', 'bytes that are no message', _garbage),
+    # At the start a stamp that is not set might be that of simulated time.
+    fault_case('unset', 'stamps that are not set, after good ones', lambda: [
+        _odometry('stamps not set', with_field('header.stamp', Time()), times=RUNNING)]),
+    fault_case('garbage', 'bytes that are no message', lambda: [
+        _odometry('no odometry message', stimulus.garbled),
+        _goal('no goal message', stimulus.garbled)]),
     fault_case('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents,
                (START, MIDWAY, SOLVING)),
-    fault_case('frozen', 'clock frozen: safe after odom_timeout', _frozen, simulated=True),
+    fault_case('frozen', 'clock frozen: safe after odom_timeout', lambda: [
+        Fault('frozen', Harness.frozen, wait=STALE, times=RUNNING)], simulated=True),
     fault_case('jumps', 'clock jumps or is reset', _jumps, (MIDWAY, MIDWAY), simulated=True),
-    fault_case('twist', 'velocities in the wrong frame: reported', _velocities, allowed=TURNED,
-               unit='s'),
+    fault_case('twist', 'velocities in the wrong frame: reported', lambda: [
+        _spoiled('of the world', 'odometry', stimulus.in_the_world, times=(MIDWAY,),
+                 strict=False, event=complaint('see velocity_frame'))],
+               allowed=TURNED, unit='s'),
     fault_case('infeasible', 'no plan: shifted plan, then safe', _infeasible),
     fault_case('qos', 'a quality of service that does not match: reported', _mismatch,
                allowed=REPORT, unit='s'),

@@ -104,10 +104,6 @@ def table(rows: Sequence[MatrixRow]) -> str:
     """Return the rows as a plain table."""
     lines = [HEAD, *(row.cells() for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return '\n'.join(
-        '  '.join(
-            cell.rjust(width) if i in NUMBERS else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+    cells = (f'{{:{">" if i in NUMBERS else "<"}{width}}}' for i, width in enumerate(widths))
+    layout = '  '.join(cells)
+    return '\n'.join(layout.format(*line).rstrip() for line in lines)

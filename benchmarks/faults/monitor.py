@@ -12,7 +12,7 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 
-from orbimpc_ros.ros.messages import ERROR, WARN
+from orbimpc_ros.ros.messages import WARN
 
 About = Mapping[str, int]  # message information of DDS: time of sending, of the system's clock
 SLACK = 1e-6  # relative, on limits
@@ -75,14 +75,6 @@ class Monitor:
         rates = (turn.x, turn.y, turn.z)
         self.commands.append(HeardCommand(_sent(about), message.twist.linear.x, rates))
 
-    def on_tick(self, message: DiagnosticArray, about: About) -> None:
-        """Record the report of a tick."""
-        self.ticks += _statuses(message, about)
-
-    def on_health(self, message: DiagnosticArray, about: About) -> None:
-        """Record diagnostics."""
-        self.health += _statuses(message, about)
-
     def broken(self, since: float = -math.inf) -> int:
         """Return how many commands are not finite or beyond a limit."""
         return sum(each.at >= since and self.limits.broken(each) for each in self.commands)
@@ -107,25 +99,20 @@ class Monitor:
         safe = (each.at for each in self.commands if each.at >= since and each.safe)
         return next(safe, math.inf)
 
-    def first_error(self, since: float) -> float:
-        """Return when the first error was reported [s]; infinite if none was."""
-        return self.first_complaint(since, level=ERROR)
 
-    def first_complaint(self, since: float, word: str = '', level: bytes = WARN) -> float:
-        """Return when a diagnostic of a level first contained a word [s]; infinite if none did."""
-        heard = (each for each in self.health if each.at >= since and each.level >= level)
+# Returns when something first happened since a time [s]; infinite if it has not.
+Event = Callable[[Monitor, float], float]
+
+
+def complaint(word: str = '', level: bytes = WARN) -> Event:
+    """Return the event of a diagnostic of a level that contains a word."""
+
+    def first(monitor: Monitor, since: float) -> float:
+        heard = (each for each in monitor.health if each.at >= since and each.level >= level)
         found = (each.at for each in heard if word in ' '.join((each.message, *each.values)))
         return next(found, math.inf)
 
-    @property
-    def solve_ms(self) -> float:
-        """Return how long the last solve took [ms]."""
-        return float(self.ticks[-1].values.get('solve_time_ms', 0.0)) if self.ticks else 0.0
-
-
-def complaint(word: str) -> Callable[[Monitor, float], float]:
-    """Return the event of a diagnostic that contains a word."""
-    return lambda monitor, since: monitor.first_complaint(since, word)
+    return first
 
 
 def _sent(about: About) -> float:
@@ -133,9 +120,8 @@ def _sent(about: About) -> float:
     return time.monotonic() - 1e-9 * (time.time_ns() - about['source_timestamp'])
 
 
-def _statuses(message: DiagnosticArray, about: About) -> list[HeardStatus]:
-    sent = _sent(about)
-    return [
-        HeardStatus(sent, each.level, each.message, {v.key: v.value for v in each.values})
-        for each in message.status
-    ]
+def record(into: list[HeardStatus], message: DiagnosticArray, about: About) -> None:
+    """Record what a report says, among the ticks or the health of a monitor."""
+    for each in message.status:
+        values = {pair.key: pair.value for pair in each.values}
+        into.append(HeardStatus(_sent(about), each.level, each.message, values))

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
-from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
 from benchmarks.faults.harness import RATE, STEP, Harness, Monitored
@@ -27,7 +26,7 @@ from benchmarks.faults.monitor import STILL, Limits, complaint
 from benchmarks.faults.stimulus import SLIP, with_field
 from benchmarks.machine import resident
 from benchmarks.session import PATIENCE
-from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.process import LATCHED
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.processes import Child
 from orbimpc_ros.tool.settings import config
@@ -130,8 +129,7 @@ def _exceptions(nodes: str, long: bool) -> Iterator[Outcome]:
             yield Outcome('raises', harness.monitor.broken(), late)
             begin = time.monotonic()
             with harness.spoiling(*slipping):
-                _until_ended(harness)
-            code = harness.planner.wait(0.0)
+                code = _exit_code(harness)
             failure = '' if code == 1 else f'exit code {code} after many in a row'
             # Until odometry is stale, sound messages on their way may be answered.
             moving = harness.monitor.moving_again(begin + STALE, begin + 2 * STEP)
@@ -157,8 +155,10 @@ def _signalled(number: int) -> Any:
     return run
 
 
-def _until_ended(harness: Harness) -> None:
+def _exit_code(harness: Harness) -> int | None:
+    """Return how the planner has ended; None if it goes on."""
     harness.spin(PATIENCE, lambda: not harness.planner.running)
+    return harness.planner.wait(0.0)
 
 
 def _ended(harness: Harness, number: int, case: str) -> Outcome:
@@ -168,8 +168,7 @@ def _ended(harness: Harness, number: int, case: str) -> Outcome:
 
     begin = time.monotonic()
     harness.planner.tell(number)
-    _until_ended(harness)
-    code, took = harness.planner.wait(0.0), time.monotonic() - begin
+    code, took = _exit_code(harness), time.monotonic() - begin
     harness.spin(PATIENCE, farewell)
     failure = '' if code == 0 else f'exit code {code}'
     if not farewell():
@@ -197,8 +196,7 @@ class Flying(Monitored):
         values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
         super().__init__(nodes, values, Limits(1.0 / step, math.pi / step))
         self._odometry = self.listen(Odometry, 'odom')
-        kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._captured = self.listen(Bool, 'captured', kept)
+        self._captured = self.listen(Bool, 'captured', LATCHED)
         self.launch('orbimpc_ros.sim', values)
         self.start()
 

@@ -12,6 +12,7 @@ import random
 import sys
 import time
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -67,10 +68,7 @@ def with_field(path: str, *values: Any) -> Spoiler:
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
         *parents, name = path.split('.')
-        holder = message
-        for parent in parents:
-            holder = getattr(holder, parent)
-        setattr(holder, name, draw.choice(values))
+        setattr(reduce(getattr, parents, message), name, draw.choice(values))
         return [message]
 
     return spoil
@@ -108,34 +106,26 @@ def repeated() -> Spoiler:
     return spoil
 
 
-def scaled_quaternion(path: str) -> Spoiler:
-    """Return a change of a quaternion to zero, or by 1 % in length."""
-
-    def spoil(message: Any, draw: random.Random) -> list[Any]:
-        pose = message.pose.pose if path == 'odometry' else message.pose
-        factor = draw.choice((0.0, 1.01, 0.99, 1e200))
-        for name in 'xyzw':
-            setattr(pose.orientation, name, factor * getattr(pose.orientation, name))
-        return [message]
-
-    return spoil
+def scaled_quaternion(message: Any, draw: random.Random) -> list[Any]:
+    """Change a quaternion to zero, or by 1 % in length."""
+    turned = getattr(message.pose, 'pose', message.pose).orientation
+    factor = draw.choice((0.0, 1.01, 0.99, 1e200))
+    for name in 'xyzw':
+        setattr(turned, name, factor * getattr(turned, name))
+    return [message]
 
 
 def garbled(message: Any, draw: random.Random) -> list[Any]:
     """Return bytes that are no such message: cut off, with absurd lengths, in another encoding."""
     whole = bytes(serialize_message(message))
-    length = draw.randrange(len(whole))
-    return [
-        draw.choice(
-            (
-                whole[:length],
-                whole[:12] + b'\xff\xff\xff\x7f' + whole[16:],
-                b'\x00\x09' + whole[2:],
-                whole[:4] + draw.randbytes(len(whole) - 4),
-                whole.replace(FRAMES.world.encode(), b'\xff' * len(FRAMES.world)),
-            )
-        )
-    ]
+    ways = (
+        whole[: draw.randrange(len(whole))],
+        whole[:12] + b'\xff\xff\xff\x7f' + whole[16:],
+        b'\x00\x09' + whole[2:],
+        whole[:4] + draw.randbytes(len(whole) - 4),
+        whole.replace(FRAMES.world.encode(), b'\xff' * len(FRAMES.world)),
+    )
+    return [draw.choice(ways)]
 
 
 def flood() -> None:
