@@ -8,26 +8,18 @@ the mean wind. ``python -m benchmarks.paths --flights 5`` prints a table.
 from __future__ import annotations
 
 import argparse
+import cmath
 import math
 import sys
 from collections.abc import Callable
 from itertools import product
-from pathlib import Path
-from typing import Any, NamedTuple
+from pathlib import Path as File
+from types import SimpleNamespace
 
 import numpy as np
 
 from benchmarks.baselines.baseline import wrapped
-from benchmarks.baselines.followers import (
-    GRAVITY,
-    Circle,
-    Flying,
-    Line,
-    angle_of,
-    field,
-    l1,
-    npfg,
-)
+from benchmarks.baselines.followers import GRAVITY, LAWS, Flying, Path
 from orbimpc_ros.loop.goal.motion import Route
 from orbimpc_ros.loop.planner import Snapshot
 from orbimpc_ros.loop.state import Odometry, WindReport
@@ -45,26 +37,9 @@ MET, ALONG = 3.0, math.radians(20.0)  # [m] from the path, and the course off it
 GUST = 1.0  # [m/s] standard deviation along each axis
 
 
-class Airframe(NamedTuple):
-    """A wing of the file beside this one, which has the units."""
-
-    airspeed: float
-    bank: float
-    stall: float
-    radius: float
-    aside: float
-    seconds: float
-    tuned: dict[str, float]
-    planner: dict[str, Any]
-
-    @property
-    def max_rate(self) -> float:
-        """Return the rate of a coordinated turn [rad/s]."""
-        return GRAVITY * math.tan(math.radians(self.bank)) / self.airspeed
-
-
-KNOWN = read(str(Path(__file__).with_suffix('.yaml')))
-AIRFRAMES = {name: Airframe(**each) for name, each in KNOWN['airframes'].items()}
+KNOWN = read(str(File(__file__).with_suffix('.yaml')))  # which has the units
+AIRFRAMES = {name: SimpleNamespace(**each) for name, each in KNOWN['airframes'].items()}
+Follower = Callable[[float, Flying, float], tuple[float, float]]
 
 
 class Unmanned(Engine):
@@ -76,7 +51,7 @@ class Unmanned(Engine):
     def __init__(self, start: Start) -> None:
         self._position, self._wind, self._strength = start.position, start.wind, start.gust
         self._rng = np.random.default_rng(start.seed)
-        self._heading, self._speed = angle_of(start.attitude[:, 0]), start.push
+        self._heading, self._speed = math.atan2(*start.attitude[1::-1, 0]), start.push
         self._time = self._bank = self._rolling = 0.0
         self._gust = start.gust * self._rng.normal(size=2)
 
@@ -95,28 +70,23 @@ class Unmanned(Engine):
 
     def motion(self) -> Motion:
         """Return how it flies now, in the plane; a gust is in the ground's velocity at once."""
-        through, turned = self._speed * about(2, self._heading)[:2, 0], np.zeros(3)
-        air, turn = self._wind + self._gust, GRAVITY * math.tan(self._bank) / self._speed
-        attitude, facts = about(2, self._heading), {'turn': turn}
-        return Motion(
-            self._time, self._position, through + air, attitude, turned, air, self._speed, facts
-        )
+        attitude, air = about(2, self._heading), self._wind + self._gust
+        velocity = self._speed * attitude[:2, 0] + air
+        known = self._time, self._position, velocity, attitude, np.zeros(3), air, self._speed
+        return Motion(*known, {'turn': GRAVITY * math.tan(self._bank) / self._speed})
 
 
-LAWS: dict[str, Callable[..., float]] = {'npfg': npfg, 'l1': l1, 'field': field}
-
-
-def ours(frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, float]]:
+def ours(frame: SimpleNamespace, path: Path, max_rate: float) -> Follower:
     """Return this package's planner as a follower."""
-    own = {'forward': frame.airspeed, 'max_rate': frame.max_rate} | frame.planner
+    own = {'forward': frame.airspeed, 'max_rate': max_rate} | frame.planner
     settings = planner_settings(completed(PLANNER, KNOWN['planner'] | own))
     planner, route = planner_of(settings)[1], Route(path.points(30_000.0))
 
     def follow(time: float, wing: Flying, turning: float) -> tuple[float, float]:
-        turned = about(2, angle_of(wing.through_air))[:2, :2]
-        through, rate = turned.T @ wing.through_air, np.array([turning])
-        measured = Odometry(time, np.array(wing.position), turned, through, rate)
-        told = WindReport(time, np.array(wing.wind), 0.2)
+        turned = about(2, cmath.phase(wing.through_air))[:2, :2]
+        through, rate = turned.T @ vector(wing.through_air), np.array([turning])
+        measured = Odometry(time, vector(wing.position), turned, through, rate)
+        told = WindReport(time, vector(wing.wind), 0.2)
         decision = planner.step(Snapshot(measured, route, wind=told), time)
         planner.sent(decision.command, time)
         return decision.command.speed_fraction, float(decision.command.body_rate[0])
@@ -124,20 +94,26 @@ def ours(frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, flo
     return follow
 
 
-def rival(name: str, frame: Airframe, path: Line | Circle) -> Callable[..., tuple[float, float]]:
+def rival(name: str, frame: SimpleNamespace, path: Path, max_rate: float) -> Follower:
     """Return a follower of :mod:`benchmarks.baselines.followers`."""
 
     def follow(_time: float, wing: Flying, _turning: float) -> tuple[float, float]:
         turn = LAWS[name](path.seen(wing.position), wing, frame.tuned[name])
-        return 1.0, max(-frame.max_rate, min(frame.max_rate, turn))
+        return 1.0, max(-max_rate, min(max_rate, turn))
 
     return follow
 
 
-def seen(motion: Motion, wind: Array) -> Flying:
+def seen(motion: Motion, wind: complex) -> Flying:
     """Return what a follower sees of a motion, in the mean wind."""
-    through = (motion.velocity - motion.air)[:2]
-    return Flying(motion.position[:2], motion.velocity[:2], through, wind)
+    known = motion.position, motion.velocity, motion.velocity - motion.air
+    position, over_ground, through_air = (complex(*each[:2]) for each in known)
+    return Flying(position, over_ground, through_air, wind)
+
+
+def vector(number: complex) -> Array:
+    """Return a complex number as a vector, shape (2,)."""
+    return np.array([number.real, number.imag])
 
 
 def flight(airframe: str, shape: str, wind: float, name: str, seed: int) -> dict[str, float]:
@@ -145,16 +121,16 @@ def flight(airframe: str, shape: str, wind: float, name: str, seed: int) -> dict
     frame, rng = AIRFRAMES[airframe], np.random.default_rng(seed)
     angle, blown, off = rng.uniform(-math.pi, math.pi, size=3)
     aside = rng.uniform(0.5, 1.0) * frame.aside * rng.choice([-1.0, 1.0])
-    path = Line(angle) if shape == 'line' else Circle(frame.radius)
-    normal = np.array([-math.sin(angle), math.cos(angle)])
-    start = aside * normal if shape == 'line' else (frame.radius + aside) * normal
-    blowing = wind * frame.airspeed * about(2, blown)[:2, 0]
-    turned, rest = about(2, off)[:2, :2], np.zeros(2)
-    velocity = frame.airspeed * turned[:, 0] + blowing
-    known = start, velocity, turned, np.zeros(1), frame.airspeed
-    begun = Start(*known, blowing, GUST, seed, rest, rest)
+    path = Path(angle, 0.0 if shape == 'line' else frame.radius)
+    start = (path.radius + aside) * 1j * cmath.rect(1.0, angle)
+    blowing = cmath.rect(wind * frame.airspeed, blown)
+    velocity = cmath.rect(frame.airspeed, off) + blowing
+    known = vector(start), vector(velocity), about(2, off)[:2, :2], np.zeros(1), frame.airspeed
+    begun = Start(*known, vector(blowing), GUST, seed, np.zeros(2), np.zeros(2))
     engine = Unmanned(begun) if airframe == 'unmanned' else class_of('cessna')(begun)
-    follow = ours(frame, path) if name == 'ours' else rival(name, frame, path)
+    max_rate = GRAVITY * math.tan(math.radians(frame.bank)) / frame.airspeed
+    flying = frame, path, max_rate
+    follow = ours(*flying) if name == 'ours' else rival(name, *flying)
     time, flown = 0.0, []
     while time < frame.seconds:
         motion = engine.motion()
@@ -162,8 +138,8 @@ def flight(airframe: str, shape: str, wind: float, name: str, seed: int) -> dict
         for motion in engine.run(PERIOD, fraction * frame.airspeed, np.array([turn])):
             wing = seen(motion, blowing)
             track = path.seen(wing.position)
-            off = wrapped(angle_of(track.tangent) - angle_of(wing.over_ground))
-            flown.append((time, track.error, off, float(np.linalg.norm(wing.through_air))))
+            off = wrapped(cmath.phase(track.tangent) - cmath.phase(wing.over_ground))
+            flown.append((time, track.error, off, abs(wing.through_air)))
         time += PERIOD
     times, errors, offs, airspeeds = np.abs(flown).T
     near = errors <= MET
