@@ -8,7 +8,8 @@ import ctypes
 import gc
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,19 @@ FLIGHTS = {
 }  # modules of whole flights and installations
 
 
+class TestModule(pytest.Module):
+    """A module of tests; skipped where it imports what only ROS has, and that is not installed."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        try:
+            return super().collect()
+        except self.CollectError as error:
+            missing = error.__cause__
+            if find_spec('rclpy') is None and isinstance(missing, ModuleNotFoundError):
+                pytest.skip(f'no {missing.name}: needs ROS 2, or pip install orbimpc_ros[ros]')
+            raise
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
     """Leave importing a module to pytest, which takes a skip there as this module's alone.
@@ -32,7 +46,7 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     The pytest plugin of ROS's launch_testing imports every module in this very hook, where a
     module-level ``importorskip`` skips the collection of everything.
     """
-    return pytest.Module.from_parent(parent, path=module_path)
+    return TestModule.from_parent(parent, path=module_path)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -7,9 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
-
-
 from benchmarks.baselines import BASELINES, baseline_named
 from benchmarks.baselines.baseline import Baseline, Sight
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State

@@ -7,8 +7,6 @@ import math
 import pytest
 from harness import orbimpc
 
-pytest.importorskip('rclpy')
-
 from benchmarks.faults import inputs, processes
 from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table

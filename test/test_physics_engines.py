@@ -11,8 +11,6 @@ import pytest
 from dying_engine import FAILURES, Straight
 from scipy.integrate import solve_ivp
 
-pytest.importorskip('rclpy')
-
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from problems import seeds
 
-pytest.importorskip('rclpy')
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Problem, State

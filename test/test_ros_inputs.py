@@ -3,9 +3,6 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy')
-
 from planners import goal, odometry, settings, stamp
 from stepping import stale_goal, stale_odometry, targets
 

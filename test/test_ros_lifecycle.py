@@ -5,9 +5,6 @@ import itertools
 import json
 
 import pytest
-
-pytest.importorskip('rclpy')
-
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry

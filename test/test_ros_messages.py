@@ -1,17 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Messages and plain types: what goes out comes back, and nothing malformed gets in."""
 
+import itertools
 import math
 from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
-import pytest
-
-pytest.importorskip('rclpy')
-
-import itertools
-
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage

@@ -6,9 +6,6 @@ from collections import Counter
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy')
-
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose
 from planners import FRAMES, goal, odometry, settings

@@ -2,18 +2,13 @@
 """What a planner publishes for whom: topics by its settings, thrust, reports with their prices."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 import yaml
-from harness import ROOT
-
-pytest.importorskip('rclpy')
-
-import math
-
-import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from harness import ROOT
 from planners import settings
 from planners import told as values_of
 from scenarios import retrieval

@@ -7,11 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems import needs_machine_code
-
-pytest.importorskip('rclpy')
-
 from bags import messages_of
+from problems import needs_machine_code
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.state import Odometry

@@ -1,15 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner as a process: what it says while it waits, what it publishes, how it begins again."""
 
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy')
-
 import itertools
 import signal
 import time
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped

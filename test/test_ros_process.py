@@ -7,15 +7,11 @@ import subprocess
 import sys
 
 import pytest
-
-from orbimpc_ros.ros.entry import PACKAGES
-
-pytest.importorskip('rclpy')
-
-from harness import python, run
+from harness import ROOT, python, run
 from planners import QUICK, Bench, moving, told
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import executor_named
 from orbimpc_ros.sim.parameters import SIM
@@ -142,3 +138,20 @@ def test_an_executor_that_is_not_there_is_refused_in_a_line(monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy.experimental.events_executor', None)
     with pytest.raises(BadInput, match='executor is events; allowed: wait_set'):
         executor_named('events')
+
+
+WITHOUT_ROS = """
+    import sys
+    import pytest
+
+    sys.modules['rclpy'] = None
+    sys.exit(pytest.main(sys.argv[1:]))
+"""
+
+
+def test_without_ros_what_needs_it_is_skipped_and_the_rest_is_tested():
+    words = '--collect-only', '-rs', 'test/test_ros_path.py', 'test/test_ros_firmware.py'
+    done = python(WITHOUT_ROS, *words, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'test_ros_firmware.py::test_axes' in done.stdout
+    assert 'needs ROS 2, or pip install' in done.stdout

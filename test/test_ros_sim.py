@@ -8,12 +8,9 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from harness import Observer, new_domain
-
-pytest.importorskip('rclpy')
-
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, WrenchStamped
+from harness import Observer, new_domain
 from lifecycle_msgs.msg import TransitionEvent
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock

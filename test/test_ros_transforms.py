@@ -8,12 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from stepping import targets
-
-pytest.importorskip('rclpy')
-
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
 from planners import odometry, settings
+from stepping import targets
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.errors import BadInput

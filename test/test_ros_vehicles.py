@@ -15,11 +15,14 @@ from stepping import flown, started
 
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.description import doubts
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
-
-pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.offline import aboard
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
 
@@ -33,8 +36,6 @@ def recipe(name):
 
 def flight(parameters, plant, vehicle, goal, seconds, band=0.0):
     """A vehicle at every tick from here on, with the commands."""
-    from orbimpc_ros.tool.offline import aboard
-
     planner, log = aboard(parameters, clock=time.process_time), []
     source = parameters.get('velocity_source', 'ground')
     for k in range(round(seconds / planner.settings.period)):
@@ -51,9 +52,6 @@ def flight(parameters, plant, vehicle, goal, seconds, band=0.0):
 
 @pytest.mark.parametrize('name', ['rover', 'fixed wing', 'multirotor'])
 def test_a_recipe_is_a_vehicle_without_doubts(name):
-    from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-    from orbimpc_ros.ros.planner.description import doubts
-
     given = recipe(name)
     settings = planner_settings({row.name: row.default for row in PLANNER} | given)
     assert doubts(settings, given) == []
@@ -115,10 +113,6 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
 
 def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
-    from orbimpc_ros.sim.parameters import sim_settings
-    from orbimpc_ros.tool import settings
-    from orbimpc_ros.tool.offline import aboard
-
     values = settings.resolve(settings.config('lander.yaml'))
     planner, flight = aboard(values, clock=None), departure(sim_settings(values).scenario)
     ticks, vehicles = [], []

@@ -11,11 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from interfaces.build import build
-
-pytest.importorskip('rclpy')
-
 from geometry_msgs.msg import PoseStamped, TwistWithCovarianceStamped
+from interfaces.build import build
 from nav_msgs.msg import Odometry
 
 from orbimpc_ros.loop.state import Odometry as Measured

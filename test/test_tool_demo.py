@@ -15,8 +15,6 @@ from bags import check_pictures, check_rollout, messages_of
 from harness import TOOL, alive, children_of, orbimpc, python, run, wait_for
 from rosbags.rosbag2 import Reader
 
-pytest.importorskip('rclpy')
-
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles

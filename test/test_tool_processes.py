@@ -13,9 +13,6 @@ import time
 import numpy as np
 import pytest
 from harness import PATIENCE, alive, orbimpc, recording, wait_for
-
-pytest.importorskip('rclpy')
-
 from nav_msgs.msg import Odometry
 
 from orbimpc_ros.ros.entry import PACKAGES

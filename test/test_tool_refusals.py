@@ -1,23 +1,17 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bad input to any command: one line that names the culprit, exit code 2, and nothing written."""
 
+import json
 import shlex
 
 import pytest
+import yaml
 from bags import GOLDEN
 from test_tool_view import needs_rerun
 
-from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.study import flights
-
-pytest.importorskip('rclpy')
-import json
-
-import pytest
-import yaml
-
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bags, files, settings
+from orbimpc_ros.tool import bags, cli, files, settings
+from orbimpc_ros.tool.study import flights
 
 DUBINS, RETRIEVAL = GOLDEN / 'dubins', GOLDEN / 'retrieval'
 REFUSED = {

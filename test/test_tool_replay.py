@@ -11,9 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bags import GOLDEN, changed, rewritten, ros2_bag, write
-
-pytest.importorskip('rclpy')
-
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import (
     PoseStamped,

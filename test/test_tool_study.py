@@ -12,8 +12,6 @@ import pytest
 from dying_engine import FAILURES
 from harness import PATIENCE, ROOT, TOOL, orbimpc, wait_for
 
-pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
-
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings

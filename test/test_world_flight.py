@@ -9,7 +9,6 @@ import pytest
 from flying import fly
 from scenarios import dubins, retrieval, retrieval_problem
 
-pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 from orbimpc_ros.loop.capture import STAY, Events, closest_approach, is_headed
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.planner import Planner
