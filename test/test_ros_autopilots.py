@@ -1,93 +1,117 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Planners on the topics of autopilots, with the QoS, the rates and the frames that these have."""
+"""Planners on the topics of autopilots, with their messages, QoS, rates and frames over DDS."""
 
 import math
+import os
+import re
+import sys
 import time
+from importlib import import_module
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, TwistWithCovarianceStamped
+from interfaces.build import build
 from nav_msgs.msg import Odometry
 from planners import told
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.ros import messages
+from orbimpc_ros.loop.state import Odometry as Measured
+from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
+from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import TOPICS
-from orbimpc_ros.ros.messages import header
+from orbimpc_ros.ros.messages import Frames, Stamp, header
+from orbimpc_ros.ros.process import qos
 
-BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-RATE = 30.0  # [Hz] of the autopilot's messages
-FRAMES = {'ardupilot': 'base_link', 'mavros': 'map', 'rover': 'odom'}  # of poses
-GOAL = np.array([3.0, 1.0])
+PERIOD = 1.0 / 30.0  # [s] of an autopilot's messages
 
 
 class Autopilot:
-    """A vehicle in the plane under an autopilot: it tells its state, and does as it is told."""
+    """What planners meet of an autopilot: again and again it tells its vehicle's state and a goal.
 
-    def __init__(self, name, launch, observer, **parameters):
-        self.observer, self.frame, topics = observer, FRAMES[name], TOPICS[name]
-        node, self.halves = observer.node, 'pose' in topics
-        kinds = {'pose': PoseStamped, 'twist': TwistStamped} if self.halves else {'odom': Odometry}
-        self.said = {
-            topic: node.create_publisher(kind, topics.get(topic, topic), BEST_EFFORT)
-            for topic, kind in kinds.items()
-        }
-        self.goal = node.create_publisher(PoseStamped, 'goal', 1)
-        self.switch = node.create_publisher(Bool, 'engaged', 1)
-        self.commands = observer.listen(TwistStamped, topics.get('cmd_vel', 'cmd_vel'))
-        self.ticks = observer.listen(DiagnosticArray, 'tick')
-        self.health = observer.listen(DiagnosticArray, '/diagnostics')
-        self.planner = launch('planner', parameters, name, remapped=dict(topics))
-        observer.until_connected('tick')
-        self.position, self.heading, self.speed = np.zeros(2), 2.0, 0.5
-        self.at = time.time()
+    Attributes:
+        in_mode: whether it takes commands.
+        alive: whether it tells anything.
+        sent_at: when it last did [s].
+    """
 
-    def fly_until(self, happened, what, *, engaged=lambda now: True):
-        """Fly until something has happened; ``engaged`` says when it takes commands."""
+    in_mode, alive, topics = False, True, {}
+
+    def __init__(self, launch, observer, name, **parameters):
+        self.observer, self.node = observer, observer.node
+        self.goal = self.node.create_publisher(PoseStamped, 'goal', 1)
+        self.begun = self.sent_at = time.time()
+        self.connect(name)
+        self.planner = launch(
+            'planner', {'use_sim_time': False, **parameters}, name, remapped=self.topics
+        )
+
+    def until(self, happened, what):
+        """Tell of the flight until something has happened."""
 
         def step():
             now = time.time()
-            if now - self.at >= 1.0 / RATE:
-                self._move(now - self.at)
-                self.at = now
-                self._tell(now)
-                self.switch.publish(Bool(data=engaged(now)))
+            if self.alive and now - self.sent_at >= PERIOD:
+                self.tell(now)
+                self.sent_at = now
             return happened()
 
         self.observer.until(step, what)
 
-    def _move(self, seconds):
+    def aim(self, head, *place):
+        goal = messages.pose(np.array(place), np.eye(3))
+        self.goal.publish(PoseStamped(header=head, pose=goal))
+
+
+# --- vehicles in the plane, which do as they are told
+
+BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+FRAMES = {'ardupilot': 'base_link', 'mavros': 'map', 'rover': 'odom'}  # of poses
+GOAL = np.array([3.0, 1.0])
+
+
+class Rover(Autopilot):
+    in_mode = True
+
+    def connect(self, name):
+        self.frame, self.topics = FRAMES[name], dict(TOPICS[name])
+        self.halves = 'pose' in self.topics
+        kinds = {'pose': PoseStamped, 'twist': TwistStamped} if self.halves else {'odom': Odometry}
+        self.said = {
+            topic: self.node.create_publisher(kind, self.topics.get(topic, topic), BEST_EFFORT)
+            for topic, kind in kinds.items()
+        }
+        self.switch = self.node.create_publisher(Bool, 'engaged', 1)
+        commands = self.topics.get('cmd_vel', 'cmd_vel')
+        self.commands = self.observer.listen(TwistStamped, commands)
+        self.ticks = self.observer.listen(DiagnosticArray, 'tick')
+        self.position, self.heading, self.speed = np.zeros(2), 2.0, 0.5
+
+    def tell(self, now):
         if self.commands:
             twist = self.commands[-1].twist
             self.speed = twist.linear.x
-            self.heading += seconds * twist.angular.z
-        self.position = self.position + seconds * self.velocity
-
-    @property
-    def velocity(self):
-        return self.speed * np.array([math.cos(self.heading), math.sin(self.heading)])
-
-    def _tell(self, now):
-        stamp, turned = round(now * 1e9), exp(np.array([0.0, 0.0, self.heading]))
+            self.heading += (now - self.sent_at) * twist.angular.z
+        turned = exp(np.array([0.0, 0.0, self.heading]))
+        velocity = self.speed * turned[:, 0]
+        self.position = self.position + (now - self.sent_at) * velocity[:2]
         place = messages.pose(np.append(self.position, 10.0), turned)
-        head = header(stamp, self.frame)
-        in_world = messages.vector(np.append(self.velocity, 0.0))
-        in_body = messages.vector(np.array([self.speed, 0.0, 0.0]))
+        head = header(round(now * 1e9), self.frame)
         if self.halves:  # ArduPilot: one frame for both, a velocity of the world
             twist = TwistStamped(header=head)
-            twist.twist.linear = in_world
+            twist.twist.linear = messages.vector(velocity)
             self.said['twist'].publish(twist)
             self.said['pose'].publish(PoseStamped(header=head, pose=place))
         else:
             odometry = Odometry(header=head, child_frame_id='base_link')
             odometry.pose.pose = place
-            odometry.twist.twist.linear = in_body
+            odometry.twist.twist.linear.x = self.speed
             self.said['odom'].publish(odometry)
-        goal = messages.pose(np.append(GOAL, 0.0), np.eye(3))
-        self.goal.publish(PoseStamped(header=head, pose=goal))
+        self.aim(head, *GOAL, 0.0)
+        self.switch.publish(Bool(data=self.in_mode))
 
     @property
     def arrived(self):
@@ -96,29 +120,297 @@ class Autopilot:
 
 @pytest.mark.parametrize('name', FRAMES)
 def test_a_vehicle_under_an_autopilot_arrives(name, launch, observer):
-    autopilot = Autopilot(name, launch, observer)
-    autopilot.fly_until(lambda: autopilot.arrived, 'arrival')
-    assert {command.header.frame_id for command in autopilot.commands} == {'base_link'}
-    assert told(autopilot.ticks[-1])['status'] in ('optimal', 'feasible')
-    assert autopilot.planner.stop() == 0
-    assert 'velocity_frame' not in autopilot.planner.output
+    rover = Rover(launch, observer, name)
+    rover.until(lambda: rover.arrived and rover.ticks, 'arrival')
+    assert {command.header.frame_id for command in rover.commands} == {'base_link'}
+    assert told(rover.ticks[-1])['status'] in ('optimal', 'feasible')
+    assert rover.planner.stop() == 0
+    assert 'velocity_frame' not in rover.planner.output
 
 
 def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):
-    autopilot = Autopilot('ardupilot', launch, observer)
-    autopilot.fly_until(lambda: len(autopilot.ticks) > 10, 'plans', engaged=lambda now: False)
-    assert not autopilot.commands
-    autopilot.fly_until(lambda: len(autopilot.commands) > 5, 'commands')
-    until = len(autopilot.ticks) + 20
-    autopilot.fly_until(lambda: len(autopilot.ticks) > until, 'plans', engaged=lambda now: False)
-    before = len(autopilot.commands)
-    autopilot.fly_until(
-        lambda: len(autopilot.ticks) > until + 20, 'plans', engaged=lambda now: False
-    )
-    assert len(autopilot.commands) == before
-    assert autopilot.planner.stop() == 0
+    rover = Rover(launch, observer, 'ardupilot')
+
+    def until_planned(count):
+        planned = len(rover.ticks) + count
+        rover.until(lambda: len(rover.ticks) > planned, 'plans')
+
+    rover.in_mode = False
+    until_planned(10)
+    assert not rover.commands
+    rover.in_mode = True
+    rover.until(lambda: len(rover.commands) > 5, 'commands')
+    rover.in_mode = False
+    until_planned(20)
+    before = len(rover.commands)
+    until_planned(20)
+    assert len(rover.commands) == before
+    assert rover.planner.stop() == 0
     topic = TOPICS['ardupilot']['cmd_vel']
     observer.until(lambda: not observer.node.count_publishers(topic), 'its end')
-    assert len(autopilot.commands) == before  # nor at the end
+    assert len(rover.commands) == before  # nor at the end
     for words in ('engaged: commands', 'not engaged: silent'):
-        assert words in autopilot.planner.output
+        assert words in rover.planner.output
+
+
+# --- wings, which fly along a circle and obey nobody
+
+WIND, AIRSPEED, TURN = np.array([4.0, -3.0]), 15.0, 0.2
+BEFORE = os.environ.get('PYTHONPATH', '')  # without the packages
+PACKAGES = {'px4': 'px4_msgs', 'arduplane': 'mavros_msgs'}
+SAID = {'px4': 'px4: in offboard', 'arduplane': 'arduplane: in GUIDED'}
+
+
+@pytest.fixture(scope='session')
+def packages(tmp_path_factory):
+    """The message packages, on the path of this process and of those that it starts."""
+    folder = tmp_path_factory.mktemp('packages')
+    for package in PACKAGES.values():
+        build(package, folder)
+    os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(folder), BEFORE)))
+    sys.path.insert(0, str(folder))
+    yield folder
+    sys.path.remove(str(folder))
+    os.environ['PYTHONPATH'] = BEFORE
+
+
+class Wing(Autopilot):
+    height = 0.0
+
+    def connect(self, name):
+        self.types = import_module(f'{PACKAGES[name]}.msg')
+        self.setpoints, self.odometry = [], self.observer.listen(Odometry, 'odom')
+        self.wind = self.observer.listen(TwistWithCovarianceStamped, 'wind')
+        self.turned = []  # attitudes sent of late
+        self.said = {
+            kind: self.node.create_publisher(kind, topic, qos())
+            for topic, kind in self.outputs().items()
+        }
+
+    def tell(self, now):
+        place, velocity, rotation = self.motion(now)
+        self.turned = [*self.turned[-3:], rotation]
+        for message in self.measured(now, place, velocity, rotation):
+            self.said[type(message)].publish(message)
+        self.aim(header(0, 'odom'), 900.0, 500.0, self.height)
+
+    def motion(self, now):
+        """Position and velocity over ground, and the attitude, in ROS's axes."""
+        level = exp(np.array([0.0, 0.0, TURN * (now - self.begun)]))
+        bank = exp(np.array([-math.atan(TURN * AIRSPEED / firmware.GRAVITY), 0.0, 0.0]))
+        radius, blown = AIRSPEED / TURN, np.append(WIND, 0.0)
+        circle = radius * (np.array([0.0, 1.0, 0.0]) - level[:, 1])
+        place = circle + (now - self.begun) * blown + [0.0, 0.0, 100.0]
+        return place, AIRSPEED * level[:, 0] + blown, level @ bank
+
+
+class Px4(Wing):
+    def outputs(self):
+        return {
+            'fmu/out/vehicle_local_position_v1': self.types.VehicleLocalPosition,
+            'fmu/out/vehicle_attitude': self.types.VehicleAttitude,
+            'fmu/out/airspeed_validated_v1': self.types.AirspeedValidated,
+            'fmu/out/wind': self.types.Wind,
+            'fmu/out/vehicle_status_v1': self.types.VehicleStatus,
+        }
+
+    def connect(self, name):
+        super().connect(name)
+        types = self.types
+        self.lateral = self.observer.listen(
+            types.FixedWingLateralSetpoint, 'fmu/in/fixed_wing_lateral_setpoint'
+        )
+        self.setpoints = self.observer.listen(
+            types.FixedWingLongitudinalSetpoint, 'fmu/in/fixed_wing_longitudinal_setpoint'
+        )
+        self.kept = self.observer.listen(types.OffboardControlMode, 'fmu/in/offboard_control_mode')
+
+    def measured(self, now, place, velocity, rotation):
+        types, at = self.types, round(1e6 * now)
+        known = {'xy_valid': True, 'v_xy_valid': True, 'z_global': True, 'ref_alt': 200.0}
+        ned = dict(zip('xyz', map(float, firmware.NED @ place), strict=True))
+        speeds = dict(zip(('vx', 'vy', 'vz'), map(float, firmware.NED @ velocity), strict=True))
+        unit = to_quaternion(firmware.NED @ rotation @ firmware.FRD).astype(np.float32)
+        east, north = WIND
+        return (
+            types.VehicleAttitude(timestamp_sample=at, q=unit),
+            types.AirspeedValidated(
+                true_airspeed_m_s=AIRSPEED, calibrated_airspeed_m_s=0.9 * AIRSPEED
+            ),
+            types.Wind(
+                timestamp_sample=at,
+                windspeed_north=float(north),
+                windspeed_east=float(east),
+                variance_north=0.1,
+                variance_east=0.1,
+            ),
+            types.VehicleStatus(nav_state=14 if self.in_mode else 4),
+            types.VehicleLocalPosition(timestamp_sample=at, **known, **ned, **speeds),
+        )
+
+
+class ArduPlane(Wing):
+    refusing = False
+
+    def outputs(self):
+        return {
+            'mavros/local_position/odom': Odometry,
+            'mavros/vfr_hud': self.types.VfrHud,
+            'mavros/wind_estimation': TwistWithCovarianceStamped,
+            'mavros/state': self.types.State,
+        }
+
+    def connect(self, name):
+        super().connect(name)
+        service = import_module('mavros_msgs.srv').CommandInt
+        self.node.create_service(service, 'mavros/cmd/command_int', self.obey)
+
+    def obey(self, request, response):
+        self.setpoints.append(request)
+        response.success = not self.refusing
+        return response
+
+    def measured(self, now, place, velocity, rotation):
+        stamp = Stamp(round(1e9 * now), Frames('map', 'base_link'))
+        body = Measured(now, place, rotation, rotation.T @ velocity, np.zeros(3))
+        wind = TwistWithCovarianceStamped(header=header(stamp.nanoseconds, ''))
+        wind.twist.twist.linear.x, wind.twist.twist.linear.y = WIND.tolist()
+        wind.twist.covariance[0] = -1.0  # as MAVROS has it of ArduPilot: unknown
+        share = firmware.equivalent(1000.0)
+        return (
+            self.types.VfrHud(airspeed=share * AIRSPEED, altitude=1000.0),
+            wind,
+            self.types.State(connected=True, mode='GUIDED' if self.in_mode else 'AUTO'),
+            messages.odometry_message(stamp, body),
+        )
+
+
+KINDS = {'px4': Px4, 'arduplane': ArduPlane}
+
+
+@pytest.fixture
+def wing(launch, observer, packages):
+    def fly(name, **parameters):
+        return KINDS[name](launch, observer, name, **parameters)
+
+    return fly
+
+
+def engage(flown, name):
+    flown.until(lambda: flown.odometry, 'odometry')
+    flown.in_mode = True
+    flown.until(lambda: len(flown.setpoints) > 6, 'setpoints')
+    assert SAID[name] in flown.planner.output
+
+
+def assert_said_once(output, name):
+    """Each change is said once; on a busy machine there may be more than those of a test."""
+    said = re.findall(rf'{name}: .*: (setpoints|silent)$', output, re.MULTILINE)
+    assert said
+    assert all(one != other for one, other in pairwise(said))
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_setpoints_leave_in_the_mode_alone(wing, name):
+    flown = wing(name)
+    flown.until(lambda: len(flown.odometry) > 30, 'odometry')
+    assert not flown.setpoints
+    engage(flown, name)
+    flown.in_mode = False
+    flown.until(lambda: 'silent' in flown.planner.output, 'silence')
+    before = [each for each in flown.setpoints if getattr(each, 'param1', 1.0) != 2.0]
+    heard = len(flown.odometry)
+    flown.until(lambda: len(flown.odometry) > heard + 20, 'odometry')
+    assert len(flown.setpoints) <= len(before) + 1  # one may have been on its way
+    assert flown.planner.stop() == 0
+    assert_said_once(flown.planner.output, name)
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_an_autopilot_that_stops_gets_no_setpoint_half_a_second_later(wing, name):
+    flown = wing(name)
+    engage(flown, name)
+    flown.alive, stopped = False, flown.sent_at
+    flown.until(lambda: time.time() - stopped > 0.5, 'half a second')
+    is_setpoint = [getattr(each, 'param1', 1.0) != 2.0 for each in flown.setpoints]
+    kept = len(getattr(flown, 'kept', ()))
+    flown.until(lambda: time.time() - stopped > 2.0, 'another second')
+    later = flown.setpoints[len(is_setpoint) :]
+    assert not [each for each in later if getattr(each, 'param1', 1.0) != 2.0]
+    assert len(getattr(flown, 'kept', ())) <= kept + 1
+    said = f'{name}: no position for 0.4 s: silent'
+    flown.until(lambda: said in flown.planner.output, said)
+    assert_said_once(flown.planner.output, name)
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_what_is_measured_becomes_odometry_through_the_air(wing, name):
+    flown = wing(name)
+    flown.until(lambda: len(flown.odometry) > 30 and flown.wind, 'odometry and wind')
+    message = flown.odometry[-1]
+    at = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+    place, _, _ = flown.motion(at)
+    _, measured = messages.read_odometry(message, 3, Frames())
+    np.testing.assert_allclose(measured.position, place, atol=1e-3)
+    # Topics are not ordered: PX4's attitude may be the one sent before.
+    assert min(np.abs(measured.attitude - each).max() for each in flown.turned) < 1e-5
+    np.testing.assert_allclose(measured.body_velocity, [AIRSPEED, 0.0, 0.0], atol=0.2)
+    assert np.linalg.norm(measured.body_velocity) == pytest.approx(AIRSPEED, abs=1e-3)
+    assert measured.body_rate[2] == pytest.approx(TURN, abs=1e-3)
+    told = flown.wind[-1].twist
+    np.testing.assert_allclose([told.twist.linear.x, told.twist.linear.y], WIND, atol=1e-6)
+    variance = told.covariance[0]
+    assert variance == pytest.approx(0.1) if name == 'px4' else variance == -1.0
+
+
+def test_px4_is_kept_in_offboard_mode_and_told_what_it_reads(wing):
+    flown = wing('px4')
+    flown.height = 120.0
+    flown.until(lambda: len(flown.kept) > 20, 'signs of life')  # before the mode: to enter it
+    assert not flown.setpoints
+    assert np.median(np.diff([each.timestamp for each in flown.kept])) < 5e5  # [us]: 2 Hz
+    assert all(each.velocity and not each.position for each in flown.kept)
+    engage(flown, 'px4')
+    flown.until(lambda: flown.lateral, 'a lateral setpoint')
+    across, along = flown.lateral[-1], flown.setpoints[-1]
+    assert math.isnan(across.course)
+    assert -math.pi <= across.airspeed_direction <= math.pi
+    assert abs(across.lateral_acceleration) <= 18.0 * 0.25 + 1e-3
+    assert 0.75 * 18.0 * 0.9 - 1e-3 <= along.equivalent_airspeed <= 18.0 * 0.9 + 1e-3
+    assert along.altitude == pytest.approx(320.0)  # above mean sea level
+    unused = along.height_rate, along.pitch_direct, along.throttle_direct
+    assert all(map(math.isnan, unused))
+
+
+def test_a_refused_command_is_warned_of_once(wing):
+    flown = wing('arduplane')
+    flown.refusing = True
+    engage(flown, 'arduplane')
+    said = 'arduplane: has refused command 43'
+    flown.until(lambda: said in flown.planner.output, said)
+    kinds = {each.command for each in flown.setpoints}
+    assert kinds == {43000, 43002}  # and the altitude is held
+    flown.until(lambda: len(flown.setpoints) > 30, 'setpoints')
+    assert flown.planner.output.count(said) == 1
+
+
+def test_a_dry_run_sends_nothing(wing):
+    flown = wing('px4', dry_run=True)
+    flown.in_mode = True
+    flown.until(lambda: len(flown.odometry) > 60, 'odometry')
+    assert not flown.setpoints
+    assert not flown.kept
+    assert not flown.node.count_publishers('fmu/in/offboard_control_mode')
+    assert 'commands nothing: a dry run' in flown.planner.output
+
+
+@pytest.mark.parametrize('name', KINDS)
+def test_without_its_messages_a_line_says_what_to_install(launch, monkeypatch, name):
+    monkeypatch.setenv('PYTHONPATH', BEFORE)
+    planner = launch('planner', {}, name)
+    assert planner.wait() == 2
+    package = PACKAGES[name]
+    assert planner.output.strip() == (
+        f'autopilot: {name}, and {package} is missing; '
+        f'install ros-<distro>-{package.replace("_", "-")}'
+    )
