@@ -41,6 +41,15 @@ def servicer():
     return pytest.importorskip('orbimpc_ros.sim.engines.servicer', reason=BASILISK)
 
 
+WIND, STILL, AFAR = np.array([-4.0, 6.0]), np.zeros(2), np.array([1e5, 0.0])
+
+
+def aircraft(heading=0.0, wind=WIND, goal=AFAR, **others):
+    model = EnginePlant(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
+    start = launched(model, STILL, exp(np.array([heading])), fraction=0.9)
+    return departure(Scenario(model, start, fixed(goal), 5.0, 1000, rope_length=40.0))
+
+
 def flown(flight, seconds, fraction=None, turn=0.0):
     """Return the flights, one for each step, at the speed of the start if nothing else is said."""
     found, model = [flight], flight.scenario.model
@@ -61,17 +70,11 @@ BLAME = {
 }
 
 
-def straight(engine='cessna'):
-    model = EnginePlant(forward=50.0, engine=engine)
-    start = launched(model, np.zeros(2), np.eye(2), fraction=0.9)
-    return departure(Scenario(model, start, fixed([1e5, 0.0]), 5.0, 1000))
-
-
 def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
     monkeypatch.setitem(engines.ENGINES, 'glider', Kind((), 2, 1))
     module = SimpleNamespace(Glider=Straight)
     monkeypatch.setitem(sys.modules, 'orbimpc_ros.sim.engines.glider', module)
-    vehicle = straight('glider').after(0.9, np.zeros(1)).vehicle
+    vehicle = aircraft(wind=STILL, engine='glider').after(0.9, np.zeros(1)).vehicle
     np.testing.assert_allclose(vehicle.position, [45.0, 0.0])
     assert vehicle.airspeed == pytest.approx(45.0)
 
@@ -79,9 +82,7 @@ def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
 @pytest.mark.parametrize('failure', FAILURES)
 def test_an_engine_that_fails_is_named(monkeypatch, failure):
     monkeypatch.setattr(engines, 'class_of', lambda _name: FAILURES[failure])
-    flight = straight()
-    for _ in range(2):
-        flight = flight.after(0.9, np.zeros(1))
+    flight = flown(aircraft(wind=STILL), 2.0)[-1]
     with pytest.raises(EngineFailure) as raised:
         flight.after(0.9, np.zeros(1))
     assert str(raised.value) == BLAME[failure]
@@ -113,21 +114,11 @@ def test_an_engine_flies_in_its_own_dimension_and_order(name, value):
 
 # --- the Cessna of JSBSim
 
-WIND = np.array([-4.0, 6.0])
-AFAR = np.array([1e5, 0.0])
-
-
-def aircraft(heading=0.0, wind=WIND, goal=AFAR, **others):
-    model = EnginePlant(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
-    cos, sin = math.cos(heading), math.sin(heading)
-    start = launched(model, np.zeros(2), np.array([[cos, -sin], [sin, cos]]), fraction=0.9)
-    return departure(Scenario(model, start, fixed(goal), 5.0, 1000, rope_length=40.0))
-
 
 @pytest.mark.parametrize('heading', [0.4, 2.5, -1.9])
 def test_it_starts_in_level_flight_through_air_that_moves(cessna, heading):
     vehicle = aircraft(heading).vehicle
-    axis = np.array([math.cos(heading), math.sin(heading)])
+    axis = exp(np.array([heading]))[:, 0]
     np.testing.assert_allclose(vehicle.wind, WIND, atol=1e-6)
     np.testing.assert_allclose(vehicle.velocity - WIND, 45.0 * axis, atol=0.1)
     np.testing.assert_allclose(vehicle.attitude[:, 0], axis, atol=1e-3)
@@ -136,7 +127,7 @@ def test_it_starts_in_level_flight_through_air_that_moves(cessna, heading):
 
 @pytest.mark.parametrize('turn', [0.06, -0.06])
 def test_it_turns_as_it_is_told_within_its_bank(cessna, turn):
-    flights = flown(aircraft(wind=np.zeros(2)), 30, turn=turn)
+    flights = flown(aircraft(wind=STILL), 30, turn=turn)
     late = flights[10:]
     yaws = np.unwrap([math.atan2(*f.vehicle.attitude[::-1, 0]) for f in late])
     assert np.diff(yaws).mean() == pytest.approx(turn, rel=0.1)
@@ -147,7 +138,7 @@ def test_it_turns_as_it_is_told_within_its_bank(cessna, turn):
 
 
 def test_a_point_is_missed_by_height_and_a_line_is_not(cessna):
-    flights = flown(aircraft(wind=np.zeros(2), goal=np.array([200.0, 0.0])), 6)
+    flights = flown(aircraft(wind=STILL, goal=np.array([200.0, 0.0])), 6)
     best = min(flights, key=lambda each: each.miss)
     height = abs(best.vehicle.height)
     assert best.captured
@@ -159,14 +150,14 @@ def test_a_point_is_missed_by_height_and_a_line_is_not(cessna):
 
 def test_a_start_that_cannot_be_flown_is_refused(cessna):
     model = EnginePlant(forward=50.0)
-    start = launched(model, np.zeros(2), np.eye(2), fraction=0.2)
+    start = launched(model, STILL, np.eye(2), fraction=0.2)
     with pytest.raises(BadInput, match=r'start.speed_fraction is 0.2; .*no level flight'):
         model.begun(start)
 
 
 # --- the Hummingbird in MuJoCo
 
-STILL, FAR = np.zeros(2), np.array([50.0, 0.0])
+FAR = np.array([50.0, 0.0])
 
 
 def multirotor(rest=FAR, aside=STILL, wind=STILL, **others):
@@ -179,7 +170,7 @@ def multirotor(rest=FAR, aside=STILL, wind=STILL, **others):
         disturbance=tuple(map(float, wind)),
         **others,
     )
-    start = launched(model, np.zeros(2), np.eye(2), fraction=0.0, velocity=STILL)
+    start = launched(model, STILL, np.eye(2), fraction=0.0, velocity=STILL)
     return departure(Scenario(model, start, rope, 0.15, 1000))
 
 

@@ -56,8 +56,8 @@ def circling(problem: Problem, count: int) -> list[Instance]:
 def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
     """Return a flight around the swinging rope tick by tick, the approach skipped."""
     endless = replace(retrieval(), max_ticks=APPROACH + count, capture_radius=0.0)
-    log = fly(Planner(problem), endless, Hold())
-    return [*zip(log.flights[:-1], log.ticks, strict=True)][APPROACH:]
+    flown = islice(fly(Planner(problem), endless, Hold()), APPROACH, None)
+    return [(flight, decision) for flight, decision, _ in flown]
 
 
 def scattered(problem: Problem, count: int, distance: float) -> list[Instance]:
