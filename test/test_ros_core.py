@@ -55,10 +55,17 @@ class Driven(OfflinePlanner):
     def goal(self, at, now, x=5.0, y=1.0):
         self.sense(now, GoalObservation(at, np.array([x, y])), at)
 
-    def tick_again(self, now):
-        self.odometry(now, now)
-        self.goal(now, now)
+    def tick(self, now=0.0, at=None, position=(0.0, 0.0), **goal):
+        """Return the report on odometry and a goal, both measured just now, or at another time."""
+        at = now if at is None else at
+        self.odometry(at, now, position)
+        self.goal(at, now, **goal)
         return self.report(now)
+
+    def messages(self, report, at=1.0, **given):
+        """Return what is published of a report on odometry of a time, all of it by default."""
+        known = self.settings, Stamp(stamp(at), FRAMES), report, '/planner'
+        return report_messages(*known, oriented=True, **given)
 
     def safe(self, cause=Cause.DISABLED):
         return self.decide(0.0, stop=Reason(cause, 'a test wants it'))
@@ -68,13 +75,17 @@ def stamp(seconds):
     return EPOCH + round(seconds * SECOND)
 
 
-def test_a_stale_goal_holds_the_last_plan_and_then_stops():
-    driven = Driven(goal_timeout=0.5)
+def flown_on(driven):
+    """Return the reports on nine odometry messages, of which the first alone comes with a goal."""
     driven.goal(0.0, 0.0)
-    answers = []
     for k in range(9):
         driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
-        answers.append(driven.report(0.1 * k))
+        yield driven.report(0.1 * k)
+
+
+def test_a_stale_goal_holds_the_last_plan_and_then_stops():
+    driven = Driven(goal_timeout=0.5)
+    answers = [*flown_on(driven)]
     fallbacks = [answer.fallback for answer in answers]
     assert fallbacks == [''] * 6 + ['shifted plan'] * 2 + ['safe command']
     assert answers[6].reason == 'the goal is 0.60 s old'
@@ -88,9 +99,7 @@ def test_a_stale_goal_holds_the_last_plan_and_then_stops():
 def test_the_state_is_advanced_by_the_age_of_odometry():
     driven, blind = Driven(), Driven(delay_compensation=False)
     for each in (driven, blind):
-        each.odometry(0.0, 0.0)
-        each.goal(0.0, 0.0)
-        each.report(0.0)
+        each.tick()
         each.odometry(0.1, 0.18, position=(0.1, 0.0))
     answer, other = driven.report(0.18), blind.report(0.18)
     assert other.advanced == 0.0
@@ -100,17 +109,14 @@ def test_the_state_is_advanced_by_the_age_of_odometry():
     assert answer.advanced >= 0.08 - 1e-6
     moved = answer.plan.positions[0] - [0.1, 0.0]
     assert np.linalg.norm(moved) == pytest.approx(answer.advanced, rel=1e-3)  # at 1 m/s
-    known = driven.settings, Stamp(stamp(0.1), FRAMES), answer, 'planner'
-    begun = report_messages(*known, oriented=True)['plan'].poses[0].header.stamp
+    begun = driven.messages(answer, 0.1)['plan'].poses[0].header.stamp
     assert begun.sec * SECOND + begun.nanosec >= stamp(0.18) - 1000
 
 
 def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
     driven = Driven(goal_prediction='velocity')
     for at in (0.0, 0.1):
-        driven.odometry(at, at + 0.05)
-        driven.goal(at, at + 0.05, x=5.0 + at)
-        answer = driven.report(at + 0.05)
+        answer = driven.tick(at + 0.05, at, x=5.0 + at)
     ahead = 0.1 + answer.advanced + 0.1 * np.arange(1, 6)
     np.testing.assert_allclose(answer.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
@@ -189,21 +195,16 @@ def test_the_safe_command_circles_with_a_floor_and_hovers_under_gravity_unless_i
 def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     driven = Driven(**{'floor.shape': 'circle', 'safe_command': kind, 'goal_timeout': 0.5})
     answers = [driven.safe(Cause.WAITING)]
-    driven.goal(0.0, 0.0)
-    for k in range(9):
-        driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
-        answers.append(driven.report(0.1 * k))  # planned, shifted, then without a plan
+    answers += flown_on(driven)  # planned, shifted, then without a plan
     answers.append(driven.safe())
     driven.start_afresh()
     answers.append(driven.safe(Cause.AFRESH))
-    driven.odometry(2.0, 2.0)
-    driven.goal(2.0, 2.0)
     # A flaw that the planner's own check of its plan has missed.
     honest = planners.command_of
     slow = lambda *arguments: replace(honest(*arguments), speed_fraction=0.1)  # noqa: E731
     monkeypatch.setattr(planners, 'command_of', slow)
     monkeypatch.setattr(planners, 'command_violations', lambda *_: [])
-    answers.append(driven.report(2.0))
+    answers.append(driven.tick(2.0))
     assert answers[-1].reason.startswith('not sent: a speed fraction of 0.1 is below')
     fallbacks = [answer.fallback for answer in answers]
     assert fallbacks.count('safe command') == 5
@@ -246,9 +247,7 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     wind, position, last = np.array([0.0, 0.3]), np.zeros(2), None
     for k in range(150):
         now = 0.1 * k
-        driven.odometry(now, now, position=tuple(position))
-        driven.goal(now, now, x=1e3)
-        report = driven.report(now)
+        report = driven.tick(now, position=tuple(position), x=1e3)
         share = 0.0 if last is None else last
         wanted = report.command.speed_fraction
         left = (share - wanted) * np.exp(-1.0)
@@ -259,16 +258,14 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert values(report)['disturbance'] == tuple(report.disturbance)
     assert 0.0 <= values(report)['innovation'] < 1.0
     driven.start_afresh()
-    assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
+    assert driven.tick(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
     driven.planner.start_afresh(wind=True)
-    assert not driven.tick_again(now + 0.2).disturbance.any()
+    assert not driven.tick(now + 0.2).disturbance.any()
 
 
 def test_what_is_given_is_planned_with_and_nothing_is_estimated():
     driven = Driven(wind=(0.1, -0.2, 0.0))
-    driven.odometry(0.0, 0.0)
-    driven.goal(0.0, 0.0)
-    report = driven.report(0.0)
+    report = driven.tick()
     assert values(report)['disturbance'] == (0.1, -0.2)
     assert np.isnan(values(report)['innovation'])
 
@@ -279,9 +276,7 @@ def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
     turned = []
     for driven in (prompt, lagging):
         for k in range(3):
-            driven.odometry(0.1 * k, 0.1 * k + 0.05)
-            driven.goal(0.1 * k, 0.1 * k + 0.05, x=-5.0)
-            report = driven.report(0.1 * k + 0.05)
+            report = driven.tick(0.1 * k + 0.05, 0.1 * k, x=-5.0)
         assert report.advanced == pytest.approx(0.05, abs=1e-6)
         assert report.command.body_rate[0] != 0.0
         turned.append(report.state.attitude[1, 0])
@@ -292,27 +287,26 @@ def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
 def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
     """Its stamps say so; how old the measurement was is another matter."""
     driven = Driven(simulated=True, discretisation='exact', **{'response.rate': 0.05})
-    driven.odometry(0.0, 0.0)
-    driven.goal(0.0, 0.0)
-    report = driven.report(0.0)
+    report = driven.tick()
     assert report.led == 0.05
     assert report.advanced == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(report.state.position, [0.05, 0.0], atol=1e-6)
 
 
-def turned_to(yaw, at, now, driven):
-    message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([0.5, 0.2]))
+def turned_to(yaw, driven):
+    """Return the report on a goal that is turned."""
+    message = messages.goal_message(Stamp(stamp(0.0), FRAMES), np.array([0.5, 0.2]))
     message.pose.orientation = messages.quaternion(exp(np.array([yaw])))
-    driven.hear('goal', message, now)
+    driven.odometry(0.0, 0.0)
+    driven.hear('goal', message, 0.0)
+    return driven.report(0.0)
 
 
 def test_the_goals_orientation_pulls_where_it_has_a_weight():
     ends = {}
     for weight in (0.0, 20.0):
         driven = Driven(**{'weights.attitude': weight, 'weights.input': 0.001, 'horizon': 8})
-        driven.odometry(0.0, 0.0)
-        turned_to(2.0, 0.0, 0.0, driven)
-        ends[weight] = driven.report(0.0).plan.rotations[-1]
+        ends[weight] = turned_to(2.0, driven).plan.rotations[-1]
     off = {weight: np.linalg.norm(end - exp(np.array([2.0]))) for weight, end in ends.items()}
     assert off[20.0] < 0.2 < off[0.0]
 
@@ -322,9 +316,7 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
         coned = {'approach.cone': 0.3, 'approach.direction': direction}
         driven = Driven(objective='intercept', horizon=8, **coned)
         driven.settings = replace(driven.settings, given_deadline=np.inf)
-        driven.odometry(0.0, 0.0)
-        turned_to(yaw, 0.0, 0.0, driven)
-        tick = driven.report(0.0)
+        tick = turned_to(yaw, driven)
         assert np.isfinite(tick.catch.time)
         heading = tick.plan.projected[-1, :, 0]
         assert np.arctan2(heading[1], heading[0]) == pytest.approx(1.0, abs=0.3 + 1e-6)
@@ -332,22 +324,18 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
 
 def test_only_what_somebody_listens_to_is_made():
     driven = Driven()
-    report = driven.tick_again(1.0)
-    known = driven.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
-    everything = report_messages(*known, oriented=True)
+    report = driven.tick(1.0)
+    everything = driven.messages(report)
     assert everything.keys() == {'tick', 'plan', 'plan_markers', 'rotation'}
-    assert report_messages(*known, oriented=True, heard={'plan', 'odom'}) == {
-        'plan': everything['plan']
-    }
-    assert report_messages(*known, oriented=True, heard=()) == {}
+    assert driven.messages(report, heard={'plan', 'odom'}) == {'plan': everything['plan']}
+    assert driven.messages(report, heard=()) == {}
 
 
 @pytest.mark.skipif(not COMPILED, reason='the method that leaves a certificate needs numba')
 def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
     driven = Driven(publish_certificate=True)
-    report = driven.tick_again(1.0)
-    known = driven.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
-    sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
+    report = driven.tick(1.0)
+    sent = driven.messages(report, heard={'certificate'})['certificate']
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
     assert verdict.claimed == report.plan.lower_bound > 0.0
@@ -356,7 +344,7 @@ def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
 def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
     shown = [0.0]
     driven = Driven(limits={'clock': lambda: shown[0]}, terminal='constraint')
-    answered = driven.tick_again(1.0)
+    answered = driven.tick(1.0)
     shown[0] = np.inf
     report = driven.proved(answered)
     assert report.status == answered.status == 'infeasible'
@@ -376,7 +364,7 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
         limits = {'clock': itertools.count(step=second).__next__, 'counted': True}
         search = {'step': 0.5, 'horizon': 10, 'no_corner_cutting': True, 'deadline': deadline}
         driven = Driven(True, limits, **search, **BOXES)
-        report = driven.tick_again(0.0)
+        report = driven.tick(0.0)
         plan = driven.proved(report).plan
         found.append((plan.objective, plan.lower_bound, plan.nodes))
         assert (plan.gap < 1e-6) == (deadline == 0.1)
@@ -385,7 +373,7 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
 
 def test_a_plan_needs_no_such_proof():
     driven = Driven()
-    report = driven.tick_again(1.0)
+    report = driven.tick(1.0)
     assert driven.proved(report) is report
     assert values(report)['infeasible_checked'] is False
     assert driven.proved(driven.safe()).refutation is None
@@ -396,7 +384,7 @@ CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1, 'publish_certificate'
 
 def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
     driven = Driven(limits={'clock': lambda: 0.0}, **CAUGHT)
-    answered = driven.tick_again(1.0)
+    answered = driven.tick(1.0)
     assert answered.catch.bound == pytest.approx(0.6)
     assert driven.proved(answered) is answered
     report = driven.proved(answered, catches=True)
@@ -411,7 +399,7 @@ def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
 def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     shown = [0.0]
     driven = Driven(limits={'clock': lambda: shown[0]}, **CAUGHT)
-    answered = driven.tick_again(1.0)
+    answered = driven.tick(1.0)
     assert values(answered)['catch_checked'] is True  # too far away
     word = replace(answered, catch=replace(answered.catch, counted=0.1))
     assert values(word)['catch_checked'] is False
@@ -423,7 +411,7 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     late = driven.proved(word, catches=True)
     assert values(late)['catch_checked'] is False
     assert late.reason == answered.reason
-    assert values(Driven().tick_again(1.0))['catch_checked'] is False
+    assert values(Driven().tick(1.0))['catch_checked'] is False
 
 
 # --- goals that move as a bank of models has it
