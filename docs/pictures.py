@@ -20,7 +20,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 sys.path.append(str(Path(__file__).parents[1] / 'test'))
 
-from flying import planned
+from flying import fly
 from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.goal.forecast import Hold
@@ -30,7 +30,6 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,
@@ -229,13 +228,10 @@ def draw_slope(axes: Axes) -> None:
 
 def draw_prices(axes: Axes) -> None:
     """Draw what hull and floor cost at every tick of the retrieval, up to the capture."""
-    problem, flight = retrieval_problem(), departure(retrieval())
-    controller, forecast, bills = Planner(problem), Hold(), []
-    while not flight.over:
-        tick = planned(controller, flight, forecast)
+    problem, bills = retrieval_problem(), []
+    for _, tick, _ in fly(Planner(problem), retrieval(), Hold()):
         prices = explained(problem, tick.state, tick.goals, tick.plan).binding
         bills.append([total(prices, name) for name in ('hull', 'floor')])
-        flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
     fast, slow = np.array(bills).T
     ticks = np.arange(len(bills))
     axes.bar(ticks, fast, color=BLUE, label='hull: faster would be better')
