@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_727,
-    'orbimpc_ros/mpc': 19_190,
-    'orbimpc_ros/loop': 4_050,
+    'orbimpc_ros': 36_721,
+    'orbimpc_ros/mpc': 19_177,
+    'orbimpc_ros/loop': 4_057,
     'orbimpc_ros/ros': 4_947,
     'orbimpc_ros/sim': 3_011,
     'orbimpc_ros/tool': 5_347,

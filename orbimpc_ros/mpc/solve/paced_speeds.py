@@ -13,30 +13,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
-from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.dynamics import adrift, length_weights, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.approach import LEEWAY
-from orbimpc_ros.mpc.problem.cones import relief, slope_sides
+from orbimpc_ros.mpc.problem.approach import LEEWAY, Approach
 from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.search.engine import Engine
+from orbimpc_ros.mpc.solve.conic import extended, run, solver_for
+from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Found, Request
-
-try:
-    import clarabel
-except ModuleNotFoundError:
-    raise BadInput.without('clarabel') from None
 
 ACCURATE = 1e-9  # of Clarabel
 
@@ -58,8 +54,11 @@ class PacedSpeeds:
     def __init__(
         self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
     ) -> None:
-        self._problem, self._condensed = problem, Condensed(problem)
-        freed = replace(problem, max_acceleration=0.0)
+        self._problem, freed = problem, replace(problem, max_acceleration=0.0)
+        ahead = replace(freed, approach=Approach())  # directions are given, and as wide as they are
+        if problem.floor.exists:
+            ahead = replace(ahead, max_rate=0.0)
+        self._program = Program(ahead, coasting=coasting)
         self._method = method_for(freed, tolerance, coasting=coasting, among=among)
         self._statement, self._stiff = Statement(problem), np.full((problem.horizon,) * 2, np.inf)
 
@@ -117,29 +116,37 @@ class PacedSpeeds:
 
         Bodies are passed on the sides that they are beside.
         """
-        n = self._problem.dimension
-        p, q = self._objective(request, aligned)
-        rows, offsets, cones = self._limits(request, aligned[:, :n], beside)
-        settings = clarabel.DefaultSettings()
-        settings.verbose, settings.max_threads = False, 1
-        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = ACCURATE
-        solver = clarabel.DefaultSolver(
-            sparse.triu(p, format='csc'), q, sparse.csc_matrix(rows), offsets, cones, settings
-        )
-        answer = solver.solve()
-        if str(answer.status) != 'Solved':
+        data = self._program.stated(request)
+        sigma, lifted = self._lifted(aligned)
+        rows, offsets = self._limits(request.state, aligned[:, : self._problem.dimension], beside)
+        entries = np.zeros((len(rows), lifted.shape[1]))
+        entries[:, sigma] = rows
+        dims = data['dims']  # the orbitopes hold what is no longer than 1
+        kept = dims.zero + dims.nonneg + sum(dims.soc)
+        flat = SimpleNamespace(zero=dims.zero, nonneg=dims.nonneg, soc=dims.soc, psd=[])
+        data = {
+            'P': lifted.T @ data['P'] @ lifted,
+            'c': lifted.T @ data['c'],
+            'A': sparse.csc_matrix(data['A'][:kept] @ lifted),
+            'b': data['b'][:kept],
+            'dims': flat,
+        }
+        answer = run(solver_for(extended(data, entries, offsets), ACCURATE), None)
+        if answer is None or str(answer.status) != 'Solved':
             return None
-        return np.asarray(np.clip(np.asarray(answer.x), 0.0, 1.0)[:, None] * aligned)
+        return np.asarray(np.clip(np.asarray(answer.x)[sigma], 0.0, 1.0)[:, None] * aligned)
 
-    def _objective(self, request: Request, aligned: Array) -> tuple[Array, Array]:
-        """Return the objective's quadratic in sigma_1..sigma_N: shapes (N, N) and (N,)."""
-        n, parts = self._problem.dimension, self._condensed
-        axes, others = aligned[:, :n], aligned[:, n:]
-        linear, _ = parts.affine(request.state, request.goals)
-        q = (linear * axes).sum(axis=1) + length_weights(self._problem)[1:]
-        first = coordinates(request.state.rotation[None])[0, n:]
-        q += parts.turned[:, 0] * (others @ first)
-        return parts.hessian * (axes @ axes.T) + parts.turning * (others @ others.T), q
+    def _lifted(self, aligned: Array) -> tuple[np.ndarray, Any]:
+        """Return the columns of sigma, and what all others and sigma come to in the program."""
+        x = self._program.statement.x
+        size = self._program.statement.columns
+        others = np.setdiff1d(np.arange(size), x)
+        sigma = len(others) + np.arange(len(x))
+        places = np.concatenate([others, x.ravel()])
+        columns = np.concatenate([np.arange(len(others)), np.repeat(sigma, x.shape[1])])
+        values = np.concatenate([np.ones(len(others)), aligned[:, : x.shape[1]].ravel()])
+        shape = size, len(others) + len(x)
+        return sigma, sparse.csc_matrix((values, (places, columns)), shape=shape)
 
     def _beside(self, request: Request, headings: Array) -> Iterator[Side]:
         """Yield the half-spaces on whose sides headings, shape (N, n), pass all bodies."""
@@ -149,56 +156,22 @@ class PacedSpeeds:
             for row, _ in held:
                 yield row.shares, row.normal, row.offset
 
-    def _limits(
-        self, request: Request, axes: Array, beside: list[Side]
-    ) -> tuple[Array, Array, list[object]]:
-        """Return rows A, right-hand sides b and cones: b - A sigma is in them."""
-        problem, state, count = self._problem, request.state, len(axes)
-        least = problem.floor.least(axes)
-        if problem.approach.exists:
-            least[-1] = max(least[-1], problem.least_heading)
-        chain, eye = np.eye(count) - np.eye(count, k=-1), np.eye(count)
-        entry = np.zeros(count)
+    def _limits(self, state: State, axes: Array, beside: list[Side]) -> tuple[Array, Array]:
+        """Return rows A and right-hand sides b of A sigma <= b: what the program does not state."""
+        problem, count = self._problem, len(axes)
+        chain, eye, entry = np.eye(count) - np.eye(count, k=-1), np.eye(count), np.zeros(count)
         entry[0] = entry_speed(problem, state)
         most = WITHIN * problem.speed_change
-        rows = [chain, -chain, eye, -eye]
-        offsets = [most + entry, most - entry, np.ones(count), -np.array(least)]
         passed = np.array([-reach * (axes @ normal) for reach, normal, _ in beside])
         passed = passed.reshape(-1, count)
         edges = -np.array([each for *_, each in beside])
         met = np.maximum(passed, 0.0).sum(axis=1) > edges  # others are beside at any speeds
-        rows.append(passed[met])
-        offsets.append(edges[met])
-        cones: list[object] = [clarabel.NonnegativeConeT(4 * count + int(met.sum()))]
-        if problem.glide_slope:
-            self._slope(request, axes, rows, offsets, cones)
-        if problem.max_rate and not problem.floor.exists:
-            for k in range(count):
-                held = state.rotation[:, 0] if k == 0 else np.zeros(len(axes[0]))
-                turned = np.outer(axes[k], eye[k])
-                turned -= np.outer(axes[k - 1], eye[k - 1]) if k else 0.0
-                rows += [np.zeros((1, count)), turned]
-                offsets += [np.array([problem.chord]), held]
-                cones.append(clarabel.SecondOrderConeT(1 + len(held)))
-        if problem.terminal == 'constraint':
-            reach = problem.maps.reach[-1]
-            rows.append((reach[1:, None] * axes).T)
-            flown = adrift(problem, state)[-1] + reach[0] * state.rotation[:, 0]
-            offsets.append(request.goals[-1] - flown)
-            cones.append(clarabel.ZeroConeT(len(flown)))
-        return np.vstack(rows), np.concatenate(offsets), cones
-
-    def _slope(self, request: Request, axes: Array, rows: list, offsets: list, cones: list) -> None:
-        """Add the cones of a glide slope, as far as they are not eased."""
-        problem, state = self._problem, request.state
-        sides, eased = slope_sides(problem), relief(problem, state, request.goals).slope
-        reach = problem.maps.reach
-        away = adrift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0]) - request.goals
-        for k in range(len(axes)):
-            moved = -(reach[k, 1:, None] * axes * sides).T
-            rows += [moved[2:], moved[:2]]
-            offsets += [sides[2] * away[k, 2:] + eased[k], sides[:2] * away[k, :2]]
-            cones.append(clarabel.SecondOrderConeT(3))
+        rows = chain, -chain, eye, -eye, passed[met]
+        least = np.array(problem.floor.least(axes))
+        if problem.approach.exists:
+            least[-1] = max(least[-1], problem.least_heading)
+        offsets = most + entry, most - entry, np.ones(count), -least, edges[met]
+        return np.vstack(rows), np.concatenate(offsets)
 
 
 def _directions(state: State, headings: Array, slow: float) -> Array:

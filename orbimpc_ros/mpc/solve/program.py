@@ -56,7 +56,7 @@ class Program:
         self, problem: Problem, *, coasting: bool = False, tolerance: float = 1e-9
     ) -> None:
         self.problem, self._tolerance = problem, tolerance
-        statement = self._statement = ConicStatement(problem, coasting=coasting)
+        statement = self.statement = ConicStatement(problem, coasting=coasting)
         self._data = statement.data
         self._heaviest = float(position_weights(problem).max())
         self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)
@@ -72,7 +72,7 @@ class Program:
     def _bind(self, request: Request) -> None:
         """Put state and goals into the data of the solves to come."""
         self._request, state, goals = request, request.state, request.goals
-        self._a, self._b = self._statement.put(state, goals)
+        self._a, self._b = self.statement.put(state, goals)
         self._origins = np.broadcast_to(adrift(self.problem, state), goals.shape)
         seen = goals - self._origins
         weights = position_weights(self.problem)
@@ -84,7 +84,7 @@ class Program:
         self._constant = constant + first_length(self.problem, state)
         self._bind_cost(-2.0 * weights[:, None] * seen, 2.0 * self._stopping * hastened)
         if self._steadying > 0.0:  # else there may be thrust axes in the place of rotations
-            self._q[self._statement.x[-1]] -= 2.0 * self._steadying * wanted / self._scale
+            self._q[self.statement.x[-1]] -= 2.0 * self._steadying * wanted / self._scale
         at_rest, per_speed, per_spin = self._limits
         speed = float(np.linalg.norm(state.velocity))
         self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
@@ -103,10 +103,19 @@ class Program:
         if scale != self._scale:
             self._solver.update(P=sparse.csc_matrix(sparse.triu(self._p)).data / scale)
             self._scale = scale
-        statement = self._statement
+        statement = self.statement
         self._q: Array = self._data['c'] / scale
         self._q[statement.moved] += pull / scale
         self._q[statement.last] += braking[: len(statement.last)] / scale
+
+    def stated(self, request: Request) -> dict[str, Any]:
+        """Return the program of a request, as :func:`~.conic.solver_for` takes it."""
+        if request is not self._request:
+            self._bind(request)
+        matrix = self._data['A'].copy()
+        matrix.data = self._a
+        known = {'P': self._p / self._scale, 'c': self._q, 'A': matrix, 'b': self._b}
+        return {**self._data, **known}
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -116,7 +125,7 @@ class Program:
             self._bind(request)
         a, b = self._a.copy(), self._b.copy()
         if chords is not None:
-            self._statement.narrow(b, chords)
+            self.statement.narrow(b, chords)
         out_of_time = request.out_of_time
         if rows:
             relaxed = self._solve_anew(a, b, self._scale, out_of_time, rows)
@@ -199,7 +208,7 @@ class Program:
         """Return data with half-spaces on top."""
         shares, normals = (np.array([row[i] for row in rows]) for i in (1, 2))
         entries = np.zeros((len(rows), data['A'].shape[1]))
-        axes = self._statement.x[:, : self.problem.dimension]
+        axes = self.statement.x[:, : self.problem.dimension]
         entries[:, axes] = -shares[:, :, None] * normals[:, None]
         return extended(data, entries, -np.array([row.offset for row in rows]))
 
@@ -232,9 +241,9 @@ class Program:
         if not (accurate or _is_within(answer, ROUGH)):
             return Relaxation(None, bound)
         assert self._request is not None
-        x = np.asarray(answer.x)[self._statement.x]
+        x = np.asarray(answer.x)[self.statement.x]
         own = bound if accurate else -np.inf
-        return Relaxation(self._statement.coordinates(x, self._request.state), bound, own)
+        return Relaxation(self.statement.coordinates(x, self._request.state), bound, own)
 
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
         x, z = np.asarray(answer.x), scale * np.asarray(answer.z)
@@ -242,7 +251,7 @@ class Program:
         on_top = slice(end, end + len(z) - len(self._b))
         assert self._request is not None
         sizes = np.maximum(z[on_top], 0.0)
-        return self._statement.multipliers(x, np.delete(z, on_top), sizes, self._request.state)
+        return self.statement.multipliers(x, np.delete(z, on_top), sizes, self._request.state)
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:

@@ -97,7 +97,7 @@ class ConicStatement:
         self.width = n if axial else coordinate_count(n)
         self._lengths = length_weights(problem)[1:]
         sized = bool(self._lengths.any() or problem.tilt)
-        self._columns = 0
+        self.columns = 0
         self._x = self._block(steps + 1, self.width)
         self._z, self.x = self._x[:, :n], self._x[1:]
         self.moved = self._block(steps, n)
@@ -113,7 +113,7 @@ class ConicStatement:
 
     def _block(self, count: int, size: int) -> np.ndarray:
         """Return the numbers of new columns, shape (count, size)."""
-        first, self._columns = self._columns, self._columns + count * size
+        first, self.columns = self.columns, self.columns + count * size
         return first + np.arange(count * size).reshape(count, size)
 
     # --- state and goals
@@ -172,7 +172,7 @@ class ConicStatement:
             spin: the largest entry of W_0 at rotation order 2 [1/s].
         """
         problem, flown = self.problem, self.problem.maps
-        most: Array = np.ones(self._columns)
+        most: Array = np.ones(self.columns)
         entry = 1.0 + problem.step * spin * self._decided
         most[self._x] = entry
         most[self._t] = 1.0
@@ -255,7 +255,7 @@ class ConicStatement:
             before = rows.count
             kind(rows)
             counts.append(rows.count - before)
-        a, b = rows.matrix(self._columns)
+        a, b = rows.matrix(self.columns)
         psd = [ORDER] * (counts[3] // (ORDER * (ORDER + 1) // 2))
         dims = SimpleNamespace(zero=counts[0], nonneg=counts[1], soc=self._round, psd=psd)
         self._locate(a)
@@ -393,7 +393,7 @@ class ConicStatement:
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
         """Return P and c: distances, inputs and the last rotation squared; lengths."""
         problem = self.problem
-        diagonal, linear = np.zeros(self._columns), np.zeros(self._columns)
+        diagonal, linear = np.zeros(self.columns), np.zeros(self.columns)
         diagonal[self.moved] = 2.0 * position_weights(problem)[:, None]
         diagonal[self._x[-1]] = 2.0 * attitude_weight(problem)
         diagonal[self.last] = 2.0 * velocity_weight(problem)
@@ -401,7 +401,7 @@ class ConicStatement:
             linear[self._t] = self._lengths
         differences = sparse.csc_matrix(input_map(problem))
         turning = 2.0 * input_weight(problem) * (differences.T @ differences)
-        rest = sparse.csc_matrix((self._columns - self._x.size,) * 2)
+        rest = sparse.csc_matrix((self.columns - self._x.size,) * 2)
         inputs = sparse.block_diag([sparse.kron(turning, sparse.eye(self.width)), rest])
         return sparse.csc_matrix(inputs + sparse.diags(diagonal)), linear
 
