@@ -3,6 +3,7 @@
 
 import itertools
 from collections import defaultdict
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def rewritten(source, target, change=lambda each: each):
 def write(target, messages, notes):
     """Write messages as they are into a bag of ours."""
     listed = {each.topic: Topic(each.topic, each.type) for each in messages}
-    with BagWriter(target, list(listed.values()), notes) as writer:
+    with closing(BagWriter(target, list(listed.values()), notes)) as writer:
         for each in messages:
             writer.write(each.topic, each.stamp, each.data, each.sent)
     return target

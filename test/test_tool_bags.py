@@ -3,6 +3,7 @@
 
 import os
 import shutil
+from contextlib import closing
 
 import pytest
 import yaml
@@ -26,7 +27,7 @@ def serialised(value):
 def folder(tmp_path):
     """Return a bag of five messages."""
     path = tmp_path / 'run'
-    with BagWriter(path, TOPICS, {'parameters': 'a: 1\n'}) as writer:
+    with closing(BagWriter(path, TOPICS, {'parameters': 'a: 1\n'})) as writer:
         for k in range(5):
             stamp = 1_000_000_000 * (k + 1)
             writer.write('/captured', stamp, serialised(k == 4), stamp + 7)
@@ -113,7 +114,7 @@ def test_a_bag_is_never_overwritten(folder):
 
 def test_unknown_topics_and_types_are_not_decoded(tmp_path):
     listed = (Topic('/captured', CLOCK), Topic('/elsewhere', BOOL), Topic('/uav1/captured', BOOL))
-    with BagWriter(tmp_path / 'run', listed, {}) as writer:
+    with closing(BagWriter(tmp_path / 'run', listed, {})) as writer:
         for topic in listed:
             writer.write(topic.name, 1, serialised(True))
     assert [m.topic for m in bags.read(tmp_path / 'run')] == ['/uav1/captured']
@@ -190,6 +191,6 @@ def test_what_is_no_bag_is_refused(tmp_path):
 @pytest.mark.parametrize('data', [b'', b'\x00\x01\x00\x00', b'\x00\x09\x00\x00\x01'])
 def test_a_message_that_does_not_decode_is_refused(tmp_path, data):
     goal = Topic('/goal', 'geometry_msgs/msg/PoseStamped')
-    with BagWriter(tmp_path / 'run', (goal,), {}) as writer:
+    with closing(BagWriter(tmp_path / 'run', (goal,), {})) as writer:
         writer.write('/goal', 1, data)
     assert_refused(tmp_path / 'run', 'unreadable')

@@ -3,6 +3,7 @@
 
 import json
 import shlex
+from contextlib import closing
 
 import pytest
 import yaml
@@ -177,7 +178,7 @@ def test_notes_of_another_version_are_told(tmp_path):
     from orbimpc_ros.tool.bags import BagWriter
 
     notes = {'parameters': yaml.safe_dump({'/**': {'ros__parameters': {'warp': 9.0}}})}
-    with BagWriter(tmp_path / 'bag', [], notes):
+    with closing(BagWriter(tmp_path / 'bag', [], notes)):
         pass
     assert bags.notes(tmp_path / 'bag') == notes
     line = refusal(settings.of_bag, tmp_path / 'bag')

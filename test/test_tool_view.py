@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from bags import GOLDEN
-from harness import TOOL, wait_for
+from harness import PATIENCE, TOOL, wait_for
 
 from orbimpc_ros.tool import view
 
@@ -199,31 +199,23 @@ def test_it_leaves_nothing_when_it_is_killed():
 @needs_rerun
 def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch):
     pytest.importorskip('rclpy')
-    from orbimpc_ros.tool.view.live import Watcher
+    from orbimpc_ros.tool.view import live
 
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    drawing = Drawing()
-    watcher = Watcher('', drawing)
-    try:
-        launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
-        # No catch ends the flight while a busy machine still looks for its topics.
-        launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500, 'capture_radius': 1e-6})
-        found = drawing.drawn
-        wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
+    drawing, end = Drawing(), time.monotonic() + PATIENCE
+    launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
+    # No catch ends the flight while a busy machine still looks for its topics.
+    launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500, 'capture_radius': 1e-6})
+    found = drawing.drawn
+    wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
 
-        def drawn(happened):
-            wait_for(lambda: watcher.spin() or happened())
-
-        drawn(lambda: all(len(found[each]) > 3 for each in wanted))
+    def going():
+        assert time.monotonic() < end, 'in vain'
         # The floor is empty until the planner has answered what its parameters are.
-        square = (4, 2, 3)
-        drawn(
-            lambda: (
-                found['thrust/floor']
-                and drawing.numbers('thrust/floor', -1, 'strips').shape == square
-            ),
-        )
-    finally:
-        watcher.close()
+        floor = found['thrust/floor'] and drawing.numbers('thrust/floor', -1, 'strips')
+        square = np.shape(floor) == (4, 2, 3)
+        return not (square and all(len(found[each]) > 3 for each in wanted))
+
+    live.draw('', drawing, going)
     at, _ = found['world/vehicle'][-1]
     assert abs(at['timestamp'] - time.time()) < 60.0, at

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -83,11 +83,6 @@ def _parameters(start: Array, heading: float, center: Array, swing: float) -> Pa
 
 def _triple(vector: Array) -> tuple[float, ...]:
     return (*vector.tolist(), 0.0)
-
-
-def plans(namespaces: Iterable[str]) -> tuple[str, ...]:
-    """Return the topics of the plans of vehicles in namespaces."""
-    return tuple(f'{namespace}/plan' for namespace in namespaces)
 
 
 def separations(tracks: Mapping[str, tuple[Array, Array]]) -> dict[tuple[str, str], float]:

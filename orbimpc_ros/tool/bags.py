@@ -325,12 +325,6 @@ class BagWriter:
             'ros_distro': 'jazzy',
         }
 
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def _offered(topic: Topic) -> list[dict[str, Any]]:
     return [QOS | {'durability': 'transient_local'} if topic.latched else QOS]

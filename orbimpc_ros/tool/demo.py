@@ -121,7 +121,7 @@ def fleet(
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    from orbimpc_ros.sim.fleet import crossers, plans, vehicles
+    from orbimpc_ros.sim.fleet import crossers, vehicles
     from orbimpc_ros.tool import settings
 
     file = settings.config(f'{scenario}.yaml')
@@ -131,7 +131,7 @@ def fleet(
     given = {change.partition('=')[0] for change in changes} - {'seed'}
     drawn = (crossers if scenario == 'crossing' else vehicles)(count, values['seed'])
     if values['avoid']:
-        values['avoid'] = plans(drawn)
+        values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)
     own = {
         namespace: {name: value for name, value in each.items() if name not in given}
         for namespace, each in drawn.items()

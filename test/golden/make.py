@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import shutil
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,7 @@ def make(name: str, folder: Path) -> None:
     file, changes = FLIGHTS[name]
     values = settings.resolve(config(f'{file}.yaml'), changes)
     notes = {'parameters': settings.text(values | {'use_sim_time': True})}
-    with BagWriter(folder, topics_of(), notes) as bag:
+    with closing(BagWriter(folder, topics_of(), notes)) as bag:
         Loop(values, bag, hostile=name == 'faulty').fly()
 
 

@@ -13,11 +13,10 @@ from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros.messages import SECOND, time_message
-from orbimpc_ros.ros.process import attached
+from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.topics import Topic
 
@@ -111,8 +110,7 @@ class Recorder:
             self._listen(self._held.pop())
 
     def _listen(self, topic: Topic) -> None:
-        kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
-        profile = QoSProfile(depth=DEPTH, durability=kept)
+        profile = qos(DEPTH, durability=(LATCHED if topic.latched else LATEST).durability)
         take: Any = self._taking(topic)  # rclpy also gives what is known about the message
         self._node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
