@@ -10,6 +10,7 @@ part that the flight is in proves no more than the flight costs.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -168,6 +169,26 @@ def flight(rng: Rng) -> Flight | None:
     except OrbimpcError:
         return None
     return Flight(case, plan, radius)
+
+
+def flights(seed: int, count: int) -> Iterator[tuple[Flight, Rng]]:
+    """Yield flights of so many draws, with what draws certificates of them."""
+    for index in range(count):
+        rng = np.random.default_rng([seed, index])
+        drawn = flight(rng)
+        if drawn is not None:
+            yield drawn, rng
+
+
+def plans(seed: int, count: int) -> Iterator[Flight]:
+    """Yield flights of so many draws that are plans.
+
+    Curves that pass a body nearer than their control points are none.
+    """
+    for drawn, _ in flights(seed, count):
+        problem, state, _ = drawn.case
+        if problem.translation.degree == 1 or not (problem.obstacles or state.hazards):
+            yield drawn
 
 
 def _strictly(kept: dict[str, float]) -> bool:

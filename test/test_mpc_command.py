@@ -1,19 +1,136 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Commands made of plans, and the last look at them: a good one, broken in one way at a time."""
+"""Projected rotations, commands made of plans, and the last look at what is commanded."""
 
+import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from plans import assembled, changed, straight
+from plans import GOALS, START, assembled, changed, only_complaint, solved, straight
 from problems import floor, rotation
 
-from orbimpc_ros.mpc.check import command_violations, flaw
+from orbimpc_ros.mpc.check import command_violations, flaw, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.plan import Command, command_of, stop
+from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of, stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
+
+
+def frames(seed, n=3):
+    rng = np.random.default_rng(seed)
+    return np.array([rotation(rng, n) for _ in range(5)])
+
+
+def plan_of(frames, singular_values, projection, order=1):
+    """A plan whose rotations are Q_k diag(s_k): Q_1..Q_N are their projections."""
+    n = frames.shape[-1]
+    problem = Problem(n, rotation_order=order)
+    start = State.at(np.zeros(n), np.eye(n), coasted=frames[0])
+    rotations = frames * np.broadcast_to(singular_values, (5, n))[:, None]
+    if order == 2:
+        rotations[0] = 0.7 * frames[0]
+    given = problem, start, np.zeros((5, n)), coordinates(rotations)
+    return *given[:3], assemble(*given, projection=projection, proof=UNPROVED)
+
+
+@pytest.mark.parametrize('broken', [np.diag([1.0, -1.0]), np.array([[0.0, 1.0], [1.0, 0.0]])])
+def test_a_projected_mirror_is_no_rotation(broken):
+    plan = solved(Problem())
+    mirror = replace(plan, projected=changed(plan.projected, 1, broken))
+    assert only_complaint(Problem(), mirror) == 'a projected rotation has not determinant +1'
+
+
+@pytest.mark.parametrize('projection', ['nearest', 'thrust_aligned'])
+@pytest.mark.parametrize('order', [1, 2])
+@pytest.mark.parametrize('k', range(6))
+@pytest.mark.parametrize('n', [2, 3])
+def test_every_projected_rotation_is_the_projection_of_its_own(projection, order, k, n):
+    """But for the first one, and the second of a body that coasts, which are given.
+
+    A half turn about a principal axis keeps Q'R symmetric, and is farther away.
+    """
+    values = [0.5, 0.3, 0.1] if n == 3 else [0.5, 0.5]
+    problem, start, goals, plan = plan_of(frames(k, n), values, projection, order)
+    assert violations(problem, start, goals, plan) == []
+    told = [*['measured attitude', 'carries the first'][:order], *6 * ['strays']][k]
+    for axis, angle in itertools.product(np.eye(n * (n - 1) // 2), (1e-4, 2.0, np.pi)):
+        turned = plan.projected[k] @ exp(angle * axis)
+        off = replace(plan, projected=changed(plan.projected, k, turned))
+        assert told in only_complaint(problem, off, start, goals)
+
+
+@pytest.mark.parametrize('max_rate', [0.0, 0.2, 3.0])
+@pytest.mark.parametrize('order', [1, 2])
+def test_a_command_is_that_of_its_plan(order, max_rate):
+    known = frames(8), [0.8, 0.5, 0.4], 'thrust_aligned', order
+    problem, start, _, plan = plan_of(*known)
+    problem = replace(problem, max_rate=max_rate)
+    command = command_of(problem, start, plan)
+    assert command_violations(problem, plan, command) == []
+    aside, zero = exp(np.array([0.0, 0.0, 1e-4])), np.zeros(3)
+    for broken, told in (
+        (replace(command, speed_fraction=command.speed_fraction - 1e-5), 'speed'),
+        (replace(command, rotation=command.rotation @ aside), 'leads'),
+        (replace(command, body_rate=1.001 * command.body_rate), 'leads'),
+        (replace(command, body_rate=zero, rotation=plan.projected[order - 1]), 'rad from'),
+    ):
+        assert any(told in each for each in command_violations(problem, plan, broken))
+    rate = command.body_rate * (1.001 if max_rate != 0.2 else 0.999)
+    other = replace(
+        command, body_rate=rate, rotation=plan.projected[order - 1] @ exp(problem.step * rate)
+    )
+    assert any('rad from' in each for each in command_violations(problem, plan, other))
+
+
+@pytest.mark.parametrize('projection', ['nearest', 'thrust_aligned'])
+def test_a_spatial_heading_that_is_undefined_is_held(projection):
+    frame, values = frames(9), np.full((5, 3), 0.5)
+    values[3] = 0.0
+    problem, start, goals, plan = plan_of(frame, values, projection)
+    np.testing.assert_allclose(plan.projected[4], frame[2])
+    assert violations(problem, start, goals, plan) == []
+    for wrong in (frame[3], frame[4], frame[2] @ exp(np.array([1e-3, 0.0, 0.0]))):
+        off = replace(plan, projected=changed(plan.projected, 4, wrong))
+        assert 'strays' in only_complaint(problem, off, start, goals)
+
+
+def test_a_heading_is_defined_from_the_least_speed_that_has_one():
+    x = np.tile([0.0, 1e-9], (5, 1))
+    plan = assembled(Problem(), START, GOALS, x)
+    assert not plan.held.any()
+    assert violations(Problem(), START, GOALS, plan) == []
+    still = assembled(Problem(), START, GOALS, np.nextafter(x, 0.0))
+    assert still.held[1:].all()
+    assert violations(Problem(), START, GOALS, still) == []
+    led = replace(still, projected=np.array([np.eye(2), *plan.projected[1:]]))
+    assert only_complaint(Problem(), led) == 'a projected rotation strays 1 from its projection'
+
+
+@pytest.mark.parametrize(
+    ('made', 'allowed', 'complaint'),
+    [
+        (lambda e: {'speed_fraction': e}, 1e-6, 'speed is not that of the plan'),
+        (
+            lambda e: {'rotation': exp(np.array([e]))},
+            1e-9,
+            'rotation is not where the commanded rate leads',
+        ),
+        (
+            lambda e: {'rotation': exp(np.array([e])), 'body_rate': np.array([e])},
+            1e-6,
+            'rotation is 1e-06 rad from that of the plan',
+        ),
+    ],
+)
+def test_a_command_may_be_off_by_its_tolerance_and_not_by_more(made, allowed, complaint):
+    plan = assembled(Problem(), START, GOALS, np.zeros((5, 2)))
+    still = Command(0.0, np.zeros(1), np.eye(2))
+    for share, told in ((1.0 - 1e-6, []), (1.0 + 1e-6, [f'the commanded {complaint}'])):
+        assert command_violations(Problem(), plan, replace(still, **made(share * allowed))) == told
+
+
+# --- the last look
 
 
 def good(n):
@@ -160,15 +277,18 @@ def test_a_cut_turn_keeps_the_speed_with_a_floor_or_where_turns_come_later(order
 
 
 @pytest.mark.parametrize('order', [1, 2])
-def test_every_step_of_a_plan_has_its_command(order):
-    problem = Problem(rotation_order=order, step=0.5)
+@pytest.mark.parametrize('steps', [1, 5])
+def test_every_step_of_a_plan_has_its_command(order, steps):
+    """At rotation order 2 the last one holds the attitude: no later one is planned."""
+    problem = Problem(rotation_order=order, horizon=steps, step=0.5)
     start = State.at([0.0, 0.0], np.eye(2))
-    angles = np.array([0.1, 0.3, 0.6, 1.0, 1.5])
-    fractions = np.array([0.9, 0.8, 0.7, 0.6, 0.5])
+    angles = np.array([0.1, 0.3, 0.6, 1.0, 1.5])[:steps]
+    fractions = np.array([0.9, 0.8, 0.7, 0.6, 0.5])[:steps]
     x = fractions[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-    plan = assembled(problem, start, np.zeros((5, 2)), x)
+    plan = assembled(problem, start, np.zeros((steps, 2)), x)
+    assert command_violations(problem, plan, command_of(problem, start, plan)) == []
     headings = [0.0, *angles, angles[-1]]
-    for k in range(5):
+    for k in range(steps):
         command = command_of(problem, start, plan, k)
         first, then = headings[k + order - 1], headings[k + order]
         assert command.speed_fraction == pytest.approx(fractions[k])

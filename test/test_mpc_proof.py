@@ -25,30 +25,20 @@ from orbimpc_ros.mpc.proof.stated import Sets
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
-DRAWS = 60  # of each seed
 OF_A_COST = 1e-9
-
-
-def flights(seed, count=DRAWS):
-    """Yield flights with their random states, with what draws certificates of them."""
-    for index in range(count):
-        rng = np.random.default_rng([seed, index])
-        drawn = adversary.flight(rng)
-        if drawn is not None:
-            yield drawn, rng
 
 
 @cache
 def certificates(seed, count):
     """Return so many certificates of bounds that a part proves, each of another flight."""
-    found = (adversary.judged(*each) for each in flights(seed, 10**6))
+    found = (adversary.judged(*each) for each in adversary.flights(seed, 10**6))
     bounds = (each for each in found if each and 'tree' in each.document)
     return list(itertools.islice(bounds, count))
 
 
 @pytest.mark.parametrize('seed', seeds(*range(6)))
 def test_no_part_proves_more_than_a_flight_in_it_costs(seed):
-    for drawn, rng in flights(seed):
+    for drawn, rng in adversary.flights(seed, 60):
         for _ in range(4):
             found = adversary.judged(drawn, rng)
             assert found is None or not found.is_false, f'{seed}: {found}'
@@ -129,7 +119,7 @@ def _places(known, way=()):
 
 def test_whatever_a_document_holds_it_is_judged_or_refused():
     rng = np.random.default_rng(7)
-    judged = filter(None, (adversary.judged(*each) for each in flights(7)))
+    judged = filter(None, (adversary.judged(*each) for each in adversary.flights(7, 60)))
     for found in itertools.islice(judged, 6):
         ways = list(_places(found.document))
         for _ in range(60):
