@@ -60,6 +60,8 @@ def test_without_a_plan_the_one_before_serves_twice_and_never_past_its_horizon(
 
 def test_without_a_goal_the_last_plan_is_held_and_then_the_vehicle_stops():
     controller, goals = Stepped(Problem()), np.tile([9.0, 3.0], (5, 1))
+    before = controller.hold(odometry())
+    assert (before.fallback, before.command.speed_fraction) == ('safe command', 0.0)
     controller.tick(odometry(), goals)
     here = odometry((1.0, 0.1), 0.3, time=1.0)
     ticks = [controller.hold(here) for _ in range(4)]
@@ -109,11 +111,6 @@ def test_the_rest_of_a_plan_in_space_keeps_the_floor_and_is_in_the_hull(speed):
 # --- without a goal, and with one beyond all reach
 
 
-def test_without_a_goal_ever_the_vehicle_stops():
-    tick = Stepped(Problem()).hold(odometry())
-    assert (tick.fallback, tick.command.speed_fraction) == ('safe command', 0.0)
-
-
 def test_a_held_plan_is_checked_from_the_new_state():
     wall = Box([0.5, -9.0], [60.0, 9.0])
     controller = Stepped(Problem(obstacles=(wall,)))
@@ -158,23 +155,6 @@ def test_a_goal_within_reach_is_left_alone():
     assert clamp_goal(Problem(), start, goals) == (goals, '')
     far = 10.0 * goals
     assert clamp_goal(Problem(terminal='constraint'), start, far) == (far, '')  # proved infeasible
-
-
-def test_a_soft_arrival_has_no_more_time_than_any_other_plan(monkeypatch):
-    problem = Problem(horizon=6, terminal='constraint', max_rate=1.0, floor=floor('polygon', 0.5))
-    controller = Stepped(problem, shrinking=True)
-    assert controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1))).plan is not None
-    solve, limits = Solver.solve, []
-
-    def noted(self, state, goals, guess, out_of_time):
-        limits.append(out_of_time)
-        return solve(self, state, goals, guess, out_of_time)
-
-    monkeypatch.setattr(Solver, 'solve', noted)
-    aside, never = odometry((1.0, 0.3), time=1.0), bool
-    tick = controller.tick(aside, np.tile([-3.0, 0.0], (5, 1)), never)
-    assert tick.status == 'infeasible'
-    assert limits == [never, never]
 
 
 @pytest.mark.parametrize('translation', [1, 2])
@@ -393,19 +373,21 @@ def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
     assert np.linalg.norm(tick.plan.positions[-1] - [3.0, 2.0]) == pytest.approx(nearest, abs=1e-2)
 
 
-def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
-    controller, solve = arriving(), Solver.solve
+def test_a_search_that_fails_under_way_leaves_the_nearest_arrival_in_the_same_time(monkeypatch):
+    controller, solve, limits, never = arriving(), Solver.solve, [], bool
 
-    def fails(self, *arguments):
+    def fails(self, state, goals, guess, out_of_time):
+        limits.append(out_of_time)
         if self.problem.terminal == 'constraint':
             raise SolverFailure('a test wants it')
-        return solve(self, *arguments)
+        return solve(self, state, goals, guess, out_of_time)
 
     monkeypatch.setattr(Solver, 'solve', fails)
     carried = odometry((1.0, 0.6), time=1.0)  # so that the shifted plan does not arrive
-    tick = controller.tick(carried, np.tile([3.0, 2.0], (5, 1)))
+    tick = controller.tick(carried, np.tile([3.0, 2.0], (5, 1)), never)
     assert (tick.status, tick.fallback) == ('failed', 'soft arrival')
     assert 'a test wants it' in tick.reason
+    assert limits == [never, never]
 
 
 def test_another_controller_goes_on_from_what_this_one_remembers():
