@@ -29,7 +29,6 @@ from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import (
     LEAST,
     MADE,
-    MOST_ARCS,
     NODES,
     VALUE,
     Tree,
@@ -41,10 +40,9 @@ from orbimpc_ros.mpc.search.tree import (
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves do not
-ROOM = 600_000  # nodes times steps that there is memory for
-MOST = 20_000  # nodes of a search
+ROOM = 1_000_000  # nodes times steps that there is memory for
 SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
-SPACES = 4  # of so much memory that are kept: with threads, and with floors of many faces
+SPACES = 4  # threads whose memory is kept
 RANK = 1e-9  # share of the greatest weight from which on others count
 NONE: Array = np.zeros((0, 2))  # of guesses
 SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
@@ -108,9 +106,6 @@ class Engine:
         self._cost, self._tolerance = PlanarCost(problem), tolerance
         if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
             self._tolerance *= SETTLED
-        self._most = min(MOST, ROOM // steps)
-        parts = max(MOST_ARCS, problem.floor.faces)
-        self._size = parts * ROOM + 2 * LONGEST
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
         with suppress(Infeasible):
@@ -139,12 +134,12 @@ class Engine:
             Infeasible: no turn leads to a last heading that is allowed.
         """
         quad, ring = self._cost.quadratic(request), self._cost.ring(request.state)
-        tree, room = _working_space(get_ident(), self._size, self._steps)
+        tree, room = _working_space(get_ident(), self._steps)
         # A copy: code for arrays that are read-only or strided would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
         if not begin(quad, ring, tree, guess, room):
             raise Infeasible('no turn meets the cone of approach')
-        asked = quad, ring, self._tolerance, tree, self._most, room, SLICE
+        asked = quad, ring, self._tolerance, tree, room, SLICE
         while search(*asked) == PAUSED:
             if request.late or request.enough.met(self._found(quad, tree)):
                 break
@@ -160,12 +155,12 @@ class Engine:
 
 
 @lru_cache(maxsize=2 * LONGEST)
-def _working_space(thread: int, size: int, steps: int) -> tuple[Tree, Room]:
+def _working_space(thread: int, steps: int) -> tuple[Tree, Room]:
     """Return what a search over N = ``steps`` steps works in.
 
     Its nodes take the place of those of the search before it in this thread, which is over.
     """
-    nodes, memory = size // steps, _memory(thread, size)
+    nodes, memory = ROOM // steps, _memory(thread)
     sectors, start, point = (
         each[: nodes * steps].reshape(nodes, steps, -1)
         for each in (memory.sectors, memory.start, memory.point)
@@ -176,9 +171,9 @@ def _working_space(thread: int, size: int, steps: int) -> tuple[Tree, Room]:
 
 
 @lru_cache(maxsize=SPACES)
-def _memory(thread: int, size: int) -> Tree:
-    """Return memory for nodes of so many steps in all."""
-    return tree_for(1, size)
+def _memory(thread: int) -> Tree:
+    """Return memory for the nodes of a search."""
+    return tree_for(1, ROOM)
 
 
 def proof_of(tree: Tree) -> ProofTree:

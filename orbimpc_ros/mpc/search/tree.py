@@ -556,7 +556,7 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
 
 
 @entry_point
-def search(quad, ring, tolerance, tree, most, room, work):
+def search(quad, ring, tolerance, tree, room, work):
     """Search best first, on from where the tree is.
 
     Args:
@@ -564,13 +564,12 @@ def search(quad, ring, tolerance, tree, most, room, work):
         ring: floor and limits.
         tolerance: relative gap at which to stop.
         tree: begun by :func:`begin`; updated in place.
-        most: nodes to solve in all.
         room: to work in.
         work: multiplications to do.
 
     Returns:
-        ``DONE``; ``FULL``, where as many nodes are solved as may be; ``PAUSED``, where the work has
-        run out, or where the next call begins with a descent.
+        ``DONE``; ``FULL``, where there is no room for nodes; ``PAUSED``, where the work is done, or
+        where the next call begins with a descent.
     """
     counts, numbers, flat, status = tree.counts, tree.numbers, np.zeros(len(quad.q)), PAUSED
     if counts[PROMISES] > 0:
@@ -580,7 +579,7 @@ def search(quad, ring, tolerance, tree, most, room, work):
         cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
         if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
             status = DONE
-        elif counts[NODES] >= most:
+        elif counts[MADE] + max(MOST_ARCS, ring.faces) > len(tree.sectors):
             status = FULL
         else:
             work = _solve_node(quad, ring, flat, tree, take(tree), tolerance, room, work)
