@@ -13,12 +13,12 @@ from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
 from orbimpc_ros.ros.messages import Frames, read_force, read_odometry, read_speed_and_rate
+from orbimpc_ros.ros.topics import Topic
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import advance, launched
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.history import History, Planned
-from orbimpc_ros.tool.topics import Topic
 
 
 def check_pictures(folder, *names):

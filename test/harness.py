@@ -135,7 +135,7 @@ import sys
 from pathlib import Path
 from orbimpc_ros.tool.run.processes import interruptions
 from orbimpc_ros.tool.run.recorder import Recorder
-from orbimpc_ros.tool.topics import topics_of
+from orbimpc_ros.ros.topics import topics_of
 
 with interruptions() as received:
     recorder = Recorder(Path(sys.argv[1]), topics_of(), {'parameters': '{}'}, sys.argv[2:])

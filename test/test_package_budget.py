@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_695,
+    'orbimpc_ros': 36_680,
     'orbimpc_ros/mpc': 19_177,
     'orbimpc_ros/loop': 4_057,
-    'orbimpc_ros/ros': 4_947,
-    'orbimpc_ros/sim': 3_006,
-    'orbimpc_ros/tool': 5_326,
+    'orbimpc_ros/ros': 5_007,
+    'orbimpc_ros/sim': 3_005,
+    'orbimpc_ros/tool': 5_252,
     'benchmarks': 3_496,
     'test': 18_489,
 }

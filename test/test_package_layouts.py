@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from orbimpc_ros.ros.planner.outputs import NUMBERS
-from orbimpc_ros.tool.topics import TYPES
+from orbimpc_ros.ros.topics import NUMBERS, TYPES
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'

@@ -24,8 +24,8 @@ from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import shown
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.planner.outputs import NUMBERS
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.topics import NUMBERS
 
 
 @pytest.fixture

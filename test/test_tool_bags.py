@@ -11,9 +11,9 @@ from bags import GOLDEN, rewritten, ros2_bag
 from rosbags.rosbag2 import Reader
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.topics import Topic
 from orbimpc_ros.tool import bags, cli
 from orbimpc_ros.tool.bags import BagWriter, store
-from orbimpc_ros.tool.topics import Topic
 
 BOOL, CLOCK = 'std_msgs/msg/Bool', 'rosgraph_msgs/msg/Clock'
 TOPICS = (Topic('/captured', BOOL, latched=True), Topic('/clock', CLOCK))

@@ -18,9 +18,9 @@ from nav_msgs.msg import Odometry
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.run.recorder import Recorder, carried
-from orbimpc_ros.tool.topics import topics_of
 
 STARTER = """
     import sys, time

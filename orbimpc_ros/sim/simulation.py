@@ -11,19 +11,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from nav_msgs.msg import Odometry as OdometryMessage
-from nav_msgs.msg import Path
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
-from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, full_name, qos
+from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines import EngineFailure
@@ -61,11 +57,16 @@ class FlightSimulation(ABC):
         self._orders = Orders(self.settings.scenario.model, self.settings.frames)
         self._refused: Counter[str] = Counter()  # commands, by topic and field
         self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
+        deep, profiles = qos(DEPTH), {'captured': LATCHED, 'world_markers': qos()}
         self._commands, _ = (
-            node.create_subscription(kind, topic, node.at_work(self._take, topic), qos(DEPTH))
-            for topic, kind in (('cmd_vel', TwistStamped), ('cmd_thrust', WrenchStamped))
+            node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)
+            for name in ('cmd_vel', 'cmd_thrust')
         )
-        self._create_publishers()
+        self._out = {
+            name: node.create_publisher(message_of(name), name, profiles.get(name, deep))
+            for name in published(settings)
+        }
+        self._transforms = None if TransformBroadcaster is None else TransformBroadcaster(node)
         self._begin(settings.begin)
 
     def _begin(self, time: float) -> None:
@@ -77,24 +78,6 @@ class FlightSimulation(ABC):
         self.airspeeds: Airspeeds | None = None
         if isinstance(model, Continuous):
             self.airspeeds = Airspeeds(model.stall_speed).seeing([self.flight.vehicle])
-
-    def _create_publishers(self) -> None:
-        create = self.node.create_publisher
-        self._captured = create(Bool, 'captured', LATCHED)
-        self._odometry = create(OdometryMessage, 'odom', qos(DEPTH))
-        self._goal = create(PoseStamped, 'goal', qos(DEPTH))
-        self._markers = create(MarkerArray, 'world_markers', qos())
-        self._health = create(DiagnosticArray, '/diagnostics', qos(DEPTH))
-        if self.settings.scenario.traffic:
-            self._obstacles = create(MarkerArray, 'obstacles', qos(DEPTH))
-        if self.settings.goal_path_steps:
-            self._goal_path = create(Path, 'goal_path', qos(DEPTH))
-        if self.settings.clock == 'lockstep':
-            self._time = create(Clock, '/clock', qos(DEPTH))
-        if isinstance(self.settings.scenario.model, Continuous):
-            self._truth = create(DiagnosticArray, 'truth', qos(DEPTH))
-        if TransformBroadcaster is not None:
-            self._transforms = TransformBroadcaster(self.node)
 
     # --- its pace
 
@@ -114,7 +97,7 @@ class FlightSimulation(ABC):
     def restart(self) -> None:
         """Begin again; time goes on, for stamps never go back."""
         self._begin(self.flight.vehicle.time + self.settings.scenario.model.step)
-        self._captured.publish(Bool(data=False))
+        self._out['captured'].publish(Bool(data=False))
         self.start()
 
     # --- who it waits for
@@ -145,12 +128,13 @@ class FlightSimulation(ABC):
     @property
     def planner_lacking(self) -> str:
         """Return what is missing of a planner; empty if nothing is."""
-        if not self._goal.get_subscription_count():
+        if not self._out['goal'].get_subscription_count():
             return 'a subscriber of goal'
         return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
 
     def _readers_lacking(self) -> str:
-        found, wanted = self._odometry.get_subscription_count(), self.settings.wait_subscribers
+        wanted = self.settings.wait_subscribers
+        found = self._out['odom'].get_subscription_count()
         if found < wanted:
             return f'subscribers of odom: {wanted} (there are {found})'
         readers = self.settings.wait_for
@@ -178,7 +162,8 @@ class FlightSimulation(ABC):
 
         Only a managed node is known to be on its way: others may read goals by another node.
         """
-        readers = map(full_name, self.node.get_subscriptions_info_by_topic(self._goal.topic_name))
+        goal = self._out['goal'].topic_name
+        readers = map(full_name, self.node.get_subscriptions_info_by_topic(goal))
         found = self._planners() - {*readers}
         managed = (name for name in found if self.node.count_publishers(f'{name}/{TRANSITIONS}'))
         return min(managed, default='')
@@ -220,17 +205,18 @@ class FlightSimulation(ABC):
         """Publish the flight as it is now: clock, markers, goals, odometry."""
         at, flight = self.now, self.flight
         stamp = Stamp(at, self.settings.frames)
-        if self.settings.clock == 'lockstep':
-            self._time.publish(Clock(clock=messages.time_message(at)))
-        if flight.scenario.traffic:
-            self._obstacles.publish(outputs.traffic_markers(stamp, flight))
-        if self.settings.goal_path_steps:
-            self._goal_path.publish(outputs.future(stamp, flight, self.settings.goal_path_steps))
-        self._markers.publish(outputs.world_markers(stamp, flight))
+        out, steps = self._out, self.settings.goal_path_steps
+        if '/clock' in out:
+            out['/clock'].publish(Clock(clock=messages.time_message(at)))
+        if 'obstacles' in out:
+            out['obstacles'].publish(outputs.traffic_markers(stamp, flight))
+        if 'goal_path' in out:
+            out['goal_path'].publish(outputs.future(stamp, flight, steps))
+        out['world_markers'].publish(outputs.world_markers(stamp, flight))
         if self.airspeeds is not None:
             name = f'{self.node.get_fully_qualified_name()}: truth'
-            self._truth.publish(outputs.truth(at, name, flight, self.airspeeds))
-        if TransformBroadcaster is not None:
+            out['truth'].publish(outputs.truth(at, name, flight, self.airspeeds))
+        if self._transforms is not None:
             shown = messages.odometry_message(stamp, measured(flight.vehicle))
             self._transforms.sendTransform(outputs.transform(shown))
         self.deliver(at, seen)
@@ -240,7 +226,7 @@ class FlightSimulation(ABC):
         for sent in seen:
             stamp = Stamp(self.stamp_of(sent, at), self.settings.frames)
             topic, message = outputs.sensed(stamp, sent.content)
-            (self._odometry if topic == 'odom' else self._goal).publish(message)
+            self._out[topic].publish(message)
 
     def fly(self, order: Order | None, held: float) -> None:
         """Fly a step on an order that is in force for ``held`` [s] of it; without one, stand.
@@ -267,7 +253,7 @@ class FlightSimulation(ABC):
         """Report how the flight ended; then exit, or wait for a restart."""
         flight = self.flight
         self.finished = True
-        self._captured.publish(Bool(data=flight.captured))
+        self._out['captured'].publish(Bool(data=flight.captured))
         ending = f'{outcome(flight)}, after {flight.ticks} ticks'
         numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
         if self.airspeeds is not None:
@@ -279,7 +265,20 @@ class FlightSimulation(ABC):
 
     def _diagnose(self, level: bytes, text: str, values: Mapping[str, object]) -> None:
         name = self.node.get_fully_qualified_name()
-        self._health.publish(messages.health_message(self.now, name, 'flight', level, text, values))
+        health = messages.health_message(self.now, name, 'flight', level, text, values)
+        self._out['/diagnostics'].publish(health)
+
+
+def published(settings: SimSettings) -> list[str]:
+    """Return the topics that a simulator publishes."""
+    optional = {
+        'obstacles': settings.scenario.traffic,
+        'goal_path': settings.goal_path_steps,
+        '/clock': settings.clock == 'lockstep',
+        'truth': isinstance(settings.scenario.model, Continuous),
+    }
+    always = ('captured', 'odom', 'goal', 'world_markers', '/diagnostics')
+    return [*always, *(topic for topic, wanted in optional.items() if wanted)]
 
 
 def own_frame(body: str, namespace: str) -> str:

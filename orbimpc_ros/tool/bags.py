@@ -26,9 +26,9 @@ from rosbags.typesys import Stores, get_typestore
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
-from orbimpc_ros.tool import topics
+from orbimpc_ros.ros import topics
+from orbimpc_ros.ros.topics import Topic
 from orbimpc_ros.tool.files import opened
-from orbimpc_ros.tool.topics import Topic
 
 METADATA = 'metadata.yaml'
 METADATA_VERSION = 9

@@ -23,6 +23,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.core import DISABLED
+from orbimpc_ros.ros.topics import TYPES, topics_of
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed
 from orbimpc_ros.sim.parameters import sim_settings
@@ -31,7 +32,6 @@ from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import BagWriter, store
 from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.settings import config
-from orbimpc_ros.tool.topics import TYPES, topics_of
 
 FLIGHTS = {
     'retrieval': ('retrieval', ()),

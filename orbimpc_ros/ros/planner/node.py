@@ -11,15 +11,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
-from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.capture import Events
 from orbimpc_ros.loop.planner import Decision, Planner
@@ -39,16 +35,11 @@ from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
 from orbimpc_ros.ros.planner.wings import WINGS, Wing
 from orbimpc_ros.ros.process import LATCHED, LATEST, LIFE, qos, run
+from orbimpc_ros.ros.topics import NUMBERS, message_of
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
 
 EVENTS = ('arrived', 'caught')  # topics
-INPUTS: dict[str, type] = {
-    'goal': PoseStamped,
-    'goal_path': Path,
-    'wind': TwistWithCovarianceStamped,
-    core.OBSTACLES: MarkerArray,
-}
-HALVES: dict[str, type] = dict(zip(POSE_TWIST, (PoseStamped, TwistStamped), strict=True))
+INPUTS = ('goal', 'goal_path', 'wind', core.OBSTACLES)  # topics beside those of odometry
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
@@ -150,17 +141,17 @@ class PlannerNode(Managed):
 
     def _create_publishers(self, settings: PlannerSettings) -> None:
         self._publishers_of: dict[str, Publisher] = {
-            topic: self.create_publisher(kind, topic, qos(lease=LIFE), event_callbacks=UNSENT)
-            for topic, kind in outputs.outputs(settings).items()
+            topic: self.create_publisher(
+                message_of(topic), topic, qos(lease=LIFE), event_callbacks=UNSENT
+            )
+            for topic in outputs.outputs(settings)
         }
         self._begin_anew()
         self._event_publishers = {n: self.create_publisher(Bool, n, LATCHED) for n in EVENTS}
         self._events, self._shown = Events(), dict[str, bool]()
         self._publish_events()
-        self._numbers = {
-            n: self.create_publisher(Float64, f'~/{n}', qos()) for n in outputs.NUMBERS
-        }
-        self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
+        self._numbers = {n: self.create_publisher(Float64, f'~/{n}', qos()) for n in NUMBERS}
+        self._health = self.create_publisher(message_of('/diagnostics'), '/diagnostics', qos())
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
 
     def _begin_anew(self) -> None:
@@ -170,9 +161,10 @@ class PlannerNode(Managed):
         self._decision: Decision | None = None  # the last one
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
-        odometry = HALVES if settings.odometry == 'pose_twist' else {'odom': OdometryMessage}
-        plans, listening = dict.fromkeys(self._core.inputs.others, Path), {}
-        for topic, kind in (odometry | INPUTS | plans).items():
+        odometry = POSE_TWIST if settings.odometry == 'pose_twist' else ('odom',)
+        plans = dict.fromkeys(self._core.inputs.others, message_of(core.PLAN))
+        kinds, listening = {topic: message_of(topic) for topic in (*odometry, *INPUTS)}, {}
+        for topic, kind in (kinds | plans).items():
             # Markers add up: one that is lost leaves a body out, or leaves one where none is. So
             # these are to be reliable; who offers less is reported as a mismatch. The rest is whole
             # each time.
@@ -187,7 +179,7 @@ class PlannerNode(Managed):
         if settings.tf:
             self._listen_to_transforms()
         self._obstacles = listening[core.OBSTACLES]
-        measured = listening[next(iter(odometry))]
+        measured = listening[odometry[0]]
         self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))

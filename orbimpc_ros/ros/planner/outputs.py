@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import QuaternionStamped, TwistStamped, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Path
 from std_msgs.msg import UInt8MultiArray
-from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.loop.traffic import clearance
@@ -32,23 +31,11 @@ from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
-# Each topic with its type: what is told of decisions, and what commands the vehicle.
-REPORTS: dict[str, type] = {
-    'plan': Path,
-    'plan_markers': MarkerArray,
-    'tick': DiagnosticArray,
-    'certificate': UInt8MultiArray,
-}
-COMMANDS: dict[str, type] = {
-    'cmd_vel': TwistStamped,
-    'rotation': QuaternionStamped,
-    'cmd_thrust': WrenchStamped,
-    'thrust': Vector3Stamped,
-}
-TOPICS = frozenset(REPORTS | COMMANDS)
+# Topics of decisions, and of commands to the vehicle.
+REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
+COMMANDS = ('cmd_vel', 'rotation', 'cmd_thrust', 'thrust')
+TOPICS = frozenset({*REPORTS, *COMMANDS})
 CLAIMS = frozenset({'tick', 'certificate'})  # which wait for proofs
-# On ~/distance [m], ~/solve_time [s] and so on.
-NUMBERS = ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
 UNHEARD: dict[str, Any] = {'goal_stamps': {}, 'goal_counts': {}, 'traffic_stamps': {}}
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
 LONGEST = 60  # steps; prices of longer plans take milliseconds
@@ -161,15 +148,15 @@ def tick_message(at: int, node: str, decision: Decision) -> DiagnosticArray:
     return messages.diagnostics(at, f'{node}: tick', level(decision), message, values(decision))
 
 
-def outputs(settings: PlannerSettings) -> dict[str, type]:
-    """Return the topics that a planner publishes, with their types: no commands on a dry run."""
-    kinds = REPORTS if settings.dry_run else REPORTS | COMMANDS
+def outputs(settings: PlannerSettings) -> list[str]:
+    """Return the topics that a planner publishes: no commands on a dry run."""
+    topics = REPORTS if settings.dry_run else REPORTS + COMMANDS
     wanted = {
         'certificate': settings.publish_certificate,
         'cmd_thrust': settings.problem.inertial,
         'thrust': settings.hover_thrust > 0.0,
     }
-    return {topic: kind for topic, kind in kinds.items() if wanted.get(topic, True)}
+    return [topic for topic in topics if wanted.get(topic, True)]
 
 
 def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) -> dict[str, Any]:

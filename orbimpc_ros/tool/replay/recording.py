@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.markers import stamp_of as stamp_of_markers
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, pushed
-from orbimpc_ros.tool import bags, topics
+from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import Message, fields, point
 
 CLOCK = 'clock'

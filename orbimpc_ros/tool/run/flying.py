@@ -13,6 +13,7 @@ from pathlib import Path
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import COMPILING, PACKAGES
 from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
@@ -21,7 +22,6 @@ from orbimpc_ros.tool.run.processes import Process, Processes, interruptions
 from orbimpc_ros.tool.run.progress import ProgressLine
 from orbimpc_ros.tool.run.recorder import Recorder
 from orbimpc_ros.tool.settings import Values
-from orbimpc_ros.tool.topics import topics_of
 
 SPIN = 0.05  # [s]
 # A simulator that ends with its flight, and begins once planner and recorder hear it.

@@ -17,8 +17,8 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros.messages import SECOND, time_message
 from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
+from orbimpc_ros.ros.topics import Topic
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.topics import Topic
 
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers

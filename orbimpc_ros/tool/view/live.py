@@ -16,9 +16,9 @@ from rclpy.task import Future
 
 from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import LATCHED, LATEST, RANGE, attached, qos
+from orbimpc_ros.ros.topics import VEHICLE
 from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.topics import VEHICLE
 from orbimpc_ros.tool.view.scene import Scene
 
 SPIN = 0.05  # [s]

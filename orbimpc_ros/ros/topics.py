@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The topics of a run: their names, their types, and which of them a bag is asked for."""
+"""The topics of planner and simulator: their names, their types, and which a bag is asked for."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 
 class Topic(NamedTuple):
-    """A topic to record: its name, its type and whether late subscribers get the last message."""
+    """A topic: its name, its type and whether late subscribers get the last message."""
 
     name: str
     type: str
@@ -55,17 +55,17 @@ WORLD = (
     Topic('caught', 'std_msgs/msg/Bool', latched=True),
     Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),
 )  # of the simulator; events and proofs
-NUMBERS = tuple(
-    Topic(f'planner/{name}', 'std_msgs/msg/Float64')
-    for name in ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
-)  # for plots by other programs; this tool takes them from tick
+# On ~/distance [m], ~/solve_time [s] and so on, for plots by other programs.
+NUMBERS = ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
+PLOTTED = tuple(Topic(f'planner/{name}', 'std_msgs/msg/Float64') for name in NUMBERS)
+UNRECORDED = (Topic('thrust', 'geometry_msgs/msg/Vector3Stamped'),)  # to an autopilot alone
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
-TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *NUMBERS)}
+TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *PLOTTED)}
 
 
 def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
     """Return the topics of a run with one vehicle in each namespace, such as ``/uav1``."""
-    each = (*VEHICLE, *NUMBERS)
+    each = (*VEHICLE, *PLOTTED)
     own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in each)
     return (*SHARED, *own)
 
@@ -73,3 +73,9 @@ def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
 def known(name: str, kind: str) -> bool:
     """Return whether a topic, in whatever namespace, is one of a run's and of the right type."""
     return TYPES.get(name.rpartition('/')[2]) == kind
+
+
+def message_of(name: str) -> Any:
+    """Return the class of the messages on a topic of planner or simulator, without a namespace."""
+    topics = (*SHARED, *VEHICLE, *UNRECORDED)
+    return next(topic.message for topic in topics if topic.name == name)
