@@ -130,27 +130,6 @@ def launching(domain: int, folder: Path):
         yield start
 
 
-RECORDER = """
-import sys
-from pathlib import Path
-from orbimpc_ros.tool.run.processes import interruptions
-from orbimpc_ros.tool.run.recorder import Recorder
-from orbimpc_ros.ros.topics import topics_of
-
-with interruptions() as received:
-    recorder = Recorder(Path(sys.argv[1]), topics_of(), {'parameters': '{}'}, sys.argv[2:])
-    while not received:
-        recorder.spin(0.05)
-    recorder.close()
-"""
-
-
-def recording(bag: Path, domain: int, *planners: str) -> subprocess.Popen:
-    """Return the process of a recorder that knows planners, which a signal ends."""
-    words = [sys.executable, '-c', RECORDER, str(bag), *planners]
-    return subprocess.Popen(words, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
-
-
 class Observer:
     """A node in the hands of a test, spun until something has happened.
 

@@ -2,19 +2,18 @@
 """The SROS2 policy grants what the nodes use and nothing else; without security nothing flies."""
 
 import os
-import signal
 import sys
 from importlib.util import find_spec
+from unittest import mock
 from xml.etree import ElementTree
 
 import pytest
-from harness import ROOT, recording, run, wait_for
+from geometry_msgs.msg import TwistStamped
+from harness import ROOT, run, wait_for
 
 from orbimpc_ros.ros.entry import PACKAGES
-
-pytest.importorskip('rclpy')
-
-from geometry_msgs.msg import TwistStamped
+from orbimpc_ros.ros.topics import topics_of
+from orbimpc_ros.tool.run.recorder import Recorder
 
 POLICY = ROOT / 'config' / 'security' / 'policy.xml'
 # The schema's structure: elements in each, and the attributes that each must and may have.
@@ -62,13 +61,16 @@ def endpoints(shared, tmp_path_factory):
     sim = {'wait_subscribers': 9, 'goal_path_steps': 3, 'vehicle': 'continuous'}
     sim['traffic'] = [9.0, 9.0, 9.0, 0.0, 0.0, 0.0, 1.0]
     launch('sim', sim, 'spacecraft')
-    recorder = recording(tmp_path_factory.mktemp('r') / 'b', observer.domain, '/planner')
+    with mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(observer.domain)):
+        bag = tmp_path_factory.mktemp('recorder') / 'bag'
+        recorder = Recorder(bag, topics_of(), {}, ['/planner'])
 
     def names(node, kind):
         found = getattr(observer.node, f'get_{kind}_names_and_types_by_node')(node, '/')
         return {name for name, _ in found}
 
     def complete():
+        recorder.spin(0.0)
         known = {name for name, _ in observer.node.get_node_names_and_namespaces()}
         if not {'planner', 'sim', 'recorder'} <= known:
             return False
@@ -84,8 +86,7 @@ def endpoints(shared, tmp_path_factory):
             for node in ('planner', 'sim', 'recorder')
         }
     finally:
-        recorder.send_signal(signal.SIGTERM)
-        recorder.wait()
+        recorder.close()
 
 
 @pytest.mark.parametrize('node', ['planner', 'sim', 'recorder'])

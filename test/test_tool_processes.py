@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 import pytest
-from harness import PATIENCE, alive, orbimpc, recording, wait_for
+from harness import PATIENCE, alive, wait_for
 from nav_msgs.msg import Odometry
 
 from orbimpc_ros.ros.entry import PACKAGES
@@ -100,64 +100,51 @@ def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain)
         process.communicate('\n')
 
 
-# --- a recorder that is told to stop, or killed
+# --- a recorder
 
 
 KIND = 'nav_msgs/msg/Odometry'
 
 
 @pytest.fixture
-def recorder(domain, tmp_path):
-    """Return a recorder in a process of its own."""
-    process = recording(tmp_path / 'bag', domain)
-    yield process
-    process.kill()
-    process.wait()
-
-
-@pytest.fixture
-def told(recorder, observer, tmp_path):
-    """Return how many odometry messages were sent and are, but for the last, on the disk."""
+def recorded(domain, observer, tmp_path, monkeypatch):
+    """Return a recorder, and a function that has it record odometry messages."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    recorder = Recorder(tmp_path / 'bag', topics_of(), {'parameters': '{}'}, planners=())
     publisher = observer.node.create_publisher(Odometry, '/odom', qos(1000))
-    observer.until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
+    recorder.spin(0.0)  # asks for odometry
+    observer.until(publisher.get_subscription_count, 'the recorder')
+
+    def record(messages):
+        for message in messages:
+            publisher.publish(message)
+        wait_for(lambda: recorder.spin(0.1) or recorder.counts['/odom'] >= len(messages))
+
+    yield recorder, record
+    recorder.close()
+
+
+def test_before_its_end_a_bag_is_read_up_to_its_last_chunk(recorded, tmp_path, capsys):
+    """As where its recorder is killed."""
     count, draw = 600, np.random.default_rng(1)
-    for k in range(count):
-        message = Odometry(header=header(k * SECOND // 100, 'odom'))
+    sent = [Odometry(header=header(k * SECOND // 100, 'odom')) for k in range(count)]
+    for message in sent:
         message.pose.covariance = draw.normal(size=36)
-        publisher.publish(message)
-    file = tmp_path / 'bag' / 'bag.mcap'
-    observer.until(lambda: file.stat().st_size > 100_000, 'chunks on the disk')
-    return count
-
-
-def test_after_sigkill_the_bag_is_read_up_to_its_last_chunk(recorder, told, tmp_path, capsys):
-    recorder.kill()
-    recorder.wait(PATIENCE)
+    recorded[1](sent)
     stamps = [message.stamp for message in bags.read(tmp_path / 'bag')]
     err = capsys.readouterr().err
     assert err.count('\n') == 1
     assert f'was not closed: read up to its last chunk, {len(stamps)} messages' in err
     assert stamps == [k * SECOND // 100 for k in range(len(stamps))]
-    assert told // 2 < len(stamps) <= told
+    assert count // 2 < len(stamps) < count
     assert bags.notes(tmp_path / 'bag') == {'parameters': '{}'}
-    done = orbimpc('replay', tmp_path / 'bag')
-    assert done.returncode == 2
-    assert 'without /goal or /goal_path' in done.stderr
 
 
-def test_the_order_of_sending_is_kept(domain, observer, tmp_path, monkeypatch):
+def test_the_order_of_sending_is_kept(recorded, tmp_path):
     """Stamps may lie; when a message was sent tells the order."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    recorder = Recorder(tmp_path / 'bag', topics_of(), {}, planners=())
-    publisher = observer.node.create_publisher(Odometry, '/odom', qos(1000))
-    recorder.spin(0.0)  # asks for odometry
-    observer.until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
     stamps, begun = [10, 12, 11, 11, 13], time.time_ns()
-    for stamp in stamps:
-        publisher.publish(Odometry(header=header(stamp * SECOND, 'odom')))
-    end = time.monotonic() + PATIENCE
-    while recorder.counts['/odom'] < len(stamps) and time.monotonic() < end:
-        recorder.spin(0.1)
+    recorder, record = recorded
+    record([Odometry(header=header(stamp * SECOND, 'odom')) for stamp in stamps])
     recorder.close()
     found = sorted(bags.read(tmp_path / 'bag'), key=lambda message: message.sent)
     assert [message.content.header.stamp.sec for message in found] == stamps
