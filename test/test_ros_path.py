@@ -3,7 +3,7 @@
 
 import sys
 import time
-from itertools import groupby
+from itertools import count, groupby
 from operator import le
 from pathlib import Path
 
@@ -74,6 +74,18 @@ def planner(unconfigured):
     executor.shutdown()
 
 
+def message(topic):
+    """Return a message of this moment: of a vehicle at the origin, or of a goal ahead."""
+    stamp = Stamp(time.time_ns(), FRAMES)
+    if topic == 'goal':
+        return messages.goal_message(stamp, np.array([5.0, 0.5]))
+    return messages.odometry_message(stamp, measured(launched(Model(), np.zeros(2), np.eye(2))))
+
+
+def hear(node, topic):
+    node._hear(topic, message(topic))
+
+
 def spin_until(executor, happened):
     end = time.monotonic() + PATIENCE
     while not happened():
@@ -86,14 +98,12 @@ def calls_on_the_way(executor, goal, odometry):
 
     ``goal`` and ``odometry`` are publishers: of several on a topic only one could be right.
     """
-    vehicle = launched(Model(), np.zeros(2), np.eye(2))
     trace = Trace()
 
     def answered():  # again and again: the first may be lost in discovery
-        now = time.time_ns()
         # The goal's stamp is older: odometry that has its goal waits for nothing.
-        goal.publish(messages.goal_message(Stamp(now - 1, FRAMES), np.array([5.0, 0.5])))
-        odometry.publish(messages.odometry_message(Stamp(now, FRAMES), measured(vehicle)))
+        goal.publish(message('goal'))
+        odometry.publish(message('odom'))
         return trace.complete
 
     sys.setprofile(trace)
@@ -126,14 +136,24 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
         monkeypatch.setattr(
             owner, name, lambda *a, _plain=plain, _name=name: done.append(_name) or _plain(*a)
         )
-    vehicle = launched(Model(), np.zeros(2), np.eye(2))
-    goal = messages.goal_message(Stamp(time.time_ns(), FRAMES), np.array([5.0, 0.5]))
-    node._hear('goal', goal)
+    hear(node, 'goal')
     for later in (0.0, 0.02, 0.04):  # an odometry message each 20 ms; it is watched each 50 ms
         shown[0] = 100.0 + later
-        stamp = Stamp(time.time_ns(), FRAMES)
-        node._hear('odom', messages.odometry_message(stamp, measured(vehicle)))
+        hear(node, 'odom')
     assert done == ['sent', 'look', 'sent', 'sent', 'look']
+
+
+def test_what_a_tick_made_in_too_long_a_time_is_not_flown(planner, monkeypatch):
+    (node, _), sent, reports = planner, [], []
+    monkeypatch.setattr(node._core.planner, 'sent', lambda command, _at: sent.append(command))
+    hear(node, 'goal')
+    for seconds in (0.0, 1000.0, 0.0):  # between two looks at the clock
+        monkeypatch.setattr(node._core, '_clock', count(step=seconds).__next__)
+        hear(node, 'odom')
+        reports.append(node._decision)
+    assert [each.command for each in reports] == sent
+    assert [each.fallback for each in reports] == ['', 'safe command', '']
+    assert reports[1].reason.startswith('odometry is')
 
 
 def test_a_planner_can_be_seen_before_it_compiles_and_listens_only_then(unconfigured, monkeypatch):

@@ -8,42 +8,12 @@ import sys
 
 import pytest
 from harness import ROOT, python, run
-from planners import QUICK, Bench, moving, told
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import executor_named
 from orbimpc_ros.sim.parameters import SIM
-
-SLOW = """
-    import sys, time
-    from orbimpc_ros.ros.planner import node as planner
-    from orbimpc_ros.ros.process import run
-
-    class Slow(planner.PlannerNode):
-        def configure(self):
-            super().configure()
-            self.quick, self.ticks = self._core.planner.step, 0
-            self._core.planner.step = self.step
-
-        def step(self, *snapshot):
-            self.ticks += 1
-            answer = self.quick(*snapshot)
-            time.sleep(1.0 if self.ticks == 2 else 0.0)
-            return answer
-
-    sys.exit(run(Slow, sys.argv))
-"""
-
-
-def test_what_a_tick_made_in_too_long_a_time_is_not_flown(launch, observer):
-    bench = Bench(launch, observer, QUICK, SLOW)
-    assert moving(bench.fly(1.0))
-    assert not moving(bench.fly(2.0))
-    bench.until(lambda: any('odometry is' in told(m)['reason'] for m in bench.ticks), 'why')
-    assert moving(bench.fly(3.0))
-
 
 HALF_MADE = """
     import sys
