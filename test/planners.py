@@ -10,6 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
+from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
@@ -66,6 +67,13 @@ class Bench:
             observer.until_connected('cmd_vel', 'tick', '/diagnostics')
             for publisher in (self.odometry, self.goal):
                 observer.until(publisher.get_subscription_count, 'the planner listening')
+
+    def enable(self, on):
+        call, request = self.observer.call, SetBool.Request(data=on)
+        return call(SetBool, '/planner/enable', request).success
+
+    def reset(self):
+        return self.observer.call(Trigger, '/planner/reset', Trigger.Request())
 
     def until(self, *arguments):
         self.observer.until(*arguments)

@@ -13,7 +13,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.lifecycle import Managed
@@ -95,12 +95,9 @@ def test_deactivated_it_is_safe_once_and_silent_and_activated_again_it_starts_af
     active.observer.until(lambda: not moving(active.commands[-1]), 'the safe command')
     assert moving(active.commands[-2])
     assert active.commands_of(20) == []
-    for kind, name, request in (
-        (Trigger, 'reset', Trigger.Request()),
-        (SetBool, 'enable', SetBool.Request(data=False)),
-        (SetBool, 'enable', SetBool.Request(data=True)),
-    ):
-        assert active.observer.call(kind, f'/planner/{name}', request).success
+    assert active.reset().success
+    assert active.enable(False)
+    assert active.enable(True)
     assert active.commands_of(5) == []
     assert active.change(ACTIVATE)
     active.says('waits for odometry on /odom and a goal on /goal or /goal_path')

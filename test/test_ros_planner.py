@@ -15,7 +15,6 @@ from planners import QUICK, Bench, goal, moving, odometry, told
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, UInt8MultiArray
-from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball
@@ -41,9 +40,8 @@ def veteran(shared):
 @pytest.fixture
 def flying(veteran):
     """A planner that has flown before, made to forget it."""
-    call = veteran.observer.call
-    assert call(SetBool, '/planner/enable', SetBool.Request(data=True)).success
-    assert call(Trigger, '/planner/reset', Trigger.Request()).success
+    assert veteran.enable(True)
+    assert veteran.reset().success
     return veteran
 
 
@@ -85,20 +83,19 @@ def test_a_reader_that_came_too_late_hears_the_report_when_the_answer_is_repeate
 
 def test_disabled_means_the_safe_command_again_and_again(flying):
     assert moving(flying.fly(1.0))
-    response = flying.observer.call(SetBool, '/planner/enable', SetBool.Request(data=False))
-    assert response.success
+    assert flying.enable(False)
     assert not moving(flying.fly(2.0))
     flying.until(lambda: told(flying.ticks[-1])['cause'] == 'disabled', 'the cause')
     flying.says('disabled')
-    flying.observer.call(SetBool, '/planner/enable', SetBool.Request(data=True))
+    flying.enable(True)
     assert moving(flying.fly(3.0))
 
 
 def test_after_a_reset_it_flies_to_the_same_goal_as_soon_as_there_is_odometry(bench):
     bench.fly(100.0)
     flown = len(bench.commands)
-    answer = bench.observer.call(Trigger, '/planner/reset', Trigger.Request())
-    assert answer.message == 'plan, estimates and inputs forgotten, but for a goal sent by hand'
+    kept = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
+    assert bench.reset().message == kept
     bench.until(lambda: len(bench.commands) >= flown + 3, 'safe commands')
     assert not any(moving(command) for command in bench.commands[flown:])
     bench.until(lambda: 'reset' in {told(tick)['cause'] for tick in bench.ticks}, 'the cause')
@@ -225,12 +222,6 @@ def test_bodies_and_plans_are_planned_with_and_who_is_not_heard_is_told_of(crowd
 # --- the console and /diagnostics: what it says, once, and what it does then
 
 
-WING = QUICK | {
-    'forward': 15.0, 'floor.shape': 'circle', 'floor.fraction': 0.6666666667,
-    'horizon': 10, 'max_rate': 0.4363323,
-}  # fmt: skip
-
-
 def said(bench, words):
     """Wait until the console has it; return how often."""
     bench.until(lambda: words in bench.planner.output, words)
@@ -243,8 +234,12 @@ def level(bench, words):
     return [m.status[0].level for m in bench.health if words in m.status[0].message][-1]
 
 
-def test_who_else_is_there_is_said_when_it_comes_and_when_it_goes(launch, observer):
-    bench, node = Bench(launch, observer, QUICK), observer.node
+def test_what_is_believed_in_is_said_and_who_else_comes_and_goes(launch, observer):
+    given = QUICK | {'forward': 15.0, 'max_rate': 25.0, 'floor.faces': 8}
+    bench, node = Bench(launch, observer, given), observer.node
+    assert said(bench, '15 m/s, at most 1432 deg/s, 0.1 s x 5') == 1
+    for doubt in ('max_rate is 25 rad/s, 1432 deg/s: 0.4363', 'floor.faces is 8 and floor.shape'):
+        assert said(bench, doubt) == 1
     rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())
     assert said(bench, '2 publishers on /cmd_vel: the vehicle hears them all') == 1
     assert level(bench, '2 publishers on /cmd_vel') >= DiagnosticStatus.WARN
@@ -272,13 +267,6 @@ def test_simulated_time_that_never_starts_is_said(launch, observer, trigger):
         return f'over: {words}' in bench.planner.output
 
     bench.until(started, 'the end of it')
-
-
-def test_the_vehicle_believed_in_is_said_at_the_start(launch, observer):
-    bench = Bench(launch, observer, WING | {'max_rate': 25.0, 'floor.faces': 8})
-    assert said(bench, '15 m/s, at least 10 m/s (circle), at most 1432 deg/s, 0.1 s x 10') == 1
-    assert said(bench, 'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant') == 1
-    assert said(bench, 'floor.faces is 8 and floor.shape circle: it has no effect') == 1
 
 
 def test_numbers_come_on_topics_of_their_own(launch, observer):
