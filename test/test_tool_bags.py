@@ -2,7 +2,6 @@
 """Bags: what is written is read back, by us and by rosbags; what is damaged is refused."""
 
 import os
-import shutil
 from contextlib import closing
 
 import pytest
@@ -12,7 +11,7 @@ from rosbags.rosbag2 import Reader
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.topics import Topic
-from orbimpc_ros.tool import bags, cli
+from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import BagWriter, store
 
 BOOL, CLOCK = 'std_msgs/msg/Bool', 'rosgraph_msgs/msg/Clock'
@@ -121,17 +120,6 @@ def test_unknown_topics_and_types_are_not_decoded(tmp_path):
 
 
 # --- damaged
-
-
-def test_the_command_ends_in_one_line(small, tmp_path, capsys):
-    path = tmp_path / 'bag'
-    shutil.copytree(small, path)
-    (path / 'bag.mcap').write_bytes((path / 'bag.mcap').read_bytes()[:-500])
-    for words in (['replay', path], ['plot', path, '-o', tmp_path], ['replay', tmp_path / 'a\x1b']):
-        assert cli.main([str(word) for word in words]) == cli.BAD_INPUT
-        out, err = capsys.readouterr()
-        assert (out, err.count('\n')) == ('', 1)
-        assert '\x1b' not in err
 
 
 def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):

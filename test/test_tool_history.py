@@ -123,14 +123,6 @@ def test_a_simulator_may_have_values_of_its_own():
         settings.changed(values, ['sim.horizon=3'])
 
 
-@pytest.mark.parametrize('text', ['[]', 'a: 1', 'a: {b: 1}', 'a: {ros__parameters: 3}'])
-def test_what_is_not_a_parameter_file_is_refused(tmp_path, text):
-    path = tmp_path / 'parameters.yaml'
-    path.write_text(text)
-    with pytest.raises(BadInput, match='ros__parameters'):
-        settings.resolve(path)
-
-
 def test_repeated_odometry_counts_once(tmp_path):
     raw = bags.raw(GOLDEN / 'retrieval')
     again = [each for each in raw if each.topic == '/odom'][:3]

@@ -47,6 +47,7 @@ REFUSED = {
     f'replay {RETRIEVAL} --set wait=1': "--set: unknown parameter 'wait'",
     f'replay {RETRIEVAL} --params nowhere.yaml': 'nowhere.yaml',
     f'replay {RETRIEVAL} --namespace uav7': 'without /uav7/odom',
+    'replay "a\x1b"': 'a?: missing',  # a terminal would obey it
     'verify missing.json': 'No such file',
     'study --runs 0': '--runs is 0',
     'study --seed -1': '--seed is -1',
@@ -141,6 +142,7 @@ SHAPES = {
     'no time': ('a: !!timestamp x', 'malformed'),
     'no truth': ('- !!bool x', 'malformed'),
     'merged': ('<<: ' * 1000 + '{}', 'malformed'),
+    'not UTF-8': ('\udcff', 'not UTF-8'),
     'too large': ('#' * (files.LARGEST + 1), f'at most {files.LARGEST} bytes'),
 }
 
@@ -149,25 +151,27 @@ SHAPES = {
 def test_shapes_that_blow_up_parsers_end(tmp_path, text, culprit):
     """No assertion on time: a parser that takes the square of this never ends."""
     file = tmp_path / 'file'
-    file.write_text(text)
+    file.write_bytes(text.encode(errors='surrogateescape'))
     line = refusal(lambda path: files.read(str(path)), file)
     assert (line is None) == (culprit == '')
     assert culprit in (line or '')
 
 
 BAD_PARAMETERS = {
-    'a list for a number': ({'step': [1.0]}, 'step'),
-    'a mapping for a number': ({'step': {'a': 1}}, 'step.a'),
-    'nothing for a number': ({'step': None}, 'step is None'),
-    'words in a list': ({'obstacles': ['a']}, 'obstacles'),
-    'a list in a list': ({'obstacles': [[1.0]]}, 'obstacles'),
+    **{text: (text, 'ros__parameters') for text in ('[]', 'a: 1', 'a: {b: 1}')},
+    'no parameters': ('a: {ros__parameters: 3}', 'ros__parameters'),
+    'a list for a number': ('/**: {ros__parameters: {step: [1.0]}}', 'step'),
+    'a mapping for a number': ('/**: {ros__parameters: {step: {a: 1}}}', 'step.a'),
+    'nothing for a number': ('/**: {ros__parameters: {step: null}}', 'step is None'),
+    'words in a list': ('/**: {ros__parameters: {obstacles: [a]}}', 'obstacles'),
+    'a list in a list': ('/**: {ros__parameters: {obstacles: [[1.0]]}}', 'obstacles'),
 }
 
 
-@pytest.mark.parametrize(('changes', 'said'), BAD_PARAMETERS.values(), ids=BAD_PARAMETERS)
-def test_bad_parameters_of_a_file_are_named(tmp_path, changes, said):
+@pytest.mark.parametrize(('text', 'said'), BAD_PARAMETERS.values(), ids=BAD_PARAMETERS)
+def test_bad_parameters_of_a_file_are_named(tmp_path, text, said):
     file = tmp_path / 'mine.yaml'
-    file.write_text(yaml.safe_dump({'/**': {'ros__parameters': changes}}))
+    file.write_text(text)
     line = refusal(settings.resolve, file)
     assert line is not None
     assert said in line
