@@ -23,6 +23,12 @@ CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACT
 DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
 
 
+def change_state(observer, node, **asked):
+    """Ask a node for a transition; return whether it was made."""
+    request = ChangeState.Request(transition=Transition(**asked))
+    return observer.call(ChangeState, f'/{node}/change_state', request).success
+
+
 class Manager(Bench):
     """A planner, its inputs, and who manages it: by numbers, as Nav2's manager does."""
 
@@ -33,8 +39,7 @@ class Manager(Bench):
         super().__init__(launch, observer, QUICK | patient | parameters)
 
     def change(self, number):
-        request = ChangeState.Request(transition=Transition(id=number))
-        return self.observer.call(ChangeState, '/planner/change_state', request).success
+        return change_state(self.observer, 'planner', id=number)
 
     @property
     def state(self):
@@ -138,9 +143,8 @@ def test_cleaned_up_it_has_no_topics_and_takes_on_what_has_changed(active):
 def test_a_transition_that_is_not_possible_is_refused_in_a_line_and_it_flies_on(
     active, asked, said
 ):
-    request = ChangeState.Request(transition=Transition(**asked))
     for _ in range(6):  # as often as a callback may not fail
-        assert not active.observer.call(ChangeState, '/planner/change_state', request).success
+        assert not change_state(active.observer, 'planner', **asked)
     assert said in active.planner.output
     assert active.state == 'active'
     active.move()
@@ -177,19 +181,19 @@ def test_a_managed_simulator_stands_still_and_flies_again(launch, observer, agai
     launch('planner', {'trigger': 'odom', 'odom_timeout': 60.0, 'goal_timeout': 60.0})
     launch('sim', {'autostart': False, 'max_ticks': 3})
 
-    def change(number):
-        request = ChangeState.Request(transition=Transition(id=number))
-        return observer.call(ChangeState, '/sim/change_state', request).success
-
     def reset():
         return observer.call(Trigger, '/sim/reset', Trigger.Request()).success
 
-    assert change(CONFIGURE)
+    assert change_state(observer, 'sim', id=CONFIGURE)
     assert reset()
     assert clock == seen == []
-    assert change(ACTIVATE)
+    assert change_state(observer, 'sim', id=ACTIVATE)
     observer.until(lambda: captured, 'the end')
-    assert reset() if again == 'reset' else change(DEACTIVATE) and change(ACTIVATE)
+    if again == 'reset':
+        assert reset()
+    else:
+        assert change_state(observer, 'sim', id=DEACTIVATE)
+        assert change_state(observer, 'sim', id=ACTIVATE)
     observer.until(lambda: len({m.header.stamp.sec for m in seen}) >= 8, 'the second flight')
     places = {m.header.stamp.sec: m.pose.pose.position.x for m in seen}
     assert list(places) == list(range(8))  # time goes on

@@ -10,10 +10,7 @@ import pytest
 import yaml
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import (
-    GetParameters,
-    SetParametersAtomically,
-)
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -26,6 +23,11 @@ from orbimpc_ros.sim.parameters import SIM, sim_settings
 
 def defaults(table):
     return {row.name: row.default for row in table}
+
+
+def settings_of(table, **changes):
+    made = planner_settings if table is PLANNER else sim_settings
+    return made({**defaults(table), **changes})
 
 
 @pytest.mark.parametrize('row', [*PLANNER, *SIM], ids=lambda row: row.name)
@@ -127,30 +129,28 @@ REFUSED = [
 
 @pytest.mark.parametrize(('table', 'change', 'culprit'), REFUSED)
 def test_nonsense_is_refused_with_what_is_allowed(table, change, culprit):
-    settings_of = planner_settings if table is PLANNER else sim_settings
     with pytest.raises(BadInput, match=rf'{re.escape(culprit)}.*allowed') as refusal:
-        settings_of({**defaults(table), **change})
+        settings_of(table, **change)
     assert '\n' not in str(refusal.value)
 
 
 def test_readers_are_listed_with_their_number():
-    values = defaults(SIM)
-    assert sim_settings(values).wait_for == {}
-    listed = sim_settings(values | {'wait_for': 'tick, /uav1/odom  2,,/clock 12,'}).wait_for
+    assert settings_of(SIM).wait_for == {}
+    listed = settings_of(SIM, wait_for='tick, /uav1/odom  2,,/clock 12,').wait_for
     assert listed == {'tick': 1, '/uav1/odom': 2, '/clock': 12}
 
 
 def test_deadline_and_timeouts_follow_the_period():
-    every_step = planner_settings({**defaults(PLANNER), 'step': 1.0})
+    every_step = settings_of(PLANNER, step=1.0)
     assert (every_step.period, every_step.deadline, every_step.odom_timeout) == (1.0, 0.5, 1.5)
-    often = planner_settings({**defaults(PLANNER), 'step': 1.0, 'plan_period': 0.1})
+    often = settings_of(PLANNER, step=1.0, plan_period=0.1)
     assert (often.period, often.deadline, often.odom_timeout) == (0.1, 0.05, 0.2)
     assert often.problem == every_step.problem
 
 
 def test_weights_over_time_are_the_problems_sums():
-    timed = planner_settings({**defaults(PLANNER), 'weights.scaling': 'time', 'forward': 3.0})
-    sums = planner_settings({**defaults(PLANNER), 'forward': 3.0})
+    timed = settings_of(PLANNER, forward=3.0, **{'weights.scaling': 'time'})
+    sums = settings_of(PLANNER, forward=3.0)
     assert timed.problem == weighed(sums.problem, 'time') != sums.problem
 
 
@@ -319,11 +319,6 @@ def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
 
 def value_of(message):
     return Parameter.from_parameter_msg(ParameterMessage(value=message)).value
-
-
-def settings_of(table, **changes):
-    made = planner_settings if table is PLANNER else sim_settings
-    return made({**defaults(table), **changes})
 
 
 def test_wind_and_gravity_add_up_to_one_disturbance_of_planner_and_simulator():

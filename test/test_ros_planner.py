@@ -120,13 +120,6 @@ def test_a_timer_may_be_quicker_than_a_step(launch, observer):
     assert {told(tick)['fallback'] for tick in bench.ticks} == {''}
 
 
-def test_a_flight_without_capture_ends_with_code_1(launch):
-    launch('planner', {'trigger': 'odom'})
-    sim = launch('sim', {'max_ticks': 3, 'exit_when_done': True})
-    assert sim.wait() == 1, sim.output
-    assert 'not captured' in sim.output
-
-
 def test_a_timer_whose_clock_stands_still_is_noticed(launch, observer):
     clock = observer.node.create_publisher(Clock, '/clock', qos())
     patient = {'trigger': 'timer', 'step': 0.1, 'odom_timeout': 0.5, 'goal_timeout': 60.0}

@@ -153,6 +153,8 @@ def flown_at(launch, domain, rate):
         paced = {'rate': rate, 'max_ticks': STEPS, 'wait_subscribers': 2, 'exit_when_done': True}
         sim = launch('sim', paced, domain=domain)
         observer.until(lambda: not sim.running and len(places) == STEPS + 1, 'the flight')
+    assert sim.wait() == 1
+    assert 'not captured' in sim.output
     return sent, places
 
 
