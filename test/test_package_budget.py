@@ -12,9 +12,9 @@ LINES = {
     'orbimpc_ros/sim': 3_005,
     'orbimpc_ros/tool': 5_252,
     'benchmarks': 3_496,
-    'test': 18_401,
+    'test': 18_413,
 }
-WORDS = {'docs': 23_560, 'README.md': 900}
+WORDS = {'docs': 23_591, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)

@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFai
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
@@ -35,6 +35,7 @@ OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss co
 ROUNDED = 1e-15  # of the unit of costs: and by what states and goals are rounded by
 NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan that took no search stands in'
+AROUND = 'no trajectory has every moving box on one side in each step'  # corners are not searched
 GOES_ON = 'the plan before goes on: no better one was found in time'
 
 
@@ -187,6 +188,8 @@ class Solver:
                 Request(start, targets, usable, query.out_of_time, self._patient, self._enough)
             )
         except Infeasible:
+            if any(isinstance(each.body, Box) for each in state.hazards):
+                return replace(NOTHING, reason=AROUND)
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
             return replace(NOTHING, reason=str(error))
