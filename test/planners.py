@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from std_srvs.srv import SetBool, Trigger
 
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
@@ -40,6 +42,15 @@ def odometry(seconds, position=(0.0, 0.0)):
 
 def goal(seconds, x=5.0, y=0.0):
     return messages.goal_message(stamp(seconds), np.array([x, y]))
+
+
+def tf(seconds, parent, child, place, yaw=0.0):
+    """Return a message of one transform, with the fields of a tf2_msgs/TFMessage."""
+    turned = messages.quaternion(exp(np.array([0.0, 0.0, yaw])))
+    transform = Transform(translation=messages.vector(np.array(place)), rotation=turned)
+    head = messages.header(round(seconds * SECOND), parent)
+    one = TransformStamped(header=head, child_frame_id=child, transform=transform)
+    return SimpleNamespace(transforms=[one])
 
 
 def told(message):

@@ -4,12 +4,11 @@
 import math
 import time
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
-from planners import odometry, settings
+from geometry_msgs.msg import PoseStamped
+from planners import odometry, settings, tf
 from stepping import targets
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -31,15 +30,6 @@ def avoiding(**given):
 
 def inputs(**given):
     return Inputs(avoiding(**given), others=(OTHER,))
-
-
-def tf(seconds, parent, child, place, yaw=0.0):
-    """Return a message of one transform, with the fields of a tf2_msgs/TFMessage."""
-    turned = messages.quaternion(exp(np.array([0.0, 0.0, yaw])))
-    transform = Transform(translation=messages.vector(np.array(place)), rotation=turned)
-    head = messages.header(round(seconds * SECOND), parent)
-    one = TransformStamped(header=head, child_frame_id=child, transform=transform)
-    return SimpleNamespace(transforms=[one])
 
 
 def in_map(seconds):

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,17 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import (
     PoseStamped,
     QuaternionStamped,
-    Transform,
-    TransformStamped,
     TwistStamped,
     WrenchStamped,
 )
 from nav_msgs.msg import Odometry
 from planners import settings as settings_of
+from planners import tf
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.mpc.problem import Ball
@@ -451,12 +449,8 @@ AVOIDING = settings_of(
 
 
 def tree(second):
-    """Return a frame that drifts, with the fields of a tf2_msgs/TFMessage."""
-    head, turned = messages.header(second * SECOND, 'map'), exp(np.array([0.0, 0.0, 0.1]))
-    moved = Transform(translation=messages.vector(np.array([0.5 * second, 0.3, 0.0])))
-    moved.rotation = messages.quaternion(turned)
-    one = TransformStamped(header=head, child_frame_id='odom', transform=moved)
-    return SimpleNamespace(transforms=[one])
+    """Return a frame that drifts."""
+    return tf(second, 'map', 'odom', (0.5 * second, 0.3, 0.0), yaw=0.1)
 
 
 def inputs(second):
