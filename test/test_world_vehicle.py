@@ -21,16 +21,16 @@ from orbimpc_ros.sim.world import Airspeeds, Scenario, departure, fixed
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 
 
-def drawn(model, rng, attitude=None):
+def drawn(model, rng, turning=1.0):
     """Return a vehicle in a random state."""
     n = model.dimension
     return launched(
         model,
         rng.normal(size=n),
-        exp(rng.normal(size=model.rates)) if attitude is None else attitude,
+        exp(rng.normal(size=model.rates)),
         fraction=rng.uniform(),
         velocity=rng.normal(size=n),
-        body_rate=rng.normal(size=model.rates),
+        body_rate=turning * rng.normal(size=model.rates),
     )
 
 
@@ -99,16 +99,7 @@ def plant_of(n=2, order=1, *, wind=None, gust=0.0, gust_time=3.0, seed=0, **othe
 
 def moving(plant, rng):
     """Return a vehicle of a plant in a random state."""
-    return plant.begun(
-        launched(
-            plant,
-            10.0 * rng.normal(size=plant.dimension),
-            exp(rng.normal(size=plant.rates)),
-            fraction=rng.uniform(0.2, 1.0),
-            velocity=rng.normal(size=plant.dimension),
-            body_rate=0.3 * rng.normal(size=plant.rates),
-        )
-    )
+    return plant.begun(drawn(plant, rng, turning=0.3))
 
 
 def scenario_of(plant, vehicle, goal=None):
