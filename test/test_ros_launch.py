@@ -5,11 +5,11 @@ import importlib.util
 import json
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from harness import python
 
 from orbimpc_ros.ros.firmware import TOPICS
 
@@ -175,13 +175,7 @@ def test_a_launch_whose_recorder_fails_ends(recorder, domain, monkeypatch):
 def launched_with(name, words, domain, monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     file = FILES[0].parent / f'{name}.launch.py'
-    return subprocess.run(
-        [sys.executable, '-c', LAUNCH, str(file), *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    return python(LAUNCH, file, *words, timeout=120)
 
 
 @pytest.mark.usefixtures('launched')

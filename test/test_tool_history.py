@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bags import GOLDEN, changed, made_up, rewritten, write
 from matplotlib.colors import to_rgb
+from nav_msgs.msg import Odometry
 from PIL import Image
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -140,8 +141,6 @@ def test_what_a_planner_would_refuse_is_no_history(tmp_path):
 
 
 def test_a_bag_without_anything_that_a_planner_would_take_is_refused(tmp_path):
-    from nav_msgs.msg import Odometry
-
     def turned_wrong(message):
         message.pose.pose.orientation.w = 7.0
 

@@ -3,7 +3,6 @@
 
 import json
 import shlex
-from contextlib import closing
 
 import pytest
 import yaml
@@ -179,11 +178,8 @@ def test_bad_parameters_of_a_file_are_named(tmp_path, text, said):
 
 
 def test_notes_of_another_version_are_told(tmp_path):
-    from orbimpc_ros.tool.bags import BagWriter
-
     notes = {'parameters': yaml.safe_dump({'/**': {'ros__parameters': {'warp': 9.0}}})}
-    with closing(BagWriter(tmp_path / 'bag', [], notes)):
-        pass
+    bags.BagWriter(tmp_path / 'bag', [], notes).close()
     assert bags.notes(tmp_path / 'bag') == notes
     line = refusal(settings.of_bag, tmp_path / 'bag')
     assert line is not None

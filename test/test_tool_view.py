@@ -15,7 +15,7 @@ import pytest
 from bags import GOLDEN
 from harness import PATIENCE, TOOL, wait_for
 
-from orbimpc_ros.tool import view
+from orbimpc_ros.tool import bags, settings, view
 
 INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/recording.md says"
 needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk: {INSTALL}')
@@ -51,7 +51,6 @@ class Drawing:
 @pytest.fixture(scope='module')
 def drawn():
     pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool import bags, settings
     from orbimpc_ros.tool.view.scene import Scene
 
     found = {}
@@ -94,7 +93,6 @@ def test_obstacles_are_drawn_where_they_are(drawn):
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):
-    from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.view.scene import Scene
 
     _, flight = drawn['retrieval']
