@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 36_680,
-    'orbimpc_ros/mpc': 19_177,
+    'orbimpc_ros': 36_685,
+    'orbimpc_ros/mpc': 19_182,
     'orbimpc_ros/loop': 4_057,
     'orbimpc_ros/ros': 5_007,
     'orbimpc_ros/sim': 3_005,

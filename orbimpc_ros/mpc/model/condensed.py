@@ -89,7 +89,9 @@ class Condensed:
         """
         known = knowns(state, goals)
         c = float(np.sum(known * (self.squared @ known)))
-        return self.pulled @ known, c + first_length(self._problem, state)
+        if self._problem.weights.length:
+            c += first_length(self._problem, state)
+        return self.pulled @ known, c
 
 
 def knowns(state: State, goals: Array) -> Array:

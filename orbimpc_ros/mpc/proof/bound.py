@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.arithmetic import generic, slack
 from orbimpc_ros.mpc.proof.convex import is_bent, lost, set_hessian
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
@@ -28,13 +29,16 @@ from orbimpc_ros.mpc.proof.splits import (
     CHILDREN,
     GONE,
     HELD,
+    ICOSAHEDRON,
     KIND,
     ROW,
+    Allowed,
+    Order,
     begin,
     part_of,
 )
-from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
-from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
+from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT, Stated
+from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, ProofTree
 
 # The least of the leaves' bounds, nothing is in any, none, or not all leaves have been seen.
 PROVED, REFUTED, UNSOUND, PAUSED = range(4)
@@ -358,3 +362,77 @@ def tree_bound(
             least = value if found == 0 else min(least, value)
             found += 1
     return least, found, PROVED if found > 0 else REFUTED
+
+
+@generic
+def depths_of(nodes, depth):
+    """Set the depth of each node, -1 of those that the root does not lead to.
+
+    Args:
+        nodes: of a tree, shape (M, 5).
+        depth: to be set, shape (M,).
+
+    Returns:
+        The greatest; -1 where children are missing, doubled, or not after their parents.
+    """
+    count, most = len(nodes), 0
+    depth[:] = -1
+    depth[0] = 0
+    for t in range(count):
+        if depth[t] < 0 or nodes[t, KIND] == LEAF or nodes[t, KIND] == EMPTY:
+            continue
+        first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
+        if parts < 1 or first <= t or parts > count or first > count - parts:
+            return -1
+        for child in range(first, first + parts):
+            if depth[child] >= 0:
+                return -1
+            depth[child] = depth[t] + 1
+        most = max(most, depth[t] + 1)
+    return most
+
+
+# --- what a bound is worked out of
+
+
+def parts_of(stated: Stated, tree: Any) -> tuple:
+    """Return a tree as its bound takes it."""
+    capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
+    solid = len(stated.sets.faces)
+    count = tree.point.shape[1]
+    allowed = Allowed(stated.n, count, stated.decided == FREE, solid, capped)
+    sorts = tree.pull, tree.slide, tree.tether, tree.share, tree.meet[:, None]
+    begins, number = [], 0
+    for each in sorts:
+        begins.append(number if each.size else -1)
+        number += each.shape[1] if each.size else 0
+    known = [each for each in sorts if each.size]
+    forces = tree.point[:, :0, : stated.n]
+    if known:
+        forces = known[0] if len(known) == 1 else np.concatenate(known, axis=1)
+    rows = tree.press_end, tree.press_row, tree.press
+    leaves = Leaves(tree.point, tree.shor, *rows, np.ascontiguousarray(forces))
+    return (
+        allowed,
+        Order(tree.ordered, tree.origins),
+        tree.nodes,
+        tree.at,
+        leaves,
+        Sections(*begins),
+    )
+
+
+def walk_of(tree: ProofTree, kind: Any) -> Walk:
+    """Return how far a walk through a tree is before it begins."""
+    count = len(tree.nodes)
+    waiting, parent = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    return Walk(waiting, parent, np.zeros(2, np.int64), np.zeros(1, kind))
+
+
+def work_of(problem: Problem, width: int, kind: Any) -> Work:
+    """Return arrays for the bounds of leaves to be worked out in."""
+    count, n = problem.horizon, problem.dimension
+    flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
+    squares = np.zeros((2 * count + 2, count), kind)
+    vectors, matrix = np.zeros((2, width), kind), np.zeros((4, 4), kind)
+    return Work(flown, slopes, vectors, matrix, squares, np.zeros(count, np.bool_))

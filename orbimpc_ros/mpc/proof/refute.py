@@ -18,7 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.bound import leaf_bound
+from orbimpc_ros.mpc.proof.bound import leaf_bound, parts_of, work_of
 from orbimpc_ros.mpc.proof.document import Posed, Refutation, refuted_by
 from orbimpc_ros.mpc.proof.missed import MissedProgram, Side
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
@@ -36,7 +36,7 @@ from orbimpc_ros.mpc.proof.tree import (
     SIDES,
     ProofTree,
 )
-from orbimpc_ros.mpc.proof.verify import parts_of, region_of, work_of
+from orbimpc_ros.mpc.proof.verify import region_of
 
 NARROWEST = 1e-6  # [rad] of a sector that is split
 SATISFIED = 1e-9  # of a step's length: a body that is entered by less is not split

@@ -18,9 +18,7 @@ from orbimpc_ros.mpc.proof.arithmetic import generic
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
-    EMPTY,
     FACES,
-    LEAF,
     PATCHES,
     QUARTERS,
     SIDES,
@@ -307,31 +305,3 @@ def _set_patch(patches, node, i, made):
             made[0, e], made[1, e], made[2, e] = ca, bc, c
         else:
             made[0, e], made[1, e], made[2, e] = ab, bc, ca
-
-
-@generic
-def depths_of(nodes, depth):
-    """Set the depth of each node, -1 of those that the root does not lead to.
-
-    Args:
-        nodes: of a tree, shape (M, 5).
-        depth: to be set, shape (M,).
-
-    Returns:
-        The greatest; -1 where children are missing, doubled, or not after their parents.
-    """
-    count, most = len(nodes), 0
-    depth[:] = -1
-    depth[0] = 0
-    for t in range(count):
-        if depth[t] < 0 or nodes[t, KIND] == LEAF or nodes[t, KIND] == EMPTY:
-            continue
-        first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
-        if parts < 1 or first <= t or parts > count or first > count - parts:
-            return -1
-        for child in range(first, first + parts):
-            if depth[child] >= 0:
-                return -1
-            depth[child] = depth[t] + 1
-        most = max(most, depth[t] + 1)
-    return most

@@ -25,15 +25,15 @@ from orbimpc_ros.mpc.proof.bound import (
     PAUSED,
     PROVED,
     REFUTED,
-    Leaves,
-    Sections,
-    Walk,
-    Work,
+    depths_of,
+    parts_of,
     tree_bound,
+    walk_of,
+    work_of,
 )
 from orbimpc_ros.mpc.proof.limits import NO_LIMITS, Limits, limits_of
-from orbimpc_ros.mpc.proof.splits import ICOSAHEDRON, Allowed, Order, Region, depths_of
-from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
+from orbimpc_ros.mpc.proof.splits import Region
+from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
@@ -102,9 +102,10 @@ class Verifier:
             return -math.inf
         if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
             self._region = region_of(2 * deepest + 1, choices, problem.dimension, self._kind)
-        walk, most = walk_of(tree, self._kind), 1 + SLICE // problem.horizon
+        most = 1 + SLICE // problem.horizon
         try:
             parts = parts_of(stated, in_fractions(tree) if self._exact else tree)
+            walk = walk_of(tree, self._kind)
             known = stated, *parts, depth, self._region, self._work, walk, most
             least, _, what = self._bound(*known)
             while what == PAUSED and not (late and late()):
@@ -114,33 +115,6 @@ class Verifier:
         if what == REFUTED:
             return math.inf
         return rounded_down(least) if what == PROVED else -math.inf
-
-
-def parts_of(stated: Stated, tree: Any) -> tuple:
-    """Return a tree as its bound takes it."""
-    capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
-    solid = len(stated.sets.faces)
-    count = tree.point.shape[1]
-    allowed = Allowed(stated.n, count, stated.decided == FREE, solid, capped)
-    sorts = tree.pull, tree.slide, tree.tether, tree.share, tree.meet[:, None]
-    begins, number = [], 0
-    for each in sorts:
-        begins.append(number if each.size else -1)
-        number += each.shape[1] if each.size else 0
-    known = [each for each in sorts if each.size]
-    forces = tree.point[:, :0, : stated.n]
-    if known:
-        forces = known[0] if len(known) == 1 else np.concatenate(known, axis=1)
-    rows = tree.press_end, tree.press_row, tree.press
-    leaves = Leaves(tree.point, tree.shor, *rows, np.ascontiguousarray(forces))
-    return (
-        allowed,
-        Order(tree.ordered, tree.origins),
-        tree.nodes,
-        tree.at,
-        leaves,
-        Sections(*begins),
-    )
 
 
 def in_fractions(tree: ProofTree) -> Any:
@@ -167,19 +141,3 @@ def region_of(depths: int, choices: int, n: int, kind: Any) -> Region:
     shape = depths, choices
     corners = np.zeros((depths, choices if n == 3 else 1, 3, 3), kind)
     return Region(np.zeros(shape, np.int64), np.zeros((*shape, 2), kind), corners)
-
-
-def walk_of(tree: ProofTree, kind: Any) -> Walk:
-    """Return how far a walk through a tree is before it begins."""
-    count = len(tree.nodes)
-    waiting, parent = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    return Walk(waiting, parent, np.zeros(2, np.int64), np.zeros(1, kind))
-
-
-def work_of(problem: Problem, width: int, kind: Any) -> Work:
-    """Return arrays for the bounds of leaves to be worked out in."""
-    count, n = problem.horizon, problem.dimension
-    flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
-    squares = np.zeros((2 * count + 2, count), kind)
-    vectors, matrix = np.zeros((2, width), kind), np.zeros((4, 4), kind)
-    return Work(flown, slopes, vectors, matrix, squares, np.zeros(count, np.bool_))
