@@ -371,14 +371,6 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
     assert found[0] == found[1]
 
 
-def test_a_plan_needs_no_such_proof():
-    driven = Driven()
-    report = driven.tick(1.0)
-    assert driven.proved(report) is report
-    assert values(report)['infeasible_checked'] is False
-    assert driven.proved(driven.safe()).refutation is None
-
-
 CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1, 'publish_certificate': True}
 
 

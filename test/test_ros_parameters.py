@@ -12,6 +12,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
+from test_ros_outputs import LANDER
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.scaling import weighed
@@ -53,14 +54,6 @@ def test_planner_and_sim_agree_on_what_they_share():
     assert all(planner[name] == sim[name] for name in shared)
 
 
-LANDER = {
-    'dimension': 3,
-    'translation_order': 2,
-    'forward': 3.6,
-    'gravity': 1.62,
-    'tilt': 0.2618,
-    'glide_slope': 0.8727,
-}
 REFUSED = [
     (PLANNER, {'approach.direction': (1.0,)}, 'approach.direction'),
     (PLANNER, {'approach.direction': (0.0, 0.0, 0.0)}, 'approach.direction'),
