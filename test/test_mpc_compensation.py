@@ -65,20 +65,6 @@ def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
     assert compensator.odd_speed(seen) == ''
 
 
-@pytest.mark.parametrize('n', [2, 3])
-def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
-    rng = np.random.default_rng(n)
-    for _ in range(50):
-        attitude, wind = rotation(rng, n), 30.0 * rng.normal(size=n)
-        still = np.zeros(1 if n == 2 else 3)
-        seen = Odometry(0.0, np.zeros(n), attitude, 20.0 * rng.normal(size=n), still)
-        for source in ('ground', 'air'):
-            state = State.at(**known(Problem(n, forward=5.0), wind, source).state(seen))
-            share = float(np.linalg.norm(state.rotation[:, 0]))
-            assert 0.0 <= share <= 1.0 + 1e-12
-            np.testing.assert_allclose(state.rotation, share * attitude, atol=1e-12)
-
-
 def test_an_odd_speed_is_one_through_the_air():
     seen = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.5, 0.0]), np.zeros(1))
     along = np.array([0.7, 0.0])

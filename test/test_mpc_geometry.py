@@ -95,15 +95,6 @@ def test_margin_is_the_smallest_eigenvalue_of_the_lmi(seed):
 
 
 @pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('seed', SEEDS)
-def test_mixtures_of_rotations_are_members_and_beyond_a_rotation_is_not(n, seed):
-    rng = np.random.default_rng(seed)
-    mixture = sum(w * rotation(rng, n) for w in rng.dirichlet(np.ones(5)))
-    assert orbitopes.margin(mixture) >= -1e-12
-    assert orbitopes.margin(1.01 * rotation(rng, n)) < -1e-3
-
-
-@pytest.mark.parametrize('n', [2, 3])
 def test_coordinates_are_those_of_the_matrix_with_the_thrust_axis_first(n):
     rng = np.random.default_rng(0)
     q = np.stack([rotation(rng, n) for _ in range(4)])

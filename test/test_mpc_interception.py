@@ -402,18 +402,6 @@ def test_a_catch_between_ends_of_steps_is_at_the_time_of_the_closed_form(number)
 # --- each step by itself
 
 
-@pytest.mark.parametrize('seed', range(15))
-def test_without_limits_what_is_excluded_is_what_is_out_of_reach(seed):
-    """R_0 decides the first step, and each heading after it moves a vehicle by a step."""
-    goals = jumping(np.random.default_rng([seed, 77]))
-    catch, _ = hunted(FREE, goals)
-    miss = np.linalg.norm(goals - [1.0, 0.0], axis=1) - np.arange(6)
-    count = excluded(catch)
-    assert np.all(miss[:count] > REACH)
-    if count < 6:  # the next is not surely out of reach
-        assert miss[count] <= np.sqrt(1.0 + EFFORT) * REACH + 1e-3
-
-
 @needs_machine_code
 @pytest.mark.parametrize(
     'problem', [FREE, BIRD, replace(BIRD, floor=Floor('circle', fraction=0.5))]
@@ -430,14 +418,6 @@ def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
 
 
 # --- what of it was counted again
-
-
-@needs_machine_code
-@pytest.mark.parametrize('problem', [FREE, BIRD])
-def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
-    catches = [hunted(problem, jumping(np.random.default_rng([s, 80])))[0] for s in range(10)]
-    assert all(catch.checked for catch in catches)
-    assert sum(map(excluded, catches)) > 5
 
 
 @needs_machine_code

@@ -286,25 +286,6 @@ def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
     np.testing.assert_allclose(flown.inputs[: len(inputs)], inputs, atol=1e-9)
 
 
-@pytest.mark.parametrize('order', [1, 2])
-def test_exact_steps_follow_a_vehicle_that_turns_evenly(order):
-    """A fine integration of constant thrust on an axis that turns evenly, 0.3 rad in each step."""
-    exact = Problem(2, 1, order, horizon=5, discretisation='exact')
-    fine = Problem(2, 1, order, horizon=500, step=0.01, discretisation='exact')
-    start = State.at([0.0, 0.0], np.eye(2), velocity=[0.0, 0.0], disturbance=[0.1, -0.2])
-
-    def end(problem, turn):
-        angles = turn * problem.step * np.arange(problem.horizon + 1)
-        axes = np.column_stack([np.cos(angles), np.sin(angles)])
-        return dynamics.translation_rollout(problem, start, axes)[0][-1]
-
-    def error(problem, turn):
-        return np.linalg.norm(end(problem, turn) - end(fine, turn))
-
-    assert error(exact, 0.3) < 0.1 * error(replace(exact, discretisation='euler'), 0.3)
-    assert error(exact, 0.3) / error(exact, 0.15) == pytest.approx(4.0, abs=0.3)  # second order
-
-
 # --- units and weights
 
 
