@@ -50,6 +50,7 @@ from orbimpc_ros.mpc.proof.verify import in_fractions, parts_of, region_of, work
 HAIR = 1e-7  # by which a flight keeps a limit, of what it limits
 FINE = 2.0**-30  # headings are multiples of it
 ROUNDING = 1e-9  # of a cost in floats
+LIMITS = ['floor', 'max_rate', 'max_acceleration', 'approach', 'tilt', 'glide_slope', 'obstacles']
 Rng = np.random.Generator
 
 
@@ -143,16 +144,7 @@ def flight(rng: Rng) -> Flight | None:
     given['obstacles'] = tuple(_body(rng, places, n) for _ in range(int(rng.integers(3))))
     given['no_corner_cutting'] = _sometimes(rng, 0.3)
     if _sometimes(rng, 0.5):  # one limit alone
-        limits = [
-            'floor',
-            'max_rate',
-            'max_acceleration',
-            'approach',
-            'tilt',
-            'glide_slope',
-            'obstacles',
-        ]
-        for name in rng.permutation([each for each in limits if given.get(each)])[1:]:
+        for name in rng.permutation([each for each in LIMITS if given.get(each)])[1:]:
             del given[name]
     radius = 0.0
     if given.get('terminal') != 'constraint' and _sometimes(rng, 0.4):

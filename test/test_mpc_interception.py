@@ -421,6 +421,14 @@ def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
 
 
 @needs_machine_code
+@pytest.mark.parametrize('problem', [FREE, BIRD])
+def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
+    catches = [hunted(problem, jumping(np.random.default_rng([s, 80])))[0] for s in range(10)]
+    assert all(catch.checked for catch in catches)
+    assert sum(map(excluded, catches)) > 5
+
+
+@needs_machine_code
 def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monkeypatch):
     goals = np.tile([3.9, 0.0], (6, 1))
     behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to

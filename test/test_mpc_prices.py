@@ -101,6 +101,7 @@ WING = Problem(
 NORTH = Problem(
     horizon=4, step=0.6, weights=Weights(1.0, 0.5, 0.0, 3.0), approach=Approach(0.3, (0.0, 1.0))
 )
+TURNING, ASIDE = Problem(horizon=4, max_rate=0.4), (at(0.8), [0.5, 2.5], 1e-4)
 BESIDE = MovingObstacle.drifting(Ball([2.0, 0.3], 0.6), [-0.1, 0.0])
 SUMS = {
     'circle': ('floor', Problem(floor=floor('circle')), at(1.0), [-0.2, 0.3], 1e-5),
@@ -108,20 +109,8 @@ SUMS = {
     'constant speed': ('floor', Problem(floor=floor('circle', 1.0)), at(1.0), [-0.2, 0.3], 1e-5),
     'hexagon': ('floor', Problem(floor=floor('polygon', 0.8, 6)), at(1.0), [-0.2, 0.3], 1e-5),
     'chords': ('max_rate', Problem(max_rate=0.5), at(1.0), [-0.2, 0.3], 1e-5),
-    'turns': (
-        'max_rate',
-        Problem(horizon=4, floor=floor('circle', 0.6), max_rate=0.4),
-        at(0.8),
-        [0.5, 2.5],
-        1e-4,
-    ),
-    'turns of an octagon': (
-        'max_rate',
-        Problem(horizon=4, floor=floor('polygon', 0.6, 8), max_rate=0.4),
-        at(0.8),
-        [0.5, 2.5],
-        1e-4,
-    ),
+    'turns': ('max_rate', replace(TURNING, floor=floor('circle', 0.6)), *ASIDE),
+    'turns of an octagon': ('max_rate', replace(TURNING, floor=floor('polygon', 0.6, 8)), *ASIDE),
     'speeds': ('max_acceleration', WING, at(0.5), [7.0, 1.5], 1e-4),
     'tilt': ('tilt', *DESCENT, 1e-4),
     'slope': ('glide_slope', *DESCENT, 1e-4),
