@@ -190,15 +190,6 @@ def test_a_point_is_as_deep_in_a_ball_as_it_is_from_its_surface():
     np.testing.assert_allclose(ball.scaled(2.0).depth(2.0 * points), [1.0, 0.0, -3.0], atol=1e-15)
 
 
-def test_a_body_moves_evenly_between_the_times_it_is_known_at_and_then_goes_on():
-    box = Box(np.zeros(2), np.ones(2))
-    hazard = MovingObstacle(
-        box, np.array([0.0, 1.0, 3.0]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 4.0]])
-    )
-    expected = [[0.5, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, 8.0]]
-    np.testing.assert_allclose(hazard.moved(np.array([0.5, 1.0, 2.0, 5.0])), expected, atol=1e-12)
-
-
 # --- what makes a problem infeasible
 
 
