@@ -311,37 +311,6 @@ def test_a_signal_in_a_callback_of_native_code_ends_a_start(name):
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
-BLOCKED = """
-    import sys, time
-    from orbimpc_ros.mpc.errors import BadInput
-    from orbimpc_ros.ros import process
-    from orbimpc_ros.ros.lifecycle import Managed
-
-    class Blocked(Managed):
-        def begin(self):
-            self.declare_parameter('executor', 'wait_set')
-            print('begins', flush=True)
-            if {refused}:
-                raise BadInput('mass', 0, '1')
-
-        def destroy_node(self):
-            time.sleep(1000.0)
-
-    process.LAST_RESORT = 1.0
-    sys.exit(process.run(lambda: Blocked('blocked')))
-"""
-
-
-@pytest.mark.parametrize('refused', [False, True])
-def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, refused):
-    node = launch(BLOCKED.format(refused=refused))
-    observer.until(lambda: 'begins' in node.output, 'its begin')
-    if not refused:
-        node.tell(signal.SIGTERM)
-    assert node.wait() == 1
-    assert 'in destroy_node' in node.output
-
-
 def test_who_has_commanded_nothing_leaves_without_a_command(launch, observer):
     bench = Bench(launch, observer, QUICK)
     bench.says('waits for')

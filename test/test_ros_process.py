@@ -15,43 +15,59 @@ from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import executor_named
 from orbimpc_ros.sim.parameters import SIM
 
-HALF_MADE = """
-    import sys
+BROKEN = """
+    import sys, time
     from rclpy.impl.implementation_singleton import rclpy_implementation
     from std_msgs.msg import Bool
     from orbimpc_ros.mpc.errors import BadInput
+    from orbimpc_ros.ros import process
     from orbimpc_ros.ros.lifecycle import Managed
-    from orbimpc_ros.ros.process import run
 
-    class HalfMade(Managed):
+    class Broken(Managed):
         def __init__(self):
-            super().__init__('half_made')
+            super().__init__('broken')
             self.declare_parameter('autostart', True)
+            self.declare_parameter('executor', 'wait_set')
 
         def configure(self):
             self.create_publisher(Bool, 'one', 1)
-            raise BadInput('mass', 0, '1')
+            print('begins', flush=True)
+            if {refused}:
+                raise BadInput('mass', 0, '1')
 
         def clean_up(self):
             raise ValueError('not clean')
 
         def trigger_configure(self):
             super().trigger_configure()
-            raise rclpy_implementation.RCLError('cannot publish data')
+            if {refused}:
+                raise rclpy_implementation.RCLError('cannot publish data')
 
         def destroy_node(self):
             print('destroyed', self.context.ok())
+            time.sleep({hanging})
             raise rclpy_implementation.RCLError('cannot delete data')
 
-    sys.exit(run(HalfMade))
+    process.LAST_RESORT = process.LAST_RESORT if {hanging} == 0.0 else 1.0
+    sys.exit(process.run(Broken))
 """
 
 
 def test_a_start_broken_off_is_cleared_away_and_says_why():
     """Whatever else goes wrong meanwhile, and before the context is shut down."""
-    done = python(HALF_MADE)
-    expected = (2, 'destroyed True\n', 'mass is 0; allowed: 1\n')
+    done = python(BROKEN.format(refused=True, hanging=0.0))
+    expected = (2, 'begins\ndestroyed True\n', 'mass is 0; allowed: 1\n')
     assert (done.returncode, done.stdout, done.stderr) == expected
+
+
+@pytest.mark.parametrize('refused', [False, True])
+def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, refused):
+    node = launch(BROKEN.format(refused=refused, hanging=1000.0))
+    observer.until(lambda: 'begins' in node.output, 'its begin')
+    if not refused:
+        node.tell(signal.SIGTERM)
+    assert node.wait() == 1
+    assert 'in destroy_node' in node.output
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_what_is_not_captured_has_no_capture():
 def test_summary_tells_the_story():
     text = summary.text(at_distances([3.0, 0.15, 0.9, 0.05], captured=True))
     assert 't = 3.00 s, 50 mm from the rope' in text
-    assert '1: 0.15 m at 1.0 s' in text
+    assert 'near misses   1: 0.15 m at 1.0 s' in text
     assert 'p50 2.0 ms, p99 2.0 ms, max 2.0 ms' in text
     assert '1.0e-06' in text
 
