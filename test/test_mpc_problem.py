@@ -89,6 +89,7 @@ def tracked(times, shifts):
         (lambda: State.at([0.0] * 2, np.eye(2), coasted=np.zeros((2, 2))), 'state.coasted'),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         (lambda: Solver(Problem()).solve(STILL, np.zeros((4, 2))), 'goals'),
+        (lambda: Solver(Problem()).solve(STILL, np.zeros((5, 2)), np.zeros((4, 2))), 'guess'),
         (lambda: Problem(tilt=0.2), 'tilt'),
         (lambda: Problem(3, 1, 1, tilt=0.2), 'tilt'),
         (lambda: Problem(3, 1, 2, tilt=1.6), 'tilt'),

@@ -16,7 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds, prepare, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Box, Problem, State
@@ -114,7 +114,7 @@ class Solver:
                 best so far.
 
         Raises:
-            BadInput: goals of another shape.
+            BadInput: goals or a guess of another shape.
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
@@ -164,10 +164,13 @@ class Solver:
         out_of_time: Callable[[], bool] | None,
     ) -> _Query:
         searched = clear_of_hazards(self.problem, state) if state.hazards else state
-        x = coordinates(guess.rotations[1:]) if isinstance(guess, Plan) else guess
-        if x is not None and len(x) != self.problem.horizon:
-            x = None
-        return _Query(state, goals, x, out_of_time, searched)
+        wanted = self.problem.horizon, coordinate_count(self.problem.dimension)
+        if isinstance(guess, Plan):
+            x = coordinates(guess.rotations[1:])
+            guess = x if x.shape == wanted else None
+        elif guess is not None and np.shape(guess) != wanted:
+            raise BadInput('guess', np.shape(guess), f'a plan, or an array of shape {wanted}')
+        return _Query(state, goals, guess, out_of_time, searched)
 
     def _found(self, query: _Query) -> Found:
         state, goals = query.searched, query.goals
