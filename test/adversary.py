@@ -37,7 +37,7 @@ from orbimpc_ros.mpc.problem import (
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import tree as trees
-from orbimpc_ros.mpc.proof.bound import leaf_bound
+from orbimpc_ros.mpc.proof.bound import leaf_bound, parts_of, work_of
 from orbimpc_ros.mpc.proof.convex import set_hessian
 from orbimpc_ros.mpc.proof.document import Certificate, Posed, Refutation, refuted_by
 from orbimpc_ros.mpc.proof.flight import control_of
@@ -45,7 +45,7 @@ from orbimpc_ros.mpc.proof.limits import STEP, Body, limits_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
-from orbimpc_ros.mpc.proof.verify import in_fractions, parts_of, region_of, work_of
+from orbimpc_ros.mpc.proof.verify import in_fractions, region_of
 
 HAIR = 1e-7  # by which a flight keeps a limit, of what it limits
 FINE = 2.0**-30  # headings are multiples of it

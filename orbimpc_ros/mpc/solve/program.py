@@ -112,10 +112,14 @@ class Program:
         """Return the program of a request, as :func:`~.conic.solver_for` takes it."""
         if request is not self._request:
             self._bind(request)
+        return self._scaled(self._a, self._b, self._scale)
+
+    def _scaled(self, a: Array, b: Array, scale: float) -> dict[str, Any]:
+        """Return the program with entries of A and b, the cost divided by ``scale``."""
         matrix = self._data['A'].copy()
-        matrix.data = self._a
-        known = {'P': self._p / self._scale, 'c': self._q, 'A': matrix, 'b': self._b}
-        return {**self._data, **known}
+        matrix.data = a
+        q = self._q * (self._scale / scale)
+        return {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -193,16 +197,12 @@ class Program:
 
         That settles nearly all that an update in place could not solve.
         """
-        matrix = self._data['A'].copy()
-        matrix.data = a
-        q = self._q * (self._scale / scale)
-        data = {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
-        certifier = self._certifier
+        data, certifier = self._scaled(a, b, scale), self._certifier
         if rows:
             data = self._cut(data, rows)
             certifier = Certifier({**data, 'P': self._p})
         answer = run(solver_for(data, self._tolerance), out_of_time)
-        return self._relaxation(answer, data['A'].data, data['b'], q, scale, certifier)
+        return self._relaxation(answer, data['A'].data, data['b'], data['c'], scale, certifier)
 
     def _cut(self, data: dict[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
         """Return data with half-spaces on top."""

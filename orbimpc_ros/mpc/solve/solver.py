@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFai
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
-from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
@@ -35,7 +35,6 @@ OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss co
 ROUNDED = 1e-15  # of the unit of costs: and by what states and goals are rounded by
 NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan that took no search stands in'
-AROUND = 'no trajectory has every moving box on one side in each step'  # corners are not searched
 GOES_ON = 'the plan before goes on: no better one was found in time'
 
 
@@ -84,6 +83,7 @@ class Solver:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
         self._units, self._patient = Units.of(problem), patient
+        self._shape = problem.horizon, coordinate_count(problem.dimension)  # of guesses
         self._verifier = Verifier(problem) if problem.floor.shape in SPEEDS else None
         self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
@@ -164,12 +164,11 @@ class Solver:
         out_of_time: Callable[[], bool] | None,
     ) -> _Query:
         searched = clear_of_hazards(self.problem, state) if state.hazards else state
-        wanted = self.problem.horizon, coordinate_count(self.problem.dimension)
         if isinstance(guess, Plan):
             x = coordinates(guess.rotations[1:])
-            guess = x if x.shape == wanted else None
-        elif guess is not None and np.shape(guess) != wanted:
-            raise BadInput('guess', np.shape(guess), f'a plan, or an array of shape {wanted}')
+            guess = x if x.shape == self._shape else None
+        elif guess is not None and np.shape(guess) != self._shape:
+            raise BadInput('guess', np.shape(guess), f'a plan, or an array of shape {self._shape}')
         return _Query(state, goals, guess, out_of_time, searched)
 
     def _found(self, query: _Query) -> Found:
@@ -191,8 +190,6 @@ class Solver:
                 Request(start, targets, usable, query.out_of_time, self._patient, self._enough)
             )
         except Infeasible:
-            if any(isinstance(each.body, Box) for each in state.hazards):
-                return replace(NOTHING, reason=AROUND)
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
             return replace(NOTHING, reason=str(error))
