@@ -15,8 +15,7 @@ from harness import Observer
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process, Processes
+from orbimpc_ros.tool.run.processes import Process, Processes, isolate
 
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
 PLANNER = 'orbimpc_ros.ros.planner'  # the module of the node
@@ -38,7 +37,7 @@ class Session(Observer):
         place = ExitStack()
         self.folder = Path(place.enter_context(tempfile.TemporaryDirectory()))
         place.enter_context(mock.patch.dict(os.environ))  # which will name the folder
-        super().__init__(discovery.isolate(self.folder), executor)
+        super().__init__(isolate(self.folder), executor)
         self.processes = Processes()
         for context in (place, self.processes):
             self._stack.push(context)

@@ -16,9 +16,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from orbimpc_ros.sim.fleet import crossers, vehicles
-from orbimpc_ros.tool import animation, cli, figures, history
+from orbimpc_ros.tool import cli, figures, history
+from orbimpc_ros.tool.figures import in_both_looks
 from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import in_both_looks
+from orbimpc_ros.tool.plot import write_gif
 
 DOCS = Path(__file__).resolve().parent
 FLEETS = {'fleet': vehicles, 'crossing': crossers}
@@ -68,7 +69,7 @@ def draw(name: str, place: Path) -> None:
     else:
         in_both_looks(drawn(flown), pictures / f'{name}.png')
     if name == 'retrieval':
-        animation.write_gif(flown['retrieval'], DOCS / 'retrieval.gif')
+        write_gif(flown['retrieval'], DOCS / 'retrieval.gif')
 
 
 def main() -> None:

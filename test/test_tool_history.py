@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry
 from PIL import Image
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import animation, bags, figures, plot, settings, style, summary
+from orbimpc_ros.tool import bags, figures, history, plot, settings
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.settings import config
 
@@ -57,7 +57,7 @@ def test_what_is_not_captured_has_no_capture():
 
 
 def test_summary_tells_the_story():
-    text = summary.text(at_distances([3.0, 0.15, 0.9, 0.05], captured=True))
+    text = history.text(at_distances([3.0, 0.15, 0.9, 0.05], captured=True))
     assert 't = 3.00 s, 50 mm from the rope' in text
     assert 'near misses   1: 0.15 m at 1.0 s' in text
     assert 'p50 2.0 ms, p99 2.0 ms, max 2.0 ms' in text
@@ -67,7 +67,7 @@ def test_summary_tells_the_story():
 def test_summary_of_a_run_without_ticks():
     run = at_distances([1.0, 2.0], captured=False)
     object.__setattr__(run, 'ticks', ())
-    text = summary.text(run)
+    text = history.text(run)
     assert 'no' in text
     assert text.count('unknown') == 2
 
@@ -209,11 +209,11 @@ def test_every_scenario_is_drawn(tool, tmp_path, name):
 
 
 def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
-    before = style.paper()
+    before = figures.paper()
     assert tool('plot', GOLDEN / 'retrieval', '-o', tmp_path, '--dark')[0] == 0
-    assert style.paper() == before != style.PAGE
+    assert figures.paper() == before != figures.PAGE
     assert {file.name for file in tmp_path.iterdir()} == STILL | {plot.ANIMATION}
-    dark = tuple(round(255 * part) for part in to_rgb(style.PAGE))
+    dark = tuple(round(255 * part) for part in to_rgb(figures.PAGE))
     for file in tmp_path.glob('*.png'):
         with Image.open(file) as image:
             assert image.convert('RGB').getpixel((0, 0)) == dark
@@ -226,7 +226,7 @@ def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
             shown.append(np.asarray(image.convert('RGB'), dtype=int))
     for one, other in itertools.pairwise(shown):
         assert (np.abs(other - one).max(axis=2) > 50).sum() > 500
-    for color in (style.DARK[1], style.DARK[3], style.DARK[4]):  # vehicle, goal, plan
+    for color in (figures.DARK[1], figures.DARK[3], figures.DARK[4]):  # vehicle, goal, plan
         wanted = np.array([round(255 * part) for part in to_rgb(color)])
         assert (np.abs(shown[1] - wanted).max(axis=2) <= 6).sum() > 50, color
 
@@ -253,7 +253,7 @@ def test_short_flights_and_those_without_plans_are_drawn(name, tmp_path):
     flown = replace(of_bag(GOLDEN / name), captured=False)
     for each in (first(flown, 2), replace(first(flown, 5), plans=(), ticks=(), forces=())):
         assert set(figures.of_runs({'': each})) == STILL
-        animation.write_gif(each, tmp_path / 'short.gif')
+        plot.write_gif(each, tmp_path / 'short.gif')
 
 
 @pytest.mark.parametrize('captured', [True, False])

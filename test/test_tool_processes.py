@@ -79,7 +79,7 @@ def test_a_node_obeys_whatever_was_ignored_when_it_was_started(started, number):
 
 
 def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain):
-    script = 'import sys; from orbimpc_ros.tool.run.discovery import claimed'
+    script = 'import sys; from orbimpc_ros.tool.run.processes import claimed'
     script += '; print(claimed(int(sys.argv[1])), flush=True); input()'
 
     def claim(number):

@@ -10,8 +10,7 @@ from bags import GOLDEN
 from test_tool_view import needs_rerun
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bags, cli, files, settings
-from orbimpc_ros.tool.study import flights
+from orbimpc_ros.tool import bags, cli, files, settings, study
 
 DUBINS, RETRIEVAL = GOLDEN / 'dubins', GOLDEN / 'retrieval'
 REFUSED = {
@@ -102,7 +101,7 @@ def test_what_is_not_installed_is_named(line, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(('line', 'culprit'), CASES)
 def test_bad_input_is_one_line_and_writes_nothing(line, culprit, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(flights, 'workers', no_workers)
+    monkeypatch.setattr(study, 'workers', no_workers)
     (tmp_path / 'thesis.tex').write_text('precious')
     try:
         code = cli.main(shlex.split(line))

@@ -36,16 +36,16 @@ from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
-from orbimpc_ros.tool.replay.difference import distance, tolerance
-from orbimpc_ros.tool.replay.recording import (
+from orbimpc_ros.tool.recording import (
     Input,
     RecordedTick,
     Recording,
     published,
     recording_of,
+    replayed,
     was_solved,
 )
-from orbimpc_ros.tool.replay.resolving import replayed
+from orbimpc_ros.tool.replay import distance, tolerance
 
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search ends with a plan.
 ANSWERS = ('/cmd_vel', '/tick', '/rotation')

@@ -15,9 +15,8 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof.document import OLD, Certificate
 from orbimpc_ros.mpc.proof.prove import WORD, Unproved
 from orbimpc_ros.mpc.proof.tree import one
-from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.replay import recording
-from orbimpc_ros.tool.replay.resolving import replayed
+from orbimpc_ros.tool import bags, recording
+from orbimpc_ros.tool.recording import replayed
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 KINDS = ('UInt8MultiArray', 'MultiArrayLayout')
@@ -205,7 +204,7 @@ def without_refutations(monkeypatch):
 
 
 def without_plans(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.tool.replay.resolving.replayed', lost)
+    monkeypatch.setattr('orbimpc_ros.tool.recording.replayed', lost)
 
 
 def without_bounds(monkeypatch):

@@ -51,7 +51,7 @@ class Drawing:
 @pytest.fixture(scope='module')
 def drawn():
     pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool.view.scene import Scene
+    from orbimpc_ros.tool.scene import Scene
 
     found = {}
     for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
@@ -93,7 +93,7 @@ def test_obstacles_are_drawn_where_they_are(drawn):
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):
-    from orbimpc_ros.tool.view.scene import Scene
+    from orbimpc_ros.tool.scene import Scene
 
     _, flight = drawn['retrieval']
     hostile = dict(flight.messages)['odom']
@@ -197,7 +197,7 @@ def test_it_leaves_nothing_when_it_is_killed():
 @needs_rerun
 def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch):
     pytest.importorskip('rclpy')
-    from orbimpc_ros.tool.view import live
+    from orbimpc_ros.tool.scene import Scene
 
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     drawing, end = Drawing(), time.monotonic() + PATIENCE
@@ -214,6 +214,6 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
         square = np.shape(floor) == (4, 2, 3)
         return not (square and all(len(found[each]) > 3 for each in wanted))
 
-    live.draw('', drawing, going)
+    view.draw_live(Scene(drawing, settings.read('{}')), '', going)
     at, _ = found['world/vehicle'][-1]
     assert abs(at['timestamp'] - time.time()) < 60.0, at

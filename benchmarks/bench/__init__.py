@@ -24,7 +24,7 @@ Measurement = tuple[str, Callable[[], list[BenchRow]]]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    parser.add_argument('--json', metavar='FILE', help='write the result there')
+    parser.add_argument('--json', dest='file', metavar='FILE', help='write the result there')
     parser.add_argument(
         '--only', nargs='+', metavar='PROBLEM', help=f'some of: {", ".join(names())}'
     )
@@ -36,7 +36,7 @@ def names() -> list[str]:
     return [*dict.fromkeys(comparison.key for comparison in COMPARISONS), *NODES]
 
 
-def run(args: argparse.Namespace) -> int:
+def run(file: str | None, only: Sequence[str] | None, *, quick: bool) -> int:
     """Measure, writing each row at once; print the table.
 
     Returns:
@@ -45,17 +45,17 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         KeyboardInterrupt: the run was interrupted; the rows so far are kept.
     """
-    require_known(args.only, names())
-    file, rows = writable(args.json), list[BenchRow]()
+    require_known(only, names())
+    kept, rows = writable(file), list[BenchRow]()
     head = {'machine': machine(), 'versions': versions()}
     try:
-        for title, measure in _measurements(args.only or names(), args.quick, rows):
+        for title, measure in _measurements(only or names(), quick, rows):
             try:
                 rows += measure()
             except Exception as error:  # whatever it is, the others are still worth measuring
                 note = f'failed: {type(error).__name__}: {error}'
                 rows.append(BenchRow(title, OURS, note=note, failed=True))
-            write(file, head, rows)
+            write(kept, head, rows)
     finally:
         print(table(rows))
     return int(any(row.beaten or row.failed or row.missed for row in rows))

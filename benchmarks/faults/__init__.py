@@ -18,34 +18,33 @@ from orbimpc_ros.tool.run.progress import ProgressLine
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    parser.add_argument('--long', action='store_true', help='every case: about 35 minutes')
-    parser.add_argument('--only', nargs='+', metavar='ROW', help='rows by name; see --list')
-    parser.add_argument('--list', action='store_true', help='list the rows and do nothing')
-    parser.add_argument('--json', metavar='FILE', help='write the rows and cases there')
-    parser.add_argument(
-        '--executor',
-        choices=('wait_set', 'events'),
-        default='wait_set',
-        help='of the nodes: their parameter of that name (default: wait_set)',
-    )
+    add = parser.add_argument
+    add('--long', action='store_true', help='every case: about 35 minutes')
+    add('--only', nargs='+', metavar='ROW', help='rows by name; see --list')
+    add('--list', dest='show', action='store_true', help='list the rows and do nothing')
+    add('--json', dest='file', metavar='FILE', help='write the rows and cases there')
+    whose = 'of the nodes: their parameter of that name (default: %(default)s)'
+    add('--executor', choices=('wait_set', 'events'), default='wait_set', help=whose)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    only: Sequence[str] | None, file: str | None, executor: str, *, long: bool, show: bool
+) -> int:
     """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
-    file = writable(args.json)
+    kept = writable(file)
     if find_spec('rclpy') is None:
         hint = f'install ROS 2, or {command_for_extra("ros")}'
         raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)
     from benchmarks.faults import inputs, processes
 
     matrix = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
-    require_known(args.only, [case.name for case in matrix])
-    cases = [case for case in matrix if not args.only or case.name in args.only]
-    if args.list:
+    require_known(only, [case.name for case in matrix])
+    cases = [case for case in matrix if not only or case.name in only]
+    if show:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
-    head, rows = {'machine': machine()}, tried(cases, args.long, args.executor)
-    write(file, head, rows)
+    head, rows = {'machine': machine()}, tried(cases, long, executor)
+    write(kept, head, rows)
     return 0 if all(row.ok for row in rows) else 1
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc``: subcommands, error lines, exit codes."""
+"""``orbimpc``: error lines and exit codes of its commands, each a module with a ``run``."""
 
 from __future__ import annotations
 
@@ -16,25 +16,13 @@ from typing import NoReturn
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import in_a_line
+from orbimpc_ros.tool.arguments import ARGUMENTS, COMMANDS
 from orbimpc_ros.tool.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible, 130 interrupted'
 
-
-# A command is a module of its name with add_arguments(parser) and run(args) -> exit code.
-COMMANDS = {
-    'bench': 'measure side by side with the solvers that are installed',
-    'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
-    'replay': 'solve the inputs of a bag again, compare',
-    'faults': 'try planner and simulator under faults, as real processes, and print the matrix',
-    'plot': 'draw the figures and an animation of a bag',
-    'solve': 'solve one problem from a file, print the plan',
-    'study': 'fly many random tasks and report how they end',
-    'verify': 'prove lower bounds again, in exact arithmetic',
-    'view': 'look at a flight in a browser, live or from a bag',
-}
 IN_CLONE = ('bench', 'faults')  # in benchmarks/, which is not installed
 PLANNING = ('bench', 'demo', 'study')  # for long: a slow planner is worth a word
 SOLVING = ('bench', 'replay', 'solve', 'study', 'verify')  # in this process, after compiling
@@ -54,10 +42,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     try:
-        args = _parser(words).parse_args(words)
-        module = _module(args.command)
-        _report_on_machine_code(args.command)
-        code = module.run(args)
+        given = vars(_parser(words).parse_args(words))
+        command = given.pop('command')
+        module = _module(command)
+        _report_on_machine_code(command)
+        code: int = module.run(**given)
         sys.stdout.flush()
         return code
     except OrbimpcError as error:
@@ -102,7 +91,7 @@ def _end_output() -> None:
 
 
 def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser; only the command that is asked for is imported."""
+    """Return the parser; no command is imported but one of the clone that is asked for."""
     parser = OneLineParser(
         prog='orbimpc',
         description='Convex model predictive control on rotation orbitopes.',
@@ -112,7 +101,9 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary, epilog=EXIT_CODES)
-        if words[:1] == [name]:
+        for names, options in ARGUMENTS.get(name, ()):
+            sub.add_argument(*names, **options)
+        if name in IN_CLONE and words[:1] == [name]:
             _module(name).add_arguments(sub)
     return parser
 

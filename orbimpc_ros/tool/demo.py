@@ -3,33 +3,20 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.arguments import add_set
+from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
+from orbimpc_ros.sim.fleet import crossers, separations, vehicles
+from orbimpc_ros.tool import history, settings
+from orbimpc_ros.tool.arguments import FLEETS
 from orbimpc_ros.tool.files import new_folder, shown, writing_to
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.run.flying import fly
+from orbimpc_ros.tool.settings import Values
 
-if TYPE_CHECKING:
-    from orbimpc_ros.tool.history import History
-    from orbimpc_ros.tool.settings import Values
-
-ALONE = (
-    'retrieval',
-    'retrieval3d',
-    'dubins',
-    'spacecraft',
-    'fixed_wing',
-    'cessna',
-    'rope',
-    'servicer',
-    'multirotor',
-    'lander',
-)
-FLEETS = {'fleet': 4, 'crossing': 8}  # scenario: how many vehicles
 # The clock of a fleet waits for the slowest answer, which makes nothing stale.
 PACED = ('clock=shared', 'odom_timeout=60.0')
 # Flights of a demo, by name. The paper shows the Dubins car with and without minimum speed; its
@@ -40,42 +27,19 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of the command."""
-    scenarios = (*ALONE, *FLEETS)
-    parser.add_argument(
-        'scenario',
-        nargs='?',
-        default='retrieval',
-        choices=scenarios,
-        metavar='SCENARIO',
-        help=f'one of {", ".join(scenarios)} (default: %(default)s)',
-    )
-    parser.add_argument(
-        '--vehicles', type=int, metavar='K', help='size of the fleet (default: 4) or crossing (8)'
-    )
-    parser.add_argument(
-        '--out', default='out', metavar='DIR', help='takes the results (default: %(default)s)'
-    )
-    add_set(parser, 'override a parameter of planner or simulator')
-
-
-def run(args: argparse.Namespace) -> int:
+def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -> int:
     """Fly, record, sum up, draw; 0 only if the job was done."""
-    from orbimpc_ros.tool import history
-    from orbimpc_ros.tool.run.flying import fly
-
-    if args.scenario in FLEETS:
-        count = FLEETS[args.scenario] if args.vehicles is None else args.vehicles
-        values, own = fleet(count, args.set, args.scenario)
+    if scenario in FLEETS:
+        values, own = fleet(vehicles, changes, scenario)
         flights = {'': values}
     else:
-        if args.vehicles is not None:
+        if vehicles is not None:
             raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
-        flights, own = variants(args.scenario, args.set), {}
+        flights, own = variants(scenario, changes), {}
         for values in flights.values():
-            _require_engine(values['vehicle'])
-    folder = new_folder(args.out, args.scenario)
+            if values['vehicle'] in ENGINES:
+                class_of(values['vehicle'])  # raises, before anything is started
+    folder = new_folder(out, scenario)
     bags = {}
     with writing_to(folder):
         for name, values in flights.items():
@@ -99,8 +63,6 @@ def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    from orbimpc_ros.tool import settings
-
     found = VARIANTS.get(scenario, {'': ()})
     if any(scenario == 'retrieval' or each.startswith('floor.shape=') for each in changes):
         found = {'': ()}
@@ -109,26 +71,24 @@ def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
 
 
 def fleet(
-    count: int, changes: Sequence[str], scenario: str = 'fleet'
+    count: int | None, changes: Sequence[str], scenario: str = 'fleet'
 ) -> tuple[Values, dict[str, Values]]:
     """Return the values that a fleet shares, and by namespace those that differ.
 
     Args:
-        count: of the vehicles.
+        count: of the vehicles; None for as many as the scenario is made for.
         changes: ``name=value``, for every vehicle; ``seed`` is that of the whole fleet.
         scenario: ``fleet`` or ``crossing``.
 
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    from orbimpc_ros.sim.fleet import crossers, vehicles
-    from orbimpc_ros.tool import settings
-
     file = settings.config(f'{scenario}.yaml')
     values = settings.resolve(file, [*PACED, *changes])
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}
+    count = FLEETS[scenario] if count is None else count
     drawn = (crossers if scenario == 'crossing' else vehicles)(count, values['seed'])
     if values['avoid']:
         values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)
@@ -139,14 +99,6 @@ def fleet(
     return values, own
 
 
-def _require_engine(vehicle: str) -> None:
-    """Refuse a vehicle whose engine is not installed, before anything is started."""
-    from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
-
-    if vehicle in ENGINES:
-        class_of(vehicle)
-
-
 def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) -> int:
     """Sum up the flights of a demo, draw pictures, and return the exit code.
 
@@ -155,20 +107,18 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
         paths: of the bags.
         flown: the flights, by name; those of a fleet by namespace.
     """
-    from orbimpc_ros.tool import figures, summary
-    from orbimpc_ros.tool.style import save
+    from orbimpc_ros.tool import figures  # matplotlib takes time that the start of nodes has not
 
     clear = True
     if any(name.startswith('/') for name in flown):
-        print(summary.of_fleet(flown))
+        print(history.of_fleet(flown))
         clear = clearance(flown)
     else:
         for name, each in flown.items():
-            print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
+            print(f'{name}:\n{history.text(each)}' if name else history.text(each))
     for path in paths:
         print(f'bag           {shown(path)}')
-    for name, figure in figures.of_runs(flown).items():
-        save(figure, folder / name)
+    for name in figures.written(flown, folder):
         label = 'picture' if name == figures.PATH else Path(name).stem
         print(f'{label:<14}{shown(folder / name)}')
     return 0 if clear and all(each.captured for each in flown.values()) else 1
@@ -176,8 +126,6 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
 
 def clearance(flown: Mapping[str, History]) -> bool:
     """Print how close vehicles that avoid each other came; return whether that is far enough."""
-    from orbimpc_ros.sim.fleet import separations
-
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -22,52 +21,17 @@ from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files
 
-LIMIT = 30.0  # [s]
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of the command."""
-    parser.add_argument('file', metavar='FILE|-', help='the problem, JSON or YAML; - reads stdin')
-    parser.add_argument(
-        '--projection',
-        choices=('nearest', 'thrust_aligned'),
-        default='thrust_aligned',
-        help='how rotations are made of points of the orbitope (default: %(default)s)',
-    )
-    parser.add_argument(
-        '--json',
-        action='store_true',
-        help='print JSON with all digits, as where the output is no terminal',
-    )
-    parser.add_argument(
-        '--time-limit',
-        type=_seconds,
-        default=LIMIT,
-        metavar='SECONDS',
-        help='search no longer, and print the best plan found by then (default: %(default)g)',
-    )
-    parser.add_argument(
-        '--certificate',
-        metavar='FILE',
-        help='write what proves the lower bound, or that nothing is feasible, for `orbimpc verify`',
-    )
-
-
-def _seconds(word: str) -> float:
-    seconds = float(word)
-    if not 0.0 < seconds < math.inf:
-        raise ValueError
-    return seconds
-
-
-def run(args: argparse.Namespace) -> int:
+def run(
+    file: str, projection: str, *, as_json: bool, time_limit: float, certificate: str | None
+) -> int:
     """Solve the problem and print its plan."""
-    case = case_of(files.read(args.file))
-    solver = Solver(case.problem, projection=args.projection, patient=True)
+    case = case_of(files.read(file))
+    solver = Solver(case.problem, projection=projection, patient=True)
     if case.state.hazards:
         solver.expect_hazards()
     begin = time.perf_counter()
-    end = begin + args.time_limit
+    end = begin + time_limit
 
     def late() -> bool:
         return time.perf_counter() > end
@@ -75,14 +39,16 @@ def run(args: argparse.Namespace) -> int:
     try:
         plan = solver.solve(case.state, case.goals, None, late)
     except Infeasible as error:
-        _refute(case, args.certificate, error, late)
+        _refute(case, certificate, error, late)
         raise
     elapsed = time.perf_counter() - begin
     found = answer(case, plan, 1e3 * elapsed)
-    as_json = args.json or not sys.stdout.isatty()
-    print(json.dumps(found, indent=1, allow_nan=False) if as_json else table(case, plan, found))
-    if args.certificate:
-        Path(args.certificate).write_text(certificate_of(*case, plan.proof).text() + '\n')
+    if as_json or not sys.stdout.isatty():
+        print(json.dumps(found, indent=1, allow_nan=False))
+    else:
+        print(table(case, plan, found))
+    if certificate:
+        Path(certificate).write_text(certificate_of(*case, plan.proof).text() + '\n')
     return 0
 
 

@@ -9,7 +9,6 @@ goal before a time.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 from collections import Counter
@@ -31,12 +30,11 @@ from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.tool import bags, files
-from orbimpc_ros.tool.arguments import add_namespace
 from orbimpc_ros.tool.files import folder_at
 
 if TYPE_CHECKING:
     from orbimpc_ros.loop.planner import Decision
-    from orbimpc_ros.tool.replay.resolving import ReplayedTick
+    from orbimpc_ros.tool.recording import ReplayedTick
 
 COST, CATCH = 'cost', 'catch'
 HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
@@ -68,24 +66,19 @@ class TickVerdict(NamedTuple):
         return self._replace(outcome=NONE, words=f'{NONE}: {why}')
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of the command."""
-    parser.add_argument('path', metavar='CERTIFICATE.json|BAG', help='of `orbimpc solve`; a flight')
-    parser.add_argument(
-        '--problem', metavar='FILE', help='that the certificate is to be of, as given to solve'
-    )
-    parser.add_argument('--tick', type=int, metavar='K', help='of a bag: this tick alone')
-    add_namespace(parser)
-    parser.add_argument('--params', metavar='FILE', help='of a bag that has no notes of its own')
-    parser.add_argument('--out', metavar='DIR', help="write the ticks' certificates there")
-
-
-def run(args: argparse.Namespace) -> int:
+def run(
+    path: str,
+    problem: str | None,
+    tick: int | None,
+    namespace: str,
+    params: str | None,
+    out: str | None,
+) -> int:
     """Verify, print a row for each bound, and return 1 if one of them does not hold."""
-    path = Path(args.path)
-    first = '' if path.suffix == '.json' else '  tick  '
-    found: list[TickVerdict] = []
-    for row in [_file(path, args)] if path.suffix == '.json' else _bag(path, args):
+    of_file = path.endswith('.json')
+    first, found = '' if of_file else '  tick  ', list[TickVerdict]()
+    bag = Path(path), namespace, params, tick, out
+    for row in [_file(Path(path), problem)] if of_file else _bag(*bag):
         if not found:  # after what may be wrong with a file
             print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
         found.append(row)
@@ -95,16 +88,14 @@ def run(args: argparse.Namespace) -> int:
     return 1 if counts[FAILS] else 0
 
 
-def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
+def _file(path: Path, problem: str | None) -> TickVerdict:
     try:
         known = reading.read(path)
         row = _verified(None, known)
     except reading.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
-    if args.problem:
-        case = case_of(files.read(args.problem))
-        if not _is_of(known, case):
-            raise BadInput.stating('certificate', 'refused', f'it is not of {args.problem}')
+    if problem and not _is_of(known, case_of(files.read(problem))):
+        raise BadInput.stating('certificate', 'refused', f'it is not of {problem}')
     return row
 
 
@@ -127,19 +118,21 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
     return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, words)
 
 
-def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
-    from orbimpc_ros.tool.replay import opened, resolving  # needs ROS, which a file does not
+def _bag(
+    path: Path, namespace: str, params: str | None, tick: int | None, out: str | None
+) -> Iterator[TickVerdict]:
+    from orbimpc_ros.tool import recording, replay  # need ROS, which a file does not
 
-    if args.tick is None:
-        yield from _published(path, args.namespace)
-    known = opened(path, args.namespace, args.params)
-    for number, each in enumerate(resolving.replayed(*known)):
+    if tick is None:
+        yield from _published(path, namespace)
+    known = replay.opened(path, namespace, params)
+    for number, each in enumerate(recording.replayed(*known)):
         if number == 0:
             gc.freeze()  # each full collection would look through all that was imported
-        if args.tick in (None, number):
-            yield _tick(number, each, args)
-            yield from _catch(number, each, args)
-        if args.tick == number:
+        if tick in (None, number):
+            yield _tick(number, each, out)
+            yield from _catch(number, each, out)
+        if tick == number:
             return
 
 
@@ -155,7 +148,7 @@ def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
                 yield TickVerdict(None, COST).failed(str(error))
 
 
-def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerdict:
+def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
     then, tick, plan = each.recorded.answer, each.decision, each.decision.plan
     claimed = then.get('lower_bound')
@@ -163,7 +156,7 @@ def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerd
         row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
         if sought is None:
             return row.failed(f'it is {tick.status} now')
-        return _certified(row, args, lambda: refutation_of(sought))
+        return _certified(row, out, lambda: refutation_of(sought))
     row = TickVerdict(number, COST, claimed)
     if claimed is None or not claimed > 0.0:
         return row
@@ -175,7 +168,7 @@ def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerd
         return row.failed(f'a trajectory costs {plan.objective!r}')
     posed, proof = tick.case, replace(plan.proof, lower_bound=claimed)
     assert posed is not None
-    return _certified(row, args, lambda: certificate_of(*posed, proof))
+    return _certified(row, out, lambda: certificate_of(*posed, proof))
 
 
 def _is_about(earliest: float | None, tick: Decision) -> bool:
@@ -188,7 +181,7 @@ def _is_about(earliest: float | None, tick: Decision) -> bool:
     return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
 
 
-def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterator[TickVerdict]:
+def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVerdict]:
     """Certify before which time no trajectory catches the goal, where a tick claims one."""
     claimed, catch = each.recorded.answer.get('catch_bound'), each.decision.catch
     if claimed is None or not math.isfinite(claimed):
@@ -202,13 +195,11 @@ def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterato
     if catch.time < claimed * (1.0 - TOLERANCE):
         yield row.failed(f'a plan catches it at {catch.time!r}')
     elif count:
-        yield _certified(row, args, lambda: catches_refuted(sought, count))
+        yield _certified(row, out, lambda: catches_refuted(sought, count))
 
 
 def _certified(
-    row: TickVerdict,
-    args: argparse.Namespace,
-    make: Callable[[], document.Certificate | Refutation],
+    row: TickVerdict, out: str | None, make: Callable[[], document.Certificate | Refutation]
 ) -> TickVerdict:
     """Return what becomes of a claim whose certificate is made now."""
     try:
@@ -218,9 +209,9 @@ def _certified(
         return row._replace(outcome=NONE, words=str(error))
     except reading.Refused as error:
         return row.unproved(f'refused: {error}')
-    if args.out:
+    if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-        (folder_at(Path(args.out)) / name).write_text(made.text() + '\n')
+        (folder_at(Path(out)) / name).write_text(made.text() + '\n')
     if found.outcome == FAILS:  # no trajectory is known to cost less
         return found.unproved(f'another search proves {found.proved!r}')
     return found

@@ -17,8 +17,7 @@ from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import shown
-from orbimpc_ros.tool.run import discovery
-from orbimpc_ros.tool.run.processes import Process, Processes, interruptions
+from orbimpc_ros.tool.run.processes import Process, Processes, interruptions, isolate
 from orbimpc_ros.tool.run.progress import ProgressLine
 from orbimpc_ros.tool.run.recorder import Recorder
 from orbimpc_ros.tool.settings import Values
@@ -48,7 +47,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     simulated = values['clock'] != 'wall'
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
-    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {shown(folder)}')
+    print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {shown(folder)}')
     planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
     with interruptions() as received:
         with Processes() as started:

@@ -1,6 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Nodes as operating-system processes: started, watched, stopped, and gone with their parent.
 
+They meet in a DDS domain of one run: its own number, this machine only, and at once.
+
 ``python -m`` this module runs another one, or a program, that ends with the process which started
 it.
 """
@@ -9,10 +11,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import random
 import runpy
 import signal
+import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +30,21 @@ PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 PROGRAM = '--program'  # instead of a module: its path and arguments follow
 PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
+DOMAINS = range(1, 102)  # beyond them DDS ports meet those that Linux hands out
+# Fast DDS announces a participant five times in half a second, then every three seconds: nodes
+# that start together miss each other and wait. This keeps announcing while they start.
+PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="announced_often" is_default_profile="true">
+    <rtps><builtin><discovery_config><initialAnnouncements>
+      <count>100</count><period><sec>0</sec><nanosec>50000000</nanosec></period>
+    </initialAnnouncements></discovery_config></builtin></rtps>
+  </participant>
+</profiles>
+"""
+LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
+_CLAIMS: deque[socket.socket] = deque(maxlen=6)
+PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
 
 
 class Child:
@@ -133,6 +153,64 @@ class Processes(list[Process]):
         """Start a node; arguments are those of :class:`Process`."""
         self.append(Process(*given, **more))
         return self[-1]
+
+
+# --- their domain
+
+
+def isolate(folder: Path) -> int:
+    """Give this process and its children a ROS domain of their own and return its number.
+
+    Args:
+        folder: takes the DDS profile, and ROS's logs unless they are to go elsewhere: no home
+            folder is needed.
+    """
+    candidates = random.sample(DOMAINS, len(DOMAINS))
+    domain = next((d for d in candidates if claimed(d)), candidates[0])
+    os.environ['ROS_DOMAIN_ID'] = str(domain)
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    profile = folder / 'fastdds.xml'
+    profile.write_text(PROFILE)
+    for variable in PROFILE_VARIABLES:
+        os.environ.setdefault(variable, str(profile))
+    if not any(os.environ.get(variable) for variable in LOG_VARIABLES):
+        os.environ[LOG_VARIABLES[0]] = str(folder / 'log')
+    return domain
+
+
+def claimed(domain: int) -> bool:
+    """Return whether a domain is free, and if so keep others of this package from it.
+
+    From the choice of a domain to its first participant takes a while, in which somebody else might
+    choose it as well. A TCP port of the same number as the domain's UDP port, which DDS leaves
+    alone, is held until this process ends or has claimed many more.
+    """
+    if not free(domain):
+        return False
+    claim = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        claim.bind(('127.0.0.1', 7400 + 250 * domain))
+    except OSError:
+        claim.close()
+        return False
+    if len(_CLAIMS) == _CLAIMS.maxlen:
+        _CLAIMS.popleft().close()
+    _CLAIMS.append(claim)
+    return True
+
+
+def free(domain: int) -> bool:
+    """Return whether no participant of a domain lives here (RTPS 9.6.2.3: its discovery ports)."""
+    for offset in (0, 10):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7400 + 250 * domain + offset))
+            except OSError:
+                return False
+    return True
+
+
+# --- signals, and the end of the parent
 
 
 @contextmanager

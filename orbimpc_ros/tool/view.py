@@ -1,0 +1,197 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``orbimpc view``: a flight to look at and to scrub through in a browser, live or from a bag.
+
+The page is Rerun's web viewer, served from its own wheel to this machine alone. A viewer of running
+nodes only listens, and draws messages as they come.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import time
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
+
+from orbimpc_ros.install import command_for_extra
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.ros.parameters.planner import PLANNER
+from orbimpc_ros.ros.process import LATCHED, LATEST, RANGE, attached, qos
+from orbimpc_ros.ros.topics import VEHICLE
+from orbimpc_ros.sim.parameters import SIM
+from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.run.processes import PROGRAM, Child, interruptions
+
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.scene import Scene
+
+SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY', 'BROWSER')
+PAUSE = 0.1  # [s] between looks at the server
+HOST = '127.0.0.1'
+PORT = 9090  # of the page, unless it is taken
+PATIENCE = 30.0  # [s] until the page is there
+LOOK = 0.05  # [s]
+SPIN = 0.05  # [s]
+ASK = 2.0  # [s] between questions for parameters: they may change, nodes may come later
+DEPTH = 20  # a viewer that is behind loses messages; it never holds a controller up
+NODES = {'sim': SIM, 'planner': PLANNER}
+
+
+def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> int:
+    """Show a bag, or what is running, until somebody asks to stop."""
+    if not installed():
+        raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
+    import rerun as rr
+
+    from orbimpc_ros.tool.scene import Scene
+
+    values, messages = settings.read('{}'), list[tuple[str, Any]]()
+    if bag is not None:
+        values = settings.of_bag(Path(bag), namespace) or values
+        messages = bags.of_vehicle(Path(bag), namespace)
+    recording = rr.RecordingStream('orbimpc')
+    recording.set_log_tick_enabled(False)  # nothing but the stamps of messages is time
+    recording.set_log_time_enabled(False)
+    with interruptions() as received, served(port) as (page, data, server):
+        print(f'page          {page} (Ctrl-C ends it)', flush=True)
+        if browser and _has_screen():
+            webbrowser.open(page)
+
+        def going() -> bool:
+            server.require_health()
+            return not received
+
+        recording.connect_grpc(data)
+        try:
+            scene = Scene(recording, values)
+            scene.draw(messages)
+            if bag is None:
+                draw_live(scene, namespace, going)
+            while going():
+                time.sleep(PAUSE)
+        finally:
+            recording.disconnect()  # before the server goes
+    return 0
+
+
+def installed() -> bool:
+    """Return whether the viewer is there: rerun's library, and its server in the same wheel."""
+    return all(find_spec(name) is not None for name in ('rerun', 'rerun_cli'))
+
+
+def _has_screen() -> bool:
+    """Return whether a browser can show itself; else one in the terminal would take its place."""
+    return sys.platform == 'darwin' or any(os.environ.get(name) for name in SCREENS)
+
+
+# --- running nodes
+
+
+def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
+    """Draw the vehicle that runs now in a namespace, such as ``/uav1``, while ``going()``."""
+    os.environ.setdefault(RANGE, 'LOCALHOST')
+    latest = qos(DEPTH, LATEST.reliability)
+    with attached('viewer', namespace=namespace or '/') as (node, executor):
+        for topic in VEHICLE:
+            if topic.name in scene.topics:
+                # What is kept for those who come late is only handed over reliably.
+                profile = LATCHED if topic.latched else latest
+                take: Any = partial(scene.take, topic.name)
+                node.create_subscription(topic.message, topic.name, take, profile)
+        ParameterWatch(node, scene)
+        while going():
+            executor.spin_once(timeout_sec=SPIN)
+
+
+class ParameterWatch:
+    """Asks a vehicle's nodes for their parameters, and has a scene show them.
+
+    Args:
+        node: that asks.
+        scene: of the vehicle.
+    """
+
+    def __init__(self, node: Node, scene: Scene) -> None:
+        self._scene = scene
+        self._learned: dict[str, settings.Values] = {name: {} for name in NODES}
+        self._clients = {name: AsyncParameterClient(node, name) for name in NODES}
+        node.create_timer(ASK, self._ask)
+
+    def _ask(self) -> None:
+        for name, client in self._clients.items():
+            if client.services_are_ready():
+                answer = client.get_parameters([row.name for row in NODES[name]])
+                answer.add_done_callback(partial(self._learn, name))
+
+    def _learn(self, node: str, answer: Future) -> None:
+        """Draw anew what depends on parameters, if they have changed."""
+        response: Any = answer.result()
+        found = map(parameter_value_to_python, response.values if response is not None else ())
+        values = {row.name: value for row, value in zip(NODES[node], found, strict=False)}
+        if values and values != self._learned[node]:
+            self._learned[node] = values
+            known = self._learned['sim'] | self._learned['planner']
+            self._scene.configure(settings.read('{}') | known)
+
+
+# --- the page
+
+
+@contextmanager
+def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
+    """Yield the address of a page, that of its data, and their server, which ends with this one.
+
+    The page is at the port that is wanted, by default the usual one or any; its data at any.
+
+    Raises:
+        BadInput: the port that is wanted is taken or none.
+    """
+    import rerun_cli
+
+    if wanted is not None and not (1 <= wanted <= 65535 and _free(wanted)):
+        raise BadInput('--port', wanted, 'a free port from 1 to 65535')
+    port, data = wanted or (PORT if _free(PORT) else _any()), _any()
+    source = f'rerun+http://{HOST}:{data}/proxy'
+    page = f'http://{HOST}:{port}/?url={quote(source, safe="")}'
+    # The program itself, not the wheel's script: that would leave it behind when stopped.
+    program = str(Path(rerun_cli.__file__).parent / 'rerun')
+    words = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
+    numbers = ['--port', str(data), '--web-viewer-port', str(port)]
+    with TemporaryDirectory() as place:
+        words = [PROGRAM, program, *words, *numbers]
+        child = Child("rerun's server", words, Path(place) / 'log')
+        try:
+            end = time.monotonic() + PATIENCE
+            while _free(port) or _free(data):
+                child.require_health()
+                if time.monotonic() > end:
+                    raise OrbimpcError(f"no answer of rerun's server at {page}")
+                time.sleep(LOOK)
+            yield page, source, child
+        finally:
+            child.stop(signal.SIGTERM)
+
+
+def _free(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((HOST, port)) != 0
+
+
+def _any() -> int:
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
