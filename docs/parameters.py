@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from orbimpc_ros.ros.parameters.planner import PLANNER
-from orbimpc_ros.ros.parameters.spec import ParameterSpec
-from orbimpc_ros.ros.parameters.vehicle import PROCESS
+from orbimpc_ros.ros.parameters.spec import PROCESS, ParameterSpec
 from orbimpc_ros.sim.parameters import SIM
 
 PAGE = """\

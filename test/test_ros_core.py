@@ -28,7 +28,6 @@ from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.lifecycle import NodeClock
 from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, RosTime, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
@@ -38,6 +37,7 @@ from orbimpc_ros.ros.planner.outputs import (
     report_messages,
     values,
 )
+from orbimpc_ros.ros.process import NodeClock
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 

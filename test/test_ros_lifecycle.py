@@ -16,8 +16,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.lifecycle import Managed
-from orbimpc_ros.ros.process import initialised
+from orbimpc_ros.ros.process import Managed, initialised
 
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP

@@ -22,11 +22,12 @@ from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message
-from orbimpc_ros.ros.planner.description import doubts, summary
 from orbimpc_ros.ros.planner.outputs import (
     command_messages,
+    doubts,
     outputs,
     prices,
+    summary,
     tick_message,
     values,
 )

@@ -121,7 +121,7 @@ def test_a_command_passes_few_files(planner):
     calls_on_the_way(executor, goal, odometry)  # the first settles what is worked out once
     calls = calls_on_the_way(executor, goal, odometry)
     way = [file for file, _ in groupby(calls)]
-    assert way[0] == 'ros/lifecycle.py'  # the guard of every callback
+    assert way[0] == 'ros/process.py'  # the guard of every callback
     files, hops = len(set(way)), len(way) - 1
     found = files, hops, hops + 1 - files
     assert all(map(le, found, (FILES, HOPS, RETURNS))), f'{found}\n' + '\n'.join(way)

@@ -21,7 +21,7 @@ BROKEN = """
     from std_msgs.msg import Bool
     from orbimpc_ros.mpc.errors import BadInput
     from orbimpc_ros.ros import process
-    from orbimpc_ros.ros.lifecycle import Managed
+    from orbimpc_ros.ros.process import Managed
 
     class Broken(Managed):
         def __init__(self):

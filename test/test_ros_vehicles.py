@@ -16,7 +16,7 @@ from stepping import flown, started
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.description import doubts
+from orbimpc_ros.ros.planner.outputs import doubts
 from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.plant import Plant

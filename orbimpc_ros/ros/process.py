@@ -1,28 +1,43 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A node as a process: start, signals, a last safe command, exit codes."""
+"""A node as a process: its start, signals, a last safe command, exit codes, and its life cycle.
+
+A managed node is set up and ended by lifecycle transitions, and its callbacks cannot end it.
+rclpy's own managed node swallows what a transition raises, and ends spinning where one is asked
+for that is not possible: here both are logged in a line, and the node goes on.
+"""
 
 from __future__ import annotations
 
 import ast
 import faulthandler
+import functools
 import gc
 import os
 import shlex
 import signal
 import sys
+import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import dropwhile, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rclpy
+from lifecycle_msgs.srv import ChangeState
+from rclpy.clock import Clock, JumpThreshold, TimeJump
+from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState
+from rclpy.lifecycle import TransitionCallbackReturn as Ended
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -36,9 +51,296 @@ from rclpy.utilities import get_default_context, remove_ros_args
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.entry import BAD_INPUT, DONE, SIGNALS, leave_at_signals
+from orbimpc_ros.ros.messages import SECOND
 
-if TYPE_CHECKING:
-    from orbimpc_ros.ros.lifecycle import Managed
+ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
+HELD_UP = 0.05  # [s] between two looks at clocks, which then tell nothing of one another
+FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
+
+
+class Managed(LifecycleNodeMixin, Node):
+    """A node with a life cycle and guarded callbacks.
+
+    A subclass declares its parameters when it is made, and does the rest in ``configure``,
+    ``activate``, ``deactivate``, ``clean_up`` and ``safe``. What it creates while it is configured
+    is destroyed when that ends, however it ends.
+
+    Attributes:
+        kind: what it is called unless it is renamed.
+        exit_code: the process ends with it as soon as it is not None.
+        steady: a clock that neither jumps nor stops, for everything that watches.
+        failures: callbacks that have failed so far.
+        active: whether it works; callbacks made by :meth:`at_work` do nothing otherwise.
+    """
+
+    def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
+        try:
+            Node.__init__(self, name, parameter_overrides=list(parameters))
+        except InvalidParameterTypeException as error:  # of a parameter that every node has
+            wrong = next(each for each in self._parameter_overrides if each in str(error))
+            given = self._parameter_overrides[wrong].value
+            raise BadInput(wrong, given, 'true | false') from None
+        self.kind = name
+        self.exit_code: int | None = None
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.failures = 0
+        self.active = False
+        self._in_a_row: Counter[str] = Counter()
+        self._lasting: set[Any] | None = None  # endpoints that it has unconfigured
+        self._error: BaseException | None = None  # of the last transition
+        LifecycleNodeMixin.__init__(self)
+        self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
+        self._service_change_state.callback = self.guard(self._on_change_state)
+
+    # --- what a subclass does
+
+    def configure(self) -> None:
+        """Create all that work takes.
+
+        Raises:
+            BadInput: the parameters do not allow it; the node stays unconfigured.
+        """
+
+    def activate(self) -> None:
+        """Begin, from a fresh start."""
+
+    def deactivate(self) -> None:
+        """Do for the last time what is safe; the node is still active."""
+
+    def clean_up(self) -> None:
+        """Let go of what is not an endpoint of this node."""
+
+    def safe(self, reason: Reason) -> None:
+        """Do what is safe right now; the farewell and every failure call it."""
+
+    # --- callbacks
+
+    steady_now = staticmethod(time.monotonic)  # the time of the steady clock [s]
+
+    def guard(
+        self, callback: Callable[..., Any], *known: str, at_work: bool = False
+    ) -> Callable[..., Any]:
+        """Return the callback, made to report what it raises instead of raising it.
+
+        Args:
+            callback: of a subscription, timer or service.
+            known: its first arguments, such as the topic.
+            at_work: whether it is to do nothing while the node is not active.
+        """
+        name = ' '.join((callback.__name__.lstrip('_'), *known))
+        called = functools.partial(callback, *known)
+
+        @functools.wraps(called)  # rclpy looks at how many arguments there may be
+        def guarded(*arguments: Any) -> Any:
+            if at_work and not self.active:
+                return None
+            try:
+                result = called(*arguments)
+            except BaseException as error:
+                self.failed(name, error)
+                # A service has to answer: with the response as it came.
+                return arguments[1] if len(arguments) == 2 else None
+            self._in_a_row[name] = 0
+            return result
+
+        return guarded
+
+    def at_work(self, callback: Callable[..., Any], *known: str) -> Callable[..., Any]:
+        """Return the callback, guarded, and made to do nothing while the node is not active."""
+        return self.guard(callback, *known, at_work=True)
+
+    def every(self, period: float, callback: Callable[[], None]) -> Any:
+        """Call back every ``period`` [s] of the steady clock while the node is active."""
+        return self.create_timer(period, self.at_work(callback), clock=self.steady)
+
+    def failed(self, what: str, error: BaseException) -> None:
+        """Report a failure, do what is safe, and give up after too many in a row.
+
+        A panic in a library written in Rust is no ``Exception``, yet no reason to end at once.
+
+        Raises:
+            KeyboardInterrupt, SystemExit: if that is what the error is.
+        """
+        if isinstance(error, (KeyboardInterrupt, SystemExit)):
+            raise error
+        reason = f'{what} failed: {type(error).__name__}: {error}'
+        self._count(what, reason)
+        try:
+            self.safe(Reason(Cause.FAILURE, reason))
+        except Exception as worse:
+            self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
+
+    def _count(self, what: str, reason: str) -> None:
+        self.failures += 1
+        self._in_a_row[what] += 1
+        self.get_logger().error(reason)
+        if self._in_a_row[what] >= FAILURES_IN_A_ROW:
+            self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
+            self.exit_code = 1
+
+    # --- transitions
+
+    def begin(self) -> None:
+        """Configure and activate the node, unless somebody else is to do so.
+
+        Raises:
+            BaseException: whatever keeps it from being active.
+        """
+        if not self.get_parameter('autostart').value:
+            self.get_logger().info('unconfigured: waits for ~/change_state')
+            return
+        self._error = None
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            try:
+                trigger()
+            except RuntimeError:  # rclpy cannot tell others of the transition
+                if self._error is None:
+                    raise
+            if self._error is not None:
+                raise self._error
+
+    def on_configure(self, _state: LifecycleState) -> Ended:
+        """Set up, or clear away what was set up of it."""
+        self._lasting = self._endpoints()
+        result = self._tried(self.configure)
+        if result != Ended.SUCCESS:
+            self._clear_away()
+        return result
+
+    def on_activate(self, _state: LifecycleState) -> Ended:
+        """Begin to work."""
+        result = self._tried(self.activate)
+        self.active = result == Ended.SUCCESS
+        return result
+
+    def on_deactivate(self, _state: LifecycleState) -> Ended:
+        """Be safe, then silent."""
+        result = self._tried(self.deactivate) if self.active else Ended.SUCCESS
+        self.active = False
+        return result
+
+    def on_cleanup(self, _state: LifecycleState) -> Ended:
+        """Become as it was before it was configured."""
+        return self._clear_away()
+
+    def on_shutdown(self, state: LifecycleState) -> Ended:
+        """End all work for good; the process stays until a signal ends it."""
+        self.on_deactivate(state)
+        return self._clear_away()
+
+    def on_error(self, state: LifecycleState) -> Ended:
+        """After a transition that went wrong: silent and unconfigured."""
+        return self.on_shutdown(state)
+
+    def _clear_away(self) -> Ended:
+        """Destroy what was created since the node was configured."""
+        if self._lasting is None:
+            return Ended.SUCCESS
+        result = self._tried(self.clean_up)
+        for kind in ENDPOINTS:
+            for each in [*getattr(self, f'{kind}s')]:
+                if each not in self._lasting:
+                    getattr(self, f'destroy_{kind}')(each)
+        self._lasting = None
+        return result
+
+    def _endpoints(self) -> set[Any]:
+        return {each for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}
+
+    def _tried(self, change: Callable[[], None]) -> Ended:
+        """Do a part of a transition; bad input only refuses it, anything else is an error."""
+        try:
+            change()
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of a library written in Rust is no Exception
+            self._error = self._error or error  # what goes wrong first is what to report
+            return Ended.FAILURE if isinstance(error, BadInput) else Ended.ERROR
+        return Ended.SUCCESS
+
+    def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> Any:
+        """Do what is asked for if it is possible now; rclpy would end spinning where it is not."""
+        asked, state = request.transition, self._state_machine.current_state[1]
+        possible = {found[0]: found[1] for found in self._state_machine.available_transitions}
+        wanted = asked.label or possible.get(asked.id, f'transition {asked.id}')
+        if wanted not in possible.values():
+            allowed = ', '.join(f'{label} ({number})' for number, label in possible.items())
+            self.get_logger().warning(f'{wanted} is not possible while {state}; allowed: {allowed}')
+            response.success = False
+            return response
+        self._error = None
+        answer = self._change(request, response)
+        if self._error is not None:
+            kind = '' if isinstance(self._error, BadInput) else f'{type(self._error).__name__}: '
+            self.get_logger().error(f'{wanted} failed: {kind}{self._error}')
+        return answer
+
+
+class NodeClock:
+    """Reads a node's clock.
+
+    Args:
+        node: whose clock.
+        step: by which simulated time may move at once [s].
+        on_jump: called with how far time has jumped [s]: simulated time back or on by more than a
+            step, the system's by any amount that a look can detect.
+
+    Attributes:
+        simulated: whether time comes from ``/clock``; that cannot change while the node runs.
+        lag: how far it may trail [s].
+    """
+
+    def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
+        self._clock, self._on_jump = node.get_clock(), on_jump
+        self.simulated = bool(node.get_parameter('use_sim_time').value)
+        self.lag = step if self.simulated else 0.0
+        self._offset: float | None = None  # from the steady clock to this one [s]
+        self._stood: tuple[int, float] | None = None  # what was shown, and since when [ns], [s]
+        threshold = JumpThreshold(
+            min_forward=Duration(seconds=step),
+            min_backward=Duration(nanoseconds=-1),
+            on_clock_change=False,
+        )
+        self._jumps = self._clock.create_jump_callback(
+            threshold, post_callback=node.guard(self._on_simulated_jump)
+        )
+
+    @property
+    def nanoseconds(self) -> int:
+        """Return what the clock shows [ns]."""
+        return self._clock.now().nanoseconds
+
+    def standstill(self, patience: float) -> str:
+        """Return that simulated time has stood still for longer than ``patience`` [s], in words."""
+        if not self.simulated:
+            return ''
+        shown, now = self.nanoseconds, time.monotonic()
+        if self._stood is None or self._stood[0] != shown:
+            self._stood = shown, now
+        stood = now - self._stood[1]
+        if stood <= patience:
+            return ''
+        if shown:
+            return f'the clock has stood still for {stood:.2f} s'
+        return (
+            f'use_sim_time is true, and nothing has come on /clock for {stood:.2f} s: start what '
+            'publishes it (a simulator, ros2 bag play --clock), or set use_sim_time to false'
+        )
+
+    def look(self) -> None:
+        """Look whether the system's clock was set, which nothing else would show."""
+        before, shown, after = time.monotonic(), self.nanoseconds, time.monotonic()
+        if self.simulated or after - before > HELD_UP:
+            return
+        offset, last = shown / SECOND - after, self._offset
+        self._offset = offset
+        if last is not None and abs(offset - last) > HELD_UP:
+            self._on_jump(offset - last)
+
+    def _on_simulated_jump(self, jump: TimeJump) -> None:
+        if self.nanoseconds != jump.delta.nanoseconds:  # else it starts
+            self._on_jump(jump.delta.nanoseconds / SECOND)
+
 
 FAILED = 1  # exit code
 FAREWELLS = 3  # safe commands on the way out

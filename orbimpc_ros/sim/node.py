@@ -14,10 +14,9 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
-from orbimpc_ros.ros.process import FAILED, qos, run
+from orbimpc_ros.ros.process import FAILED, Managed, qos, run
 from orbimpc_ros.sim.commands import Order
 from orbimpc_ros.sim.faults import Delivery
 from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings

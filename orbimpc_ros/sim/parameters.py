@@ -21,13 +21,13 @@ from orbimpc_ros.ros.parameters.spec import (
     MAX_DURATION,
     TINY,
     Values,
+    VehicleParameters,
     is_topic,
     parameter,
     settings_from,
     specs_of,
     vector,
 )
-from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import NO_FAULTS, Faults

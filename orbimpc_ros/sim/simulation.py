@@ -16,9 +16,8 @@ from std_msgs.msg import Bool
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, full_name, qos
+from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, Managed, full_name, qos
 from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.commands import Order, Orders

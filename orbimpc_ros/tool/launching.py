@@ -30,7 +30,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.firmware import TOPICS
-from orbimpc_ros.ros.parameters.sections import given
+from orbimpc_ros.ros.parameters.dynamic import given
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.sim.fleet import vehicles
 

@@ -1,21 +1,403 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Forecasts of a moving goal from its observations: the targets g_1..g_N of a plan.
 
+The ``auto`` one fits the goal at hand: a bank of motions, each as likely as its evidence. Work is
+shared out so that no sighting costs much: of two, the first is gated, summed up, and pays for two
+tasks that make oscillations better known; with the second all families are fitted anew, and it is
+tested whether the goal changed its course.
+
 Mathematics: docs/mathematics.md, 7.4.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from orbimpc_ros.loop.goal.bank import Bank
+from orbimpc_ros.loop.goal.fits import (
+    ACCELERATION,
+    CARRIER,
+    COSINE,
+    DAMPED,
+    DRIFTING,
+    FIXED,
+    NAMES,
+    OSCILLATING,
+    PLACE,
+    SPEED,
+    SWING,
+    THRUST,
+    TURN,
+    UNKNOWN,
+    Fits,
+    Mixture,
+    Noise,
+    Past,
+    Placement,
+    Spectrum,
+    arc,
+    circle,
+    data_evidence,
+)
 from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 
-MEMORY = 64  # sightings
+# Sightings of a new motion: even, for of older sightings every other one was weighed.
+LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
+TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
+RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
+WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
+ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
+
+
+class Changes:
+    """Compares one motion with a new one, still, straight or bent, through the latest sightings."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self._times = np.zeros(LENGTHS[-1] + 1)
+        self._seen = np.zeros((LENGTHS[-1] + 1, n))
+        self._evidence = np.full(LENGTHS[-1] + 1, -np.inf)
+        self._noise = np.ones((LENGTHS[-1] + 1, 2))
+        self._count = 0
+
+    def note(self, time: float, position: Array) -> None:
+        """Note a sighting."""
+        self._count += 1
+        new = self._count % len(self._times)
+        self._times[new], self._seen[new] = time, position
+
+    def weigh(self, evidence: float, noise: Noise) -> None:
+        """Note the evidence of one motion through all sightings so far, and what noise it has."""
+        now = self._count % len(self._evidence)
+        self._evidence[now], self._noise[now] = evidence, noise
+
+    def noise(self, new: int) -> Noise:
+        """Return what was known of the noise before the ``new`` latest sightings."""
+        return Noise(*map(float, self._noise[(self._count - new) % len(self._noise)]))
+
+    def found(self) -> int:
+        """Return how many sightings a new motion has, if one is likely; otherwise 0."""
+        usable = int(np.searchsorted(LENGTHS, self._count - 1, side='right'))
+        if not usable:
+            return 0
+        now, size = self._count, len(self._evidence)
+        before = (now - LENGTHS[:usable]) % size
+        gain = self._evidence[before] + self._anew(before)
+        if gain.max() + RARE <= self._evidence[now % size]:
+            return 0
+        return int(LENGTHS[np.flatnonzero(gain > gain.max() - TIE)[-1]])
+
+    def _anew(self, before: np.ndarray) -> Array:
+        """Return the evidence of a still, straight or bent motion after each of ``before``.
+
+        One factor holds the fits of all three, for the columns of each are the first of the next.
+        """
+        n, lengths = self._n, LENGTHS[: len(before)]
+        share, scale = self._noise[before].T
+        variance = scale / share
+        latest = (self._count - np.arange(lengths[-1])) % len(self._times)
+        rows = (self._times[latest] - self._times[latest[0]])[:, None] ** np.arange(3.0)
+        seen = self._seen[latest] - self._seen[latest[0]]
+        gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
+        moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
+        square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
+        prior = variance[:, None] / WIDTHS**2
+        gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
+        factor = np.linalg.cholesky(gram)
+        white = np.linalg.solve(factor, moments)
+        explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
+        spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
+        found = data_evidence(
+            np.maximum(square[:, None] - explained, 0.0),
+            float(n) * lengths[:, None],
+            share[:, None],
+            scale[:, None],
+        )
+        found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS
+        return np.asarray(np.logaddexp.reduce(found, axis=1))
+
+
+MEMORY, KEPT = 768, 512  # sightings: as many as are remembered, and as survive when they are full
+BELIEVED = 3  # sightings off the forecast, one after another, that are a new motion
+GATE = 6.0  # standard deviations beyond which a sighting is off the forecast
+AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may have
+LOST = 60.0  # [s] unseen for longer, a goal may do anything
+FAR = 1e7  # [m] what is farther away than that is another goal
+SWINGS_FROM = 6  # sightings
+YOUNG = 16  # sightings up to which each is worked on at once, later every other one
+LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
+BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
+PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting that pays for one more task, and how many at most
+STEPS = 4  # of Gauss-Newton on a closer look
+SPECTRAL = ((SWING, FIXED), (CARRIER, DRIFTING))  # found in the spectrum, by their middles
+SPEED_OVER = 0.5  # [s]
+WORTHWHILE = 0.01  # units of the noise that a step should gain
+
+
+class Bank:
+    """Predicts a goal from its sightings by all families of motion at once.
+
+    Attributes:
+        motion: what is predicted by now; None before the first sighting.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every sighting."""
+        self.motion: Mixture | None = None
+        self._last: float | None = None
+        self._n = 0
+        self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
+        self._lately: list[tuple[float, Array]] = []
+        self._fastest = 0.0  # speed seen [m/s]
+        self._waiting: list[Placement] = []
+
+    def observe(self, sighting: GoalObservation) -> None:
+        """Take in a sighting; one that is not finite, or not newer than the last, says nothing."""
+        time, position = float(sighting.time), np.asarray(sighting.position, dtype=float)
+        if not (math.isfinite(time) and np.isfinite(position).all()):
+            return
+        if self._last is not None and time <= self._last:
+            return
+        if self._last is None or len(position) != self._n or time - self._last > LOST:
+            self._begin(np.array([time]), position[None])
+        else:
+            self._learn(time, position, time - self._last)
+        self._last = time
+        self.motion = self._mixture(time)
+
+    def at(self, times: Array) -> Array:
+        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m].
+
+        The mean of the families' mixture.
+        """
+        assert self.motion is not None
+        return self.motion.at(times)
+
+    def _mixture(self, time: float) -> Mixture:
+        """Return what the goal does as far as it is known at a time [s]."""
+        used = np.flatnonzero(self._shares > NEGLIGIBLE)
+        rows = self._fits.rows(time - self._epoch)[used, None]
+        shares, fitted = self._shares[used] / self._shares[used].sum(), self._fitted[used]
+        return Mixture(
+            NAMES[int(np.argmax(self._shares))],
+            *(self._epoch, self._origin, time, self._fastest, shares),
+            *(self._fits.rates[used, None], self._fits.dampings[used, None]),
+            *(fitted, rows @ fitted),
+        )
+
+    def _note_speed(self, time: float, position: Array) -> None:
+        """Note how fast the goal has moved lately, over half a second or the last two sightings."""
+        self._lately.append((time, position))
+        while len(self._lately) > 2 and time - self._lately[1][0] >= SPEED_OVER:
+            self._lately.pop(0)
+        begun, place = self._lately[0]
+        if time > begun:
+            speed = math.dist(position, place) / (time - begun)
+            self._fastest = max(self._fastest, min(speed, FAR))
+
+    # --- taking in
+
+    def _learn(self, time: float, position: Array, waited: float) -> None:
+        rows = self._fits.rows(time - self._epoch)
+        if not self._expected(position, rows, waited):
+            self._doubt(time, position)
+            return
+        self._apart = []
+        if self._waiting:
+            self._put_waiting()
+            rows = self._fits.rows(time - self._epoch)
+        self._append(time, position, rows)
+        self._work(waited)
+        if self._count == MEMORY:
+            self._shorten()
+
+    def _doubt(self, time: float, position: Array) -> None:
+        """Keep a sighting off the forecast apart; with some more it is a new motion."""
+        self._apart.append((time, position))
+        if len(self._apart) == BELIEVED:
+            times, seen = zip(*self._apart, strict=True)
+            self._begin(np.array(times), np.array(seen), self._fits.noise())
+
+    def _work(self, waited: float) -> None:
+        """Do what is due after a sighting: of two tasks one, or both after a wait [s]."""
+        at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
+        if at_leisure or not odd:
+            for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
+                self._refine()
+        if at_leisure or odd:
+            self._put_waiting()
+            self._conclude()
+            if self._changes.found():
+                self._reconsider()
+
+    def _put_waiting(self) -> None:
+        """Put families where tasks want them, now that a fit to all sightings follows."""
+        for each in self._waiting:
+            self._fits.put(each)
+        self._waiting = []
+
+    def _expected(self, position: Array, rows: Array, waited: float) -> bool:
+        """Return whether any motion that is likely at all has the goal near there."""
+        if _far(position, self._origin):
+            return False
+        off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
+        spread = self._fits.noises * (1.0 + self._fits.spread(rows))
+        allowed = GATE**2 * (spread + (0.5 * AGILE * waited * waited) ** 2)
+        near = np.sum(off * off, axis=1) <= allowed
+        return bool(np.any(near & (self._shares > LIKELY)))
+
+    def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
+        """Start afresh with the first sightings of a motion: times, (M,), and positions, (M, n)."""
+        together = [not _far(each, seen[-1]) for each in seen]
+        times, seen = times[together], seen[together]
+        self._n = seen.shape[1]
+        self._epoch, self._origin = float(times[0]), seen[0].copy()
+        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, self._n))
+        self._fits, self._changes = Fits(self._n, noise), Changes(self._n)
+        self._spectrum: Spectrum | None = Spectrum(self._n)
+        self._count, self._tasks = 0, 0
+        self._apart, self._waiting = [], []
+        for time, position in zip(times, seen, strict=True):
+            self._append(float(time), position, self._fits.rows(time - self._epoch))
+            self._conclude()
+
+    def _append(self, time: float, position: Array, rows: Array) -> None:
+        self._note_speed(time, position)
+        since, place = time - self._epoch, position - self._origin
+        self._times[self._count], self._seen[self._count] = since, place
+        self._count += 1
+        self._fits.add(rows, place)
+        self._changes.note(since, place)
+
+    def _conclude(self) -> None:
+        """Fit, and weigh the families."""
+        self._fits.solve()
+        best = self._fits.evidence.max()
+        shares = np.exp(self._fits.evidence - best)
+        total = shares.sum()
+        self._shares = shares / total
+        self._changes.weigh(best + math.log(total), self._fits.noise())
+        self._fitted: Array = self._fits.fitted
+
+    def _reconsider(self) -> None:
+        """Start afresh with a new motion, unless an oscillation explains it on a closer look."""
+        if self._count >= SWINGS_FROM and self._spectrum is not None:
+            self._look_closely()
+        new = self._changes.found()
+        if new:
+            times, seen = self._past()
+            begun = times[-new:] + self._epoch, seen[-new:] + self._origin
+            self._begin(*begun, self._changes.noise(new))
+
+    def _shorten(self) -> None:
+        """Drop the oldest sightings; what is known by now is kept, and not searched for again."""
+        times, seen = (each[-KEPT:].copy() for each in self._past())
+        by, offset = float(times[0]), seen[0].copy()
+        self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
+        self._epoch, self._origin = self._epoch + by, self._origin + offset
+        self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
+        self._fits.begin_later(by, self._past())
+        self._conclude()
+
+    def _past(self) -> Past:
+        return self._times[: self._count], self._seen[: self._count]
+
+    # --- tasks
+
+    def _refine(self) -> None:
+        """Improve one oscillation, or look for others: one task at a time, to bound the cost."""
+        if self._count < SWINGS_FROM:
+            return
+        self._tasks += 1
+        swing, carrier = (partial(self._seek, *where) for where in SPECTRAL)
+        search = self._read, swing, carrier, self._seek_damped, self._seek_turn
+        if self._tasks % 2 and self._spectrum is not None:
+            search[self._tasks // 2 % len(search)]()
+        else:
+            self._move()
+
+    def _look_closely(self) -> None:
+        """Do at once what is otherwise done over many sightings."""
+        self._read()
+        for where in SPECTRAL:
+            self._seek(*where)
+        for _ in range(STEPS):
+            self._put_waiting()
+            self._conclude()
+            for family in OSCILLATING:
+                if self._fits.gain[family] > WORTHWHILE:
+                    self._waiting.append(self._fits.moved(family, self._past()))
+            self._put_waiting()
+            self._seek_damped()
+            self._seek_turn()
+        self._put_waiting()
+        self._conclude()
+
+    def _move(self) -> None:
+        """Move the next oscillation whose fit would gain by it, one just placed before others."""
+        turn, fits = self._tasks // 2 % len(OSCILLATING), self._fits
+        raw = [family for family in OSCILLATING if fits.known[family] > fits.weighed[family]]
+        for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
+            if fits.gain[family] > WORTHWHILE:
+                self._waiting.append(fits.moved(family, self._past()))
+                return
+
+    def _read(self) -> None:
+        if self._spectrum is not None:
+            times, seen = self._past()
+            self._spectrum.add(times[self._spectrum.count :], seen[self._spectrum.count :])
+
+    def _seek(self, family: int, middle: int) -> None:
+        """Place a family at the best frequency of the spectrum, where that fits better."""
+        if self._spectrum is None or self._spectrum.count < SWINGS_FROM:
+            return
+        rate, misfit = self._spectrum.best(middle)
+        fits = self._fits
+        if not fits.known[family] or misfit < BETTER * fits.misfit[family]:
+            start = np.zeros_like(fits.coefficients[family])
+            self._waiting.append(fits.placed(family, rate, 0.0, start, self._past()))
+
+    def _seek_damped(self) -> None:
+        """Start a damped swing as a swing, where that fits better."""
+        fits = self._fits
+        if self._worse(DAMPED, SWING):
+            self._start(DAMPED, fits.rates[SWING], fits.coefficients[SWING])
+
+    def _seek_turn(self) -> None:
+        """Start a turn as an acceleration bends, or later as a swing, where that fits better."""
+        fits, middle = self._fits, 0.5 * self._times[self._count - 1]
+        bend = arc(self._fitted[ACCELERATION], middle)
+        if bend and middle * bend[0] < 1.0:
+            if self._worse(TURN, ACCELERATION):
+                self._start(TURN, *bend)
+        elif self._worse(TURN, SWING):
+            self._start(TURN, fits.rates[SWING], circle(fits.coefficients[SWING]))
+
+    def _worse(self, family: int, other: int) -> bool:
+        fits = self._fits
+        return not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[other]
+
+    def _start(self, family: int, rate: float, coefficients: Array) -> None:
+        if coefficients[COSINE].any():
+            placed = self._fits.placed(family, rate, 0.0, coefficients, self._past())
+            self._waiting.append(placed)
+
+
+def _far(one: Array, other: Array) -> bool:
+    """Return whether two positions are too far apart for one motion."""
+    with np.errstate(over='ignore'):
+        return bool(np.abs(one - other).max() > FAR)
+
+
+WATCHED = 64  # sightings
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
 COARSE, FINE, ZOOMS = 40, 8, 3  # frequencies on the first grid, on a refinement, refinements
 NOISES = (1e-3, 1e-2, 3e-2, 1e-1)  # standard deviations considered [m]
@@ -74,8 +456,8 @@ class Harmonic:
 
     def reset(self) -> None:
         """Forget every sighting."""
-        self._times: deque[float] = deque(maxlen=MEMORY)
-        self._seen: deque[Array] = deque(maxlen=MEMORY)
+        self._times: deque[float] = deque(maxlen=WATCHED)
+        self._seen: deque[Array] = deque(maxlen=WATCHED)
 
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting."""

@@ -23,12 +23,12 @@ from orbimpc_ros.ros.parameters.spec import (
     MAX_DURATION,
     TINY,
     Values,
+    VehicleParameters,
     is_topic,
     parameter,
     settings_from,
     specs_of,
 )
-from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.ros.transforms import Edge, stated
 
 PROJECTIONS = ('nearest', 'thrust_aligned')

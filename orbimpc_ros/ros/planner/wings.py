@@ -25,9 +25,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import Setpoint
-from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.process import LATEST, qos
+from orbimpc_ros.ros.process import LATEST, Managed, qos
 
 FRESH = 0.4  # [s]: without a position for longer, no setpoint leaves
 APART = 0.1  # [s] at most, from an attitude to the position that goes with it
