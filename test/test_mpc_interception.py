@@ -48,8 +48,7 @@ from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.mpc.proof.refute import catches_refuted
-from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.vehicle import Plant, measured
 
 RADIUS = 3.0
 WING = Problem(

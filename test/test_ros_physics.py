@@ -15,7 +15,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings
-from orbimpc_ros.sim.plant import Gusts, Plant
+from orbimpc_ros.sim.vehicle import Gusts, Plant
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.offline import aboard

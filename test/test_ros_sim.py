@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim.commands import Orders
+from orbimpc_ros.sim.simulation import Orders
 from orbimpc_ros.sim.vehicle import Model
 from orbimpc_ros.tool.recording import stamp_of
 

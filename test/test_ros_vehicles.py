@@ -19,8 +19,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.outputs import doubts
 from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.vehicle import Plant, measured
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.offline import aboard, closed_loop

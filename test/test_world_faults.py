@@ -11,8 +11,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import between, measured
+from orbimpc_ros.sim.vehicle import Plant, between, measured
 from orbimpc_ros.sim.world import departure
 
 TURN = np.array([0.3])

@@ -16,8 +16,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
-from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, Plant, launched
 from orbimpc_ros.sim.world import Rope, departure, fixed, met, touched
 
 

@@ -14,8 +14,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.sim.plant import Gusts, Plant
-from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
+from orbimpc_ros.sim.vehicle import Gusts, Model, Plant, advance, launched, measured
 from orbimpc_ros.sim.world import Airspeeds, Scenario, departure, fixed
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))

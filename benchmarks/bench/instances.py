@@ -23,8 +23,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.vehicle import Vehicle, launched, measured
+from orbimpc_ros.sim.vehicle import Plant, Vehicle, launched, measured
 from orbimpc_ros.sim.world import Flight, Rope
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it

@@ -17,10 +17,9 @@ from std_srvs.srv import Trigger
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, Managed, qos, run
-from orbimpc_ros.sim.commands import Order
 from orbimpc_ros.sim.faults import Delivery
 from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
-from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation
+from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
 LOOK = 0.02  # [s] between looks at who is there
 SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal

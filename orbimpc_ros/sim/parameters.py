@@ -31,8 +31,7 @@ from orbimpc_ros.ros.parameters.spec import (
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import NO_FAULTS, Faults
-from orbimpc_ros.sim.plant import Gusts, Plant
-from orbimpc_ros.sim.vehicle import Model, Vehicle, launched
+from orbimpc_ros.sim.vehicle import Gusts, Model, Plant, Vehicle, launched
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
 Made = TypeVar('Made')

@@ -7,24 +7,25 @@ import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import TwistStamped, WrenchStamped
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, read_force, read_speed_and_rate
 from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, Managed, full_name, qos
 from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim import outputs
-from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Continuous, measured
+from orbimpc_ros.sim.vehicle import Continuous, Model, measured
 from orbimpc_ros.sim.world import Airspeeds, departure, outcome
 
 try:
@@ -37,6 +38,8 @@ REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
 SILENT = 2.0  # [s] of waiting are not worth a word
 MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
 TRANSITIONS = 'transition_event'  # a topic of every managed node
+SLACK = 1e-3  # of a share or a rate: what rounding may add, and a controller not notice
+AHEAD = 1.0  # [s] a command's stamp may be ahead of this clock
 UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of a reader that is known before its node is
 
 
@@ -284,3 +287,69 @@ def own_frame(body: str, namespace: str) -> str:
     """Return a body's frame: vehicles share a world and /tf, where each body has its own name."""
     prefix = namespace.strip('/')
     return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
+
+
+# --- commands: a twist, and a thrust at translation order 2
+
+
+@dataclass(frozen=True)
+class Order:
+    """A complete command."""
+
+    stamp: int  # of the odometry that it answers [ns]
+    fraction: float  # share of full speed or thrust
+    body_rate: Array  # shape (1,) or (3,) [rad/s]
+
+
+class Orders:
+    """Turns messages into orders, at translation order 2 two messages with the same stamp."""
+
+    def __init__(self, model: Model, frames: Frames) -> None:
+        self._model, self._frames = model, frames
+        self._twist: Order | None = None  # at translation order 2 without its thrust
+        self._thrust = -1, 0.0  # a stamp [ns], and a share of full thrust
+
+    def take_twist(self, message: TwistStamped, now: int) -> Order | None:
+        """Take in ``cmd_vel`` at ``now`` [ns] and return the order that it completes, if any.
+
+        Raises:
+            BadInput: a stamp, a number or a range is not acceptable.
+        """
+        stamp, speed, body_rate = read_speed_and_rate(message, self._model.dimension, self._frames)
+        _require_past(stamp, now)
+        fastest = math.pi / self._model.step  # a faster turn looks like a slower one
+        if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
+            allowed = f'at most pi / step = {fastest:.6g} rad/s'
+            raise BadInput('twist.angular', body_rate.tolist(), allowed)
+        share = 0.0
+        if self._model.translation_order == 1:
+            share = self._share(speed, self._model.forward, 'twist.linear', 'm/s')
+        self._twist = Order(stamp, share, body_rate)
+        return self._complete()
+
+    def take_force(self, message: WrenchStamped, now: int) -> Order | None:
+        """Take in ``cmd_thrust``, like :meth:`take_twist`."""
+        stamp, force = read_force(message, self._frames)
+        _require_past(stamp, now)
+        full = self._model.mass * self._model.forward
+        self._thrust = stamp, self._share(force, full, 'wrench.force', 'N')
+        return self._complete()
+
+    def _share(self, value: float, full: float, field: str, unit: str) -> float:
+        share = value / full
+        if not -SLACK <= share <= 1.0 + SLACK:
+            culprit = f'{field}.{self._frames.thrust_axis}'
+            raise BadInput(culprit, value, f'0 to full speed or thrust, {full:g} {unit}')
+        return share
+
+    def _complete(self) -> Order | None:
+        order, (stamp, share) = self._twist, self._thrust
+        if order is None or self._model.translation_order == 1:
+            return order
+        return replace(order, fraction=share) if stamp == order.stamp else None
+
+
+def _require_past(stamp: int, now: int) -> None:
+    if stamp > now + AHEAD * SECOND:
+        ahead = (stamp - now) / SECOND
+        raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
