@@ -16,10 +16,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from orbimpc_ros.sim.fleet import crossers, vehicles
-from orbimpc_ros.tool import cli, figures, history
-from orbimpc_ros.tool.figures import in_both_looks
+from orbimpc_ros.tool import cli, history
 from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.plot import write_gif
+from orbimpc_ros.tool.plot import PATH, in_both_looks, of_runs, write_gif
 
 DOCS = Path(__file__).resolve().parent
 FLEETS = {'fleet': vehicles, 'crossing': crossers}
@@ -38,7 +37,7 @@ FOLDED = (*FLEETS, 'cessna', 'rope')  # pictures in docs/pictures
 
 def drawn(flown: Mapping[str, History]) -> Callable[[bool], Figure]:
     """Return what draws the paths of flights, for dark pages or not."""
-    return lambda dark: figures.of_runs(flown, dark)[figures.PATH]
+    return lambda dark: of_runs(flown, dark)[PATH]
 
 
 def fly(name: str, folder: Path) -> Path:

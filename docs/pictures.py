@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.tool.figures import (
+from orbimpc_ros.tool.plot import (
     BLUE,
     FAINT,
     INK,

@@ -16,9 +16,9 @@ from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import flights, settings
-from orbimpc_ros.tool.draws import draws_of
 from orbimpc_ros.tool.flights import Job, flown
 from orbimpc_ros.tool.offline import EPOCH, aboard, closed_loop
+from orbimpc_ros.tool.study import draws_of
 
 STEERING = [name for name in BASELINES if name != 'waypoint']
 SETTINGS = {

@@ -58,7 +58,7 @@ def test_commands_of_the_tool_exist(page):
 
 
 def test_the_pictures_can_still_be_drawn():
-    from orbimpc_ros.tool.figures import look
+    from orbimpc_ros.tool.plot import look
 
     spec = importlib.util.spec_from_file_location('pictures', DOCS / 'pictures.py')
     pictures = importlib.util.module_from_spec(spec)

@@ -20,7 +20,7 @@ from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Rope, Scenario, departure, fixed, outcome
 from orbimpc_ros.tool import flights as study
-from orbimpc_ros.tool.draws import draws_of
+from orbimpc_ros.tool.study import draws_of
 
 BASILISK = "Basilisk is not installed: pip install 'orbimpc_ros[basilisk]' runs this"
 

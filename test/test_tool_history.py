@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry
 from PIL import Image
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bags, figures, history, plot, settings
+from orbimpc_ros.tool import bags, history, plot, settings
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.settings import config
 
@@ -181,7 +181,7 @@ def line(end, count):
 
 
 def paths(flown):
-    return figures.of_runs(flown)['trajectory.png']
+    return plot.of_runs(flown)['trajectory.png']
 
 
 def labels(figure):
@@ -209,11 +209,11 @@ def test_every_scenario_is_drawn(tool, tmp_path, name):
 
 
 def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
-    before = figures.paper()
+    before = plot.paper()
     assert tool('plot', GOLDEN / 'retrieval', '-o', tmp_path, '--dark')[0] == 0
-    assert figures.paper() == before != figures.PAGE
+    assert plot.paper() == before != plot.PAGE
     assert {file.name for file in tmp_path.iterdir()} == STILL | {plot.ANIMATION}
-    dark = tuple(round(255 * part) for part in to_rgb(figures.PAGE))
+    dark = tuple(round(255 * part) for part in to_rgb(plot.PAGE))
     for file in tmp_path.glob('*.png'):
         with Image.open(file) as image:
             assert image.convert('RGB').getpixel((0, 0)) == dark
@@ -226,7 +226,7 @@ def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
             shown.append(np.asarray(image.convert('RGB'), dtype=int))
     for one, other in itertools.pairwise(shown):
         assert (np.abs(other - one).max(axis=2) > 50).sum() > 500
-    for color in (figures.DARK[1], figures.DARK[3], figures.DARK[4]):  # vehicle, goal, plan
+    for color in (plot.DARK[1], plot.DARK[3], plot.DARK[4]):  # vehicle, goal, plan
         wanted = np.array([round(255 * part) for part in to_rgb(color)])
         assert (np.abs(shown[1] - wanted).max(axis=2) <= 6).sum() > 50, color
 
@@ -238,7 +238,7 @@ def first(flight, count):
 
 
 def test_a_single_sighting_is_no_flight(tool, tmp_path, monkeypatch, caught):
-    monkeypatch.setattr('orbimpc_ros.tool.history.of_bag', lambda *_: first(caught, 1))
+    monkeypatch.setattr('orbimpc_ros.tool.plot.of_bag', lambda *_: first(caught, 1))
     code, _, complaint = tool('plot', 'short', '-o', tmp_path / 'out')
     assert (code, complaint.count('\n')) == (2, 1)
     assert 'single odometry' in complaint
@@ -252,7 +252,7 @@ def test_a_single_sighting_is_no_flight(tool, tmp_path, monkeypatch, caught):
 def test_short_flights_and_those_without_plans_are_drawn(name, tmp_path):
     flown = replace(of_bag(GOLDEN / name), captured=False)
     for each in (first(flown, 2), replace(first(flown, 5), plans=(), ticks=(), forces=())):
-        assert set(figures.of_runs({'': each})) == STILL
+        assert set(plot.of_runs({'': each})) == STILL
         plot.write_gif(each, tmp_path / 'short.gif')
 
 
@@ -277,7 +277,7 @@ def test_two_flights_are_told_apart_by_name_and_dashes():
         name: flight('dubins', line([5.0, 10.0, 0.0], 21), f'floor.shape={name}')
         for name in ('none', 'polygon')
     }
-    (figure,) = figures.of_runs(both).values()
+    (figure,) = plot.of_runs(both).values()
     assert {'flown path, none', 'flown path, polygon', 'goal'} <= labels(figure)
     drawn = [each for each in figure.axes[0].get_lines() if 'flown' in each.get_label()]
     assert len({each.get_linestyle() for each in drawn}) == 2
@@ -297,7 +297,7 @@ def test_obstacles_are_where_the_parameters_say():
 
 
 def panels(flight):
-    return charts(figures.of_runs({'': flight})['data.png'])
+    return charts(plot.of_runs({'': flight})['data.png'])
 
 
 def test_thrust_is_shown_as_it_was_applied():

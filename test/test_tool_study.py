@@ -16,10 +16,9 @@ from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import cli, flights, settings
-from orbimpc_ros.tool.draws import draws_of
 from orbimpc_ros.tool.flights import OURS, Job, flown
 from orbimpc_ros.tool.settings import config
-from orbimpc_ros.tool.study import report
+from orbimpc_ros.tool.study import draws_of, report
 
 STUDIES = sorted(file.stem for file in (ROOT / 'config' / 'studies').glob('*.yaml'))
 CONFIGS = [str(file) for file in sorted((ROOT / 'config').glob('*.yaml'))]

@@ -107,7 +107,7 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
         paths: of the bags.
         flown: the flights, by name; those of a fleet by namespace.
     """
-    from orbimpc_ros.tool import figures  # matplotlib takes time that the start of nodes has not
+    from orbimpc_ros.tool import plot  # matplotlib takes time that the start of nodes has not
 
     clear = True
     if any(name.startswith('/') for name in flown):
@@ -118,8 +118,8 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
             print(f'{name}:\n{history.text(each)}' if name else history.text(each))
     for path in paths:
         print(f'bag           {shown(path)}')
-    for name in figures.written(flown, folder):
-        label = 'picture' if name == figures.PATH else Path(name).stem
+    for name in plot.written(flown, folder):
+        label = 'picture' if name == plot.PATH else Path(name).stem
         print(f'{label:<14}{shown(folder / name)}')
     return 0 if clear and all(each.captured for each in flown.values()) else 1
 

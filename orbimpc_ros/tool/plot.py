@@ -1,47 +1,71 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc plot``: the path of a bag's flight, its numbers over time, and an animation.
+"""``orbimpc plot``: the path of a flight with headings, its numbers over time, and an animation.
 
-In the animation vehicle, plan and goal move beside charts of distance and speed.
+Figures are drawn in colours by place in the cycle, ``C0`` and so on; a look has the colour of each:
+one for print, legible in grey, and one for dark pages. In the animation vehicle, plan and goal move
+beside charts of distance and speed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.rcsetup import cycler
 from PIL import Image
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import figures, history
-from orbimpc_ros.tool.figures import BLUE, GREEN, GREY, INK, ORANGE, look
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import folder_at, shown
-from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.history import History, of_bag, story
 
+INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
+# Okabe and Ito's, distinct with every common colour blindness.
+PRINT = ('#222222', '#0072B2', '#56B4E9', '#E69F00', '#009E73', '#D55E00', '#8C8C8C', '#B5B5B5')
+DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
+PAGE = '#0D1117'  # dark
+DOTS_PER_INCH = 200
+PATH, DATA = 'trajectory.png', 'data.png'
+LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # of lines in one chart
+AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body; RViz's colours
+MOST_HEADINGS, MOST_PLANS = 20, 6
+NOSE = 0.05  # length of a heading, as a share of the flight's extent
+LEAST = 1e-16  # drawn for zero, which has no place on a logarithmic axis
+Flights = Mapping[str, History]  # by name
+Line = tuple[Array, Array]  # times [s] and values
 ANIMATION = 'animation.gif'
-DOTS_PER_INCH = 90
+COARSE = 90  # dots per inch of an animation
 FRAMES = 150  # at most, or one a tick
 PER_STEP = 5  # frames, at most
 FRAME, LAST = 80, 2500  # [ms] that frames are shown
-COLORS = 128
-LOOKS: dict[str, dict[str, Any]] = {
+PALETTE = 128
+MOVING: dict[str, dict[str, Any]] = {
     'plan': {'color': GREEN, 'lw': 1.6, 'marker': 'o', 'ms': 3.5, 'ls': '--'},
     'flown': {'color': GREY, 'lw': 1.4},
     'vehicle': {'color': BLUE, 'lw': 3.5, 'marker': 'o', 'ms': 7.0, 'markevery': [0]},
     'goal': {'color': ORANGE, 'marker': 'o', 'ms': 9.0, 'mec': INK, 'ls': ''},
-}  # of what moves
+}  # looks of what moves
 
 
 def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> int:
     """Draw a flight."""
-    flight = history.of_bag(Path(bag), namespace)
+    flight = of_bag(Path(bag), namespace)
     if len(flight.times) < 2:
         raise BadInput.stating(bag, 'a single odometry message', 'two or more are needed')
     folder = folder_at(Path(out).resolve())
-    names = figures.written({'': flight}, folder, dark)
+    names = written({'': flight}, folder, dark)
     if animated:
         write_gif(flight, folder / ANIMATION, dark)
         names.append(ANIMATION)
@@ -49,12 +73,339 @@ def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> in
     return 0
 
 
+# --- looks
+
+
+def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
+    """Return matplotlib's settings for a look: colours by place, the page's, the grid's."""
+    inked = ('text.color', 'axes.edgecolor', 'axes.labelcolor', 'xtick.color', 'ytick.color')
+    return {
+        **dict.fromkeys(inked, colors[0]),
+        'font.size': 9.0,
+        'figure.facecolor': page,
+        'axes.facecolor': page,
+        'axes.prop_cycle': cycler(color=colors),
+        'axes.titlesize': 10.0,
+        'axes.titlelocation': 'left',
+        'axes.spines.top': False,
+        'axes.spines.right': False,
+        'axes.grid': True,
+        'axes.axisbelow': True,
+        'grid.color': grid,
+        'legend.facecolor': page,
+        'legend.edgecolor': 'none',
+        'legend.fontsize': 8.5,
+    }
+
+
+STYLE = _style(PRINT, 'white', '#E6E6E6')
+DARK_STYLE = _style(DARK, PAGE, '#21262D')
+
+
+def look(dark: bool = False) -> AbstractContextManager:
+    """Return a context in which figures are drawn for print, or for dark pages."""
+    return mpl.rc_context(DARK_STYLE if dark else STYLE)
+
+
+def save(figure: Figure, file: Path, dark: bool = False) -> None:
+    """Write a figure as PNG, in the look in which it was drawn."""
+    FigureCanvasAgg(figure)
+    with look(dark):  # some ticks are only made now
+        figure.savefig(file, dpi=DOTS_PER_INCH)
+
+
+def in_both_looks(draw: Callable[[bool], Figure], file: Path) -> None:
+    """Write a picture for print, and beside it, ``name-dark.png``, one for dark pages.
+
+    Args:
+        draw: makes the figure in the look that is set; its argument is whether that is dark.
+        file: for print.
+    """
+    for dark in (False, True):
+        with look(dark):
+            figure = draw(dark)
+        save(figure, file.with_stem(f'{file.stem}-dark') if dark else file, dark)
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of a colour of the cycle in print."""
+    red, green, blue = bytes.fromhex(PRINT[int(color[1:])][1:])
+    return red, green, blue
+
+
+def paper() -> str:
+    """Return the colour behind what is drawn now."""
+    return mpl.rcParams['axes.facecolor']
+
+
+def halo() -> list[withStroke]:
+    """Return an effect that sets text off from what is behind it."""
+    return [withStroke(linewidth=2.5, foreground=paper())]
+
+
+def headline(figure: Figure, text: str) -> None:
+    """Put a line above the whole figure."""
+    figure.suptitle(text, x=0.01, ha='left', fontsize=12.0, fontweight='bold')
+
+
+def of_runs(flown: Flights, dark: bool = False) -> dict[str, Figure]:
+    """Return the pictures of flights, by file name: their paths and, of a single one, its numbers.
+
+    Args:
+        flown: the flights, by name.
+        dark: for dark pages, not for print.
+    """
+    with look(dark):
+        found = {PATH: paths(flown)}
+        return found if len(flown) > 1 else found | {DATA: data(*flown.values())}
+
+
+def written(flown: Flights, folder: Path, dark: bool = False) -> list[str]:
+    """Draw the pictures of flights into a folder, and return their file names."""
+    pictures = of_runs(flown, dark)
+    for name, figure in pictures.items():
+        save(figure, folder / name, dark)
+    return [*pictures]
+
+
+# --- the path
+
+
+def paths(flown: Flights) -> Figure:
+    """Return the paths of flights, with their distances and commanded shares over time."""
+    figure, axes = stage(flown)
+    for (name, history), kind in zip(flown.items(), itertools.cycle(LOOKS)):
+        _draw_flight(axes, history, kind, _plain(name))
+        if len(flown) > 2:
+            start = history.positions[0, : history.values['dimension']]
+            axes.text(*start, name.strip('/'), fontsize=8.5, path_effects=halo(), zorder=9)
+    handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=6)
+    return figure
+
+
+def stage(flown: Flights) -> tuple[Figure, Any]:
+    """Return a figure with two charts, and its axes of the world with the obstacles and goals."""
+    figure = Figure(figsize=(10.0, 6.5), layout='constrained')
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
+    first = next(iter(flown.values()))
+    n = first.values['dimension']
+    axes: Any = figure.add_subplot(grid[:, 0], projection='3d' if n == 3 else None)
+    axes.set(**{f'{axis}label': f'{axis} [m]' for axis in 'xyz'[:n]})
+    _draw_boxes(axes, first)
+    for history in flown.values():
+        axes.plot(*history.positions.T[:n], alpha=0.0)  # for the limits of the axes
+        if np.ptp(history.ropes, axis=0).any():
+            axes.plot(*history.ropes.T[:n], color=ORANGE, lw=4, alpha=0.5, label="goal's way")
+    axes.set_aspect('equal', adjustable='box' if n == 3 else 'datalim')
+    axes.autoscale(n == 2)  # in space it would undo the aspect
+    several = len(flown) > 2 and first.values['avoid_radius']
+    draw_panel(figure.add_subplot(grid[0, 1]), separation(flown) if several else distance(flown))
+    draw_panel(figure.add_subplot(grid[1, 1]), shares(flown))
+    headline(figure, story(flown))
+    return figure, axes
+
+
+def _draw_boxes(axes: Any, history: History) -> None:
+    for low, high in history.boxes:
+        if len(low) == 3:
+            axes.bar3d(*low, *(high - low), color=FAINT, alpha=0.35)
+        else:
+            how: Any = {'fc': FAINT, 'ec': GREY, 'hatch': '///', 'alpha': 0.6, 'label': 'obstacle'}
+            axes.add_patch(Rectangle(tuple(low), *(high - low), **how))
+
+
+def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) -> None:
+    n, (color, line), path = history.values['dimension'], kind, history.way
+    for planned in history.plans[:: max(1, math.ceil(len(history.plans) / MOST_PLANS))]:
+        axes.plot(*planned.points.T[:n], color=SKY, lw=0.9, label='some plans')
+    label = f'flown path, {name}' if name else 'flown path'
+    axes.plot(*path.T[:n], line, color=color, lw=1.3, zorder=4, label=label)
+    step, reach = math.ceil(len(path) / MOST_HEADINGS), NOSE * float(np.ptp(path, axis=0).max())
+    for column, (axis, shade) in enumerate(AXES if n == 3 else [('x', color)]):
+        begun = path[::step]
+        tips = begun + reach * history.attitudes[::step, :, column]
+        ends = np.stack([begun, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
+        axes.plot(*ends.T[:n], color=shade, lw=2.0, zorder=5, label=f'body {axis}')
+    point: Any = {'ls': '', 'zorder': 8}
+    axes.plot(*path[:1].T[:n], 'o', mfc=paper(), mec=INK, ms=6, label='start', **point)
+    for number, miss in enumerate(history.near_misses, start=1):
+        axes.plot(*miss.rope[:n, None], 'x', color=RED, ms=6, label='near miss', **point)
+        axes.text(*miss.rope[:n], str(number), color=RED, path_effects=halo(), zorder=9)
+    goal = history.ropes[-1] if history.capture is None else history.capture.rope
+    label = 'goal' if history.capture is None else 'goal when caught'
+    axes.plot(*goal[:n, None], '*', color=GREEN, mec=INK, ms=14, label=label, **point)
+
+
+# --- charts over time
+
+
+class Panel(NamedTuple):
+    """A chart over time."""
+
+    title: str  # in words
+    unit: str  # of the values; empty for none
+    lines: Mapping[str, Line]  # by label, those of labels that begin with ``_`` without a legend
+    limits: Mapping[str, float] = {}  # values of horizontal lines, by their meaning
+    steps: bool = False  # whether a value holds until the next
+    log: bool = False  # whether the axis is logarithmic
+
+
+def draw_panel(axes: Axes, panel: Panel) -> None:
+    """Draw a chart."""
+    kind: Any = {'drawstyle': 'steps-post', 'marker': '.', 'ms': 4} if panel.steps else {}
+    for (label, (times, values)), (color, line) in zip(panel.lines.items(), itertools.cycle(LOOKS)):
+        shown = np.maximum(values, LEAST) if panel.log else values
+        axes.plot(times, shown, line, color=color, lw=1.2, label=label, **kind)
+    for meaning, value in panel.limits.items():
+        axes.axhline(value, color=RED, lw=1.2, ls='--')
+        place: Any = {'xycoords': axes.get_yaxis_transform(), 'textcoords': 'offset points'}
+        how: Any = {'va': 'bottom', 'fontsize': 8.0, 'path_effects': halo(), 'color': RED}
+        axes.annotate(meaning, (0.01, value), xytext=(0, 2), **place, **how)
+    unit = f' [{panel.unit}]' if panel.unit else ''
+    axes.set(title=f'{panel.title}{unit}', xlabel='time [s]')
+    axes.set_yscale('log' if panel.log else 'linear')
+    if len(axes.get_legend_handles_labels()[0]) > 1:
+        axes.legend(loc='best', ncols=2)
+
+
+def distance(flown: Flights) -> Panel:
+    """Return distances to the goal, at odometry and at the closest approach of every step."""
+    lines = {}
+    for name, each in flown.items():
+        found = [(moment.time - each.times[0], moment.distance) for moment in each.moments]
+        times, distances = np.array(found).T
+        lines[_label(name, flown)] = times, np.maximum(distances, 0.1 * each.radius)
+    radius = next(iter(flown.values())).radius
+    return Panel('Distance to the goal', 'm', lines, {f'within {radius:g} m': radius}, log=True)
+
+
+def separation(flown: Flights) -> Panel:
+    """Return the distance of the closest pair of vehicles."""
+    times = np.unique(np.concatenate([each.times for each in flown.values()]))
+    ways = np.array(
+        [
+            [np.interp(times, each.times, along, np.nan, np.nan) for along in each.positions.T]
+            for each in flown.values()
+        ]
+    )
+    apart = np.array(
+        [np.linalg.norm(one - two, axis=0) for one, two in itertools.combinations(ways, 2)]
+    )
+    least = np.min(np.nan_to_num(apart, nan=np.inf), axis=0)
+    radius = next(iter(flown.values())).values['avoid_radius']
+    line = times - times[0], np.where(np.isfinite(least), least, np.nan)
+    return Panel('Closest pair', 'm', {'_': line}, {f'{radius:g} m required': radius})
+
+
+def shares(flown: Flights) -> Panel:
+    """Return the commanded shares of full speed or thrust, |R e1|, and the floor below them."""
+    lines, first = {}, next(iter(flown.values())).values
+    for name, each in flown.items():
+        found = [
+            (time - each.times[0], fields['speed_fraction'][1])
+            for time, fields in each.ticks
+            if len(fields.get('speed_fraction') or ()) > 1 and time <= each.end
+        ]
+        lines[_label(name, flown)] = tuple(np.reshape(found, (-1, 2)).T)
+    what = 'thrust' if first['translation_order'] == 2 else 'speed'
+    floors = {k: v for each in flown.values() for k, v in _floor(each.values).items()}
+    return Panel(f'Share of full {what}, |R e₁|', '', lines, floors, steps=True)
+
+
+def _floor(values: settings.Values, full: float = 1.0) -> dict[str, float]:
+    return {} if values['floor.shape'] == 'none' else {'floor': full * values['floor.fraction']}
+
+
+def _label(name: str, flown: Flights) -> str:
+    return _plain(name) if len(flown) == 2 else f'_{name}'
+
+
+def _plain(name: str) -> str:
+    """Return the name of a flight for a legend; a namespace is written at the start of its path."""
+    return '' if name.startswith('/') else name.replace('_', ' ')
+
+
+def data(history: History) -> Figure:
+    """Return motion, thrust or speed, and what planning took and proved, over time."""
+    panels = [*motion(history), *planning(history)]
+    rows = math.ceil(len(panels) / 2)
+    figure = Figure(figsize=(10.0, 2.2 * rows), layout='constrained')
+    places = list(figure.subplots(rows, 2, sharex=True).flat)
+    for axes, panel in zip(places, panels, strict=False):
+        draw_panel(axes, panel)
+    for axes in places[len(panels) :]:
+        axes.remove()
+    headline(figure, story({'': history}))
+    return figure
+
+
+def motion(history: History) -> list[Panel]:
+    """Return the charts of a vehicle's motion and of its thrust or speed."""
+    values, times = history.values, history.times - history.times[0]
+    n, thrust = values['dimension'], values['translation_order'] == 2
+    full = values['forward'] * (values['mass'] if thrust else 1.0)
+
+    def along(vectors: Array, first: int = 0, count: int = n) -> dict[str, Line]:
+        return {'xyz'[k]: (times, vectors[:, k]) for k in range(first, count)}
+
+    what, unit = ('Thrust', 'N') if thrust else ('Speed', 'm/s')
+    begun, pushed = applied(history)
+    limits = {f'full {what.lower()}': full} | _floor(values, full)
+    found = [
+        Panel('Position', 'm', along(history.positions)),
+        Panel('Velocity', 'm/s', along(history.velocities)),
+        Panel('Body rates', 'rad/s', along(history.rates, 0 if n == 3 else 2, 3)),
+        Panel(what, unit, {'_': (begun, full * pushed)}, limits, steps=True),
+    ]
+    if values['gravity']:
+        angles = np.degrees(np.arccos(np.clip(history.attitudes[:, 2, 0], -1.0, 1.0)))
+        limits = {'largest': math.degrees(values['tilt'])} if values['tilt'] else {}
+        found.append(Panel('Tilt from the vertical', 'deg', {'_': (times, angles)}, limits))
+    return found
+
+
+def applied(history: History) -> Line:
+    """Return times [s] and the share of thrust or speed from then on, for each step flown."""
+    values, begun, last = history.values, history.times[0], history.times[-1]
+    if values['translation_order'] == 1:
+        speeds = np.linalg.norm(history.velocities, axis=1)
+        return history.times - begun, speeds / values['forward']
+    full, step = values['mass'] * values['forward'], values['step']
+    found = {begun: values['start.speed_fraction']}
+    # A thrust is taken over at the end of the step in which it is commanded.
+    found |= {time + step: force / full for time, force in history.forces if time + step <= last}
+    return np.array(list(found)) - begun, np.array(list(found.values()))
+
+
+def planning(history: History) -> list[Panel]:
+    """Return the charts of what planning took and proved."""
+    line = history.series
+    tolerance = history.values['gap_tolerance']
+    below = {f'optimal below {tolerance:g}': tolerance}
+    spent = {'planned': line('solve_time_ms'), 'fell back': line('solve_time_ms', 'fallback')}
+    costs = {'plan': line('objective'), 'proved bound': line('lower_bound')}
+    found = [
+        Panel('Objective', '', costs, steps=True),
+        Panel('Gap of plan and bound', '', {'_': line('gap')}, below, steps=True, log=True),
+        Panel('Time of each tick', 'ms', spent, steps=True, log=True),
+        Panel('Relaxations solved', '', {'_': line('nodes')}, steps=True),
+    ]
+    catches = {'catch of the plan': line('earliest_catch'), 'none before': line('catch_bound')}
+    if len(catches['none before'][0]):
+        found.append(Panel('Time to the catch', 's', catches, steps=True))
+    return found
+
+
+# --- in motion
+
+
 def instants(history: History) -> Iterator[dict[str, Array]]:
     """Yield the points of what moves, shape (K, 3) each [m]; between odometry it moves straight."""
     path, goals = history.way, history.ropes.copy()
     if history.capture is not None:
         goals[-1] = history.capture.rope
-    reach = figures.NOSE * float(np.ptp(path, axis=0).max())
+    reach = NOSE * float(np.ptp(path, axis=0).max())
     steps = len(path) - 1
     per_step = int(np.clip(FRAMES // max(1, steps), 1, PER_STEP))
     for moment in np.linspace(0.0, steps, steps * per_step + 1):
@@ -74,7 +425,7 @@ def write_gif(history: History, file: Path, dark: bool = False) -> None:
     with look(dark):
         shown = [Image.fromarray(frame) for frame in _frames(history)]
     # One palette for all frames: colours must not flicker.
-    palette = shown[len(shown) // 2].quantize(COLORS, Image.Quantize.MAXCOVERAGE)
+    palette = shown[len(shown) // 2].quantize(PALETTE, Image.Quantize.MAXCOVERAGE)
     images = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in shown]
     images[0].save(
         file,
@@ -87,12 +438,12 @@ def write_gif(history: History, file: Path, dark: bool = False) -> None:
 
 def _frames(history: History) -> Iterator[Array]:
     """Yield pictures, shape (height, width, 3), of which only what moves is drawn each time."""
-    figure, axes = figures.stage({'': history})
-    figure.set_dpi(DOTS_PER_INCH)
+    figure, axes = stage({'': history})
+    figure.set_dpi(COARSE)
     canvas, n = FigureCanvasAgg(figure), history.values['dimension']
     lines = {
         name: axes.plot(*[[]] * n, label=name, animated=True, zorder=5, **kind)[0]
-        for name, kind in LOOKS.items()
+        for name, kind in MOVING.items()
     }
     axes.legend(handles=lines.values(), loc='upper left')
     canvas.draw()

@@ -27,7 +27,7 @@ from orbimpc_ros.ros.messages import (
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import attitude, fields, point, seconds
-from orbimpc_ros.tool.figures import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
+from orbimpc_ros.tool.plot import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 
 TIMELINE = 'ros_time'
 WORLD, THRUST, TICK, CHARTS = 'world', 'thrust', 'tick', 'charts'
