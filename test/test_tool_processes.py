@@ -20,7 +20,7 @@ from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.run.recorder import Recorder, carried
+from orbimpc_ros.tool.run.flying import Recorder, carried
 
 STARTER = """
     import sys, time
