@@ -15,13 +15,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from orbimpc_ros.sim.fleet import crossers, vehicles
+from orbimpc_ros.sim.fleet import FLEETS
 from orbimpc_ros.tool import cli, history
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.plot import PATH, in_both_looks, of_runs, write_gif
 
 DOCS = Path(__file__).resolve().parent
-FLEETS = {'fleet': vehicles, 'crossing': crossers}
 COUNT = 8  # vehicles of a fleet
 OBSTACLES = {  # for plans larger by 0.1 m than they are
     'obstacles': '[1.4, -1.1, 2.6, 0.7, 3.9, 0.1, 5.1, 3.1, 6.4, -2.1, 7.1, 1.1]',
@@ -56,7 +55,7 @@ def fly(name: str, folder: Path) -> Path:
 def draw(name: str, place: Path) -> None:
     """Draw the flights of a demo."""
     if name in FLEETS:
-        flown = {each: history.of_bag(place / 'bag', each) for each in FLEETS[name](COUNT, 0)}
+        flown = {each: history.of_bag(place / 'bag', each) for each in FLEETS[name][0](COUNT, 0)}
     else:
         bags = sorted(place.glob('**/bag'))
         flown = {bag.parent.name if len(bags) > 1 else '': history.of_bag(bag) for bag in bags}

@@ -61,6 +61,9 @@ def crossers(count: int, seed: int = 0) -> dict[str, Parameters]:
     return _drawn(count, seed, crosser)
 
 
+FLEETS = {'fleet': (vehicles, 4), 'crossing': (crossers, 8)}  # and usually how many
+
+
 def _drawn(
     count: int, seed: int, draw: Callable[[float, np.random.Generator], Parameters]
 ) -> dict[str, Parameters]:

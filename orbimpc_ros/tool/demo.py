@@ -9,9 +9,8 @@ from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
-from orbimpc_ros.sim.fleet import crossers, separations, vehicles
+from orbimpc_ros.sim.fleet import FLEETS, separations
 from orbimpc_ros.tool import history, settings
-from orbimpc_ros.tool.arguments import FLEETS
 from orbimpc_ros.tool.files import new_folder, shown, writing_to
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.run.flying import fly
@@ -88,8 +87,8 @@ def fleet(
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}
-    count = FLEETS[scenario] if count is None else count
-    drawn = (crossers if scenario == 'crossing' else vehicles)(count, values['seed'])
+    draw, usual = FLEETS[scenario]
+    drawn = draw(usual if count is None else count, values['seed'])
     if values['avoid']:
         values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)
     own = {

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -22,12 +21,10 @@ from orbimpc_ros.ros.parameters.spec import ParameterSpec, completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool import bags, files
 
-ROWS = {row.name: row for row in (*PLANNER, *SIM)}
 OF_SIM = 'sim.'
-PLANNED = {row.name for row in PLANNER}
-ROWS_OF_SIM = {f'{OF_SIM}{row.name}': row for row in SIM if row.name in PLANNED}  # may differ
+ROWS = {row.name: row for row in (*PLANNER, *SIM)}
+ROWS |= {f'{OF_SIM}{row.name}': row for row in SIM if row.name in {each.name for each in PLANNER}}
 Values = dict[str, Any]
-EMPTY: Mapping[str, Values] = MappingProxyType({})
 
 
 def config(name: str) -> Path:
@@ -76,11 +73,17 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
 
 def of_sim(values: Values) -> Values:
     """Return the values that the simulator gets."""
-    own = {name.removeprefix(OF_SIM): values[name] for name in ROWS_OF_SIM if name in values}
-    return {name: each for name, each in values.items() if name not in ROWS_OF_SIM} | own
+    common, own = _parted(values)
+    return common | own
 
 
-def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
+def _parted(values: Values) -> tuple[Values, Values]:
+    """Return values for all nodes, and those that the simulator has of its own."""
+    own = {name.removeprefix(OF_SIM): v for name, v in values.items() if name.startswith(OF_SIM)}
+    return {name: v for name, v in values.items() if not name.startswith(OF_SIM)}, own
+
+
+def text(values: Values, own: Mapping[str, Values] = {}) -> str:
     """Return values as a file of ROS parameters for any node.
 
     Args:
@@ -88,13 +91,8 @@ def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
         own: values that differ from one namespace, such as ``/uav1``, to another.
     """
     differ = {name for each in own.values() for name in each}
-    common = {name: value for name, value in values.items() if name not in differ}
-    of_sim_alone = {
-        name.removeprefix(OF_SIM): common.pop(name) for name in ROWS_OF_SIM if name in common
-    }
-    sections = {'/**': common}
-    if of_sim_alone:
-        sections['/**/sim'] = of_sim_alone
+    common, alone = _parted({n: value for n, value in values.items() if n not in differ})
+    sections = {'/**': common} | ({'/**/sim': alone} if alone else {})
     sections |= {f'{namespace}/**': each for namespace, each in own.items()}
     plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items()}
     return yaml.safe_dump(plain, sort_keys=False)
@@ -141,17 +139,16 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
     values: Values = {}
     for given, value in sections(content, name):
-        row = ROWS_OF_SIM.get(given) or ROWS.get(given)
-        if row is not None:
-            values[given] = _typed(row, value)
+        if given in ROWS:
+            values[given] = _typed(ROWS[given], value)
         elif given in OF_ROS:
             values[given] = value
         elif not given.startswith('qos_overrides.'):
             raise BadInput.unknown('parameter', given, ROWS, name)
     values = completed(ROWS.values(), values)
-    for own in ROWS_OF_SIM.keys() & values.keys():
-        if values[own] == values[own.removeprefix(OF_SIM)]:
-            del values[own]
+    parted = _parted(values)
+    for name in [name for name, value in parted[1].items() if value == parted[0][name]]:
+        del values[f'{OF_SIM}{name}']
     return values
 
 
@@ -164,7 +161,7 @@ def sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
             )
         for given, value in _flat(section['ros__parameters']):
             own = f'{OF_SIM}{given}'
-            alone = str(title).rpartition('/')[2] == 'sim' and own in ROWS_OF_SIM
+            alone = str(title).rpartition('/')[2] == 'sim' and own in ROWS
             yield (own if alone else given), value
 
 
@@ -180,10 +177,9 @@ def _change(given: str) -> tuple[str, Any]:
     name, equals, word = given.partition('=')
     if not equals:
         raise BadInput('--set', given, 'name=value')
-    row = ROWS_OF_SIM.get(name) or ROWS.get(name)
-    if row is None:
+    if name not in ROWS:
         raise BadInput.unknown('parameter', name, ROWS, '--set')
-    return name, _typed(row, files.parse(word, f'--set {name}'))
+    return name, _typed(ROWS[name], files.parse(word, f'--set {name}'))
 
 
 def _typed(row: ParameterSpec, value: Any) -> Any:

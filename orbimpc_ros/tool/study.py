@@ -222,10 +222,9 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
 
 
 def _require_sound(draws: Draws, name: str) -> None:
-    known = settings.ROWS.keys() | settings.ROWS_OF_SIM.keys()
     for parameter in draws.rules:
-        if parameter not in known:
-            raise BadInput.unknown('parameter', parameter, known, f'{name}: draw')
+        if parameter not in settings.ROWS:
+            raise BadInput.unknown('parameter', parameter, settings.ROWS, f'{name}: draw')
     try:
         settings.changed(draws.of(0, 0), ())
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:

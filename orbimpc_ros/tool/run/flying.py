@@ -47,7 +47,7 @@ STAMP_ELSEWHERE = {
 CALL_AGAIN = 5.0  # [s] until a planner that has not answered is called again
 
 
-def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY) -> None:
+def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     """Run planners and simulators until these are done, and record their messages.
 
     Args:
