@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array, whole
 
 MOST = 64  # vehicles
@@ -20,6 +19,7 @@ SWING = 0.5  # [m] reach of a rope along each axis
 FREQUENCIES = (0.02, 0.3)  # [Hz]
 ROOM = 3.0  # [m] along the ring that a crossing begins on, for each vehicle
 LEAST_RING = 5.0  # [m]
+TINY = 1e-300  # [m^2] instead of a drift of zero
 ASTRAY = 0.5  # [m] that starts and goals of a crossing are off the ring, along each axis
 
 Parameters = dict[str, Any]
@@ -88,27 +88,26 @@ def _triple(vector: Array) -> tuple[float, ...]:
     return (*vector.tolist(), 0.0)
 
 
-def separations(tracks: Mapping[str, tuple[Array, Array]]) -> dict[tuple[str, str], float]:
-    """Return the least distance of each pair while both fly [m]; infinite if they never do.
+def separations(
+    tracks: Mapping[str, tuple[Array, Array]],
+) -> tuple[Array, dict[tuple[str, str], Array]]:
+    """Return all K times, and of each pair the least distances from one to the next, (K - 1,) [m].
+
+    They are infinite while not both fly.
 
     Args:
-        tracks: of each vehicle, increasing times, shape (K,) [s], and positions, shape (K, n) [m],
+        tracks: of each vehicle, increasing times, shape (M,) [s], and positions, shape (M, n) [m],
             between which it moves evenly.
     """
-    pairs = itertools.combinations(tracks, 2)
-    return {(one, other): _apart(tracks[one], tracks[other]) for one, other in pairs}
-
-
-def _apart(one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
-    begin, end = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
-    times = np.union1d(one[0], other[0])
-    times = times[(times >= begin) & (times <= end)]
-    ways = [
-        np.column_stack([np.interp(times, stamps, column) for column in places.T])
-        for stamps, places in (one, other)
-    ]
-    legs = (
-        closest_approach((ways[0][k], ways[0][k + 1]), (ways[1][k], ways[1][k + 1]))[0]
-        for k in range(len(times) - 1)
-    )
-    return min(legs, default=math.inf)
+    times = np.unique(np.concatenate([stamps for stamps, _ in tracks.values()]))
+    ways = {
+        name: np.column_stack([np.interp(times, stamps, x, np.nan, np.nan) for x in places.T])
+        for name, (stamps, places) in tracks.items()
+    }
+    found = {}
+    for one, other in itertools.combinations(ways, 2):
+        apart, drift = (ways[one] - ways[other])[:-1], np.diff(ways[one] - ways[other], axis=0)
+        shares = -(apart * drift).sum(axis=1) / np.maximum((drift**2).sum(axis=1), TINY)
+        nearest = apart + np.clip(shares, 0.0, 1.0)[:, None] * drift  # as in closest_approach
+        found[one, other] = np.nan_to_num(np.linalg.norm(nearest, axis=1), nan=np.inf)
+    return times, found

@@ -128,10 +128,10 @@ def clearance(flown: Mapping[str, History]) -> bool:
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
-    found = separations({name: (each.times, each.positions) for name, each in flown.items()})
-    for pair, least in found.items():
-        if least < radius:
-            print(f'COLLISION     {" and ".join(pair)} within {least:.3f} m of each other')
-    least = min(found.values(), default=math.inf)
+    _, found = separations({name: each.track for name, each in flown.items()})
+    for pair, apart in found.items():
+        if min(apart) < radius:
+            print(f'COLLISION     {" and ".join(pair)} within {min(apart):.3f} m of each other')
+    least = min(map(min, found.values()), default=math.inf)
     print(f'apart         at least {least:.3f} m, {radius:g} m asked for')
     return least >= radius

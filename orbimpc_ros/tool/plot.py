@@ -27,6 +27,7 @@ from PIL import Image
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import folder_at, shown
 from orbimpc_ros.tool.history import History, of_bag, story
@@ -281,20 +282,11 @@ def distance(flown: Flights) -> Panel:
 
 
 def separation(flown: Flights) -> Panel:
-    """Return the distance of the closest pair of vehicles."""
-    times = np.unique(np.concatenate([each.times for each in flown.values()]))
-    ways = np.array(
-        [
-            [np.interp(times, each.times, along, np.nan, np.nan) for along in each.positions.T]
-            for each in flown.values()
-        ]
-    )
-    apart = np.array(
-        [np.linalg.norm(one - two, axis=0) for one, two in itertools.combinations(ways, 2)]
-    )
-    least = np.min(np.nan_to_num(apart, nan=np.inf), axis=0)
+    """Return the least distance of the closest pair of vehicles since the odometry before."""
+    times, found = separations({name: each.track for name, each in flown.items()})
+    least = np.min([*found.values()], axis=0)
     radius = next(iter(flown.values())).values['avoid_radius']
-    line = times - times[0], np.where(np.isfinite(least), least, np.nan)
+    line = times[1:] - times[0], np.where(np.isfinite(least), least, np.nan)
     return Panel('Closest pair', 'm', {'_': line}, {f'{radius:g} m required': radius})
 
 
