@@ -63,6 +63,8 @@ FAMILIES: dict[str, dict[str, Any]] = {
     'polygon, coasting': {'floor': Floor('polygon', 4, 0.5), **COASTS},
     'circle': ROUND,
     'circle, constant speed': {'floor': Floor('circle', fraction=1.0)},
+    'circle, inertia': {**ROUND, 'translation_order': 2},
+    'circle, exact': {**ROUND, 'discretisation': 'exact'},
     'circle, length': {**ROUND, 'length': 0.3},
     'circle, turn rate': {**ROUND, 'max_rate': 0.7},
     'shell': {**SPACE, **ROUND, 'input': 0.0},

@@ -203,12 +203,6 @@ def test_what_shows_no_motion_is_forecast_where_it_is(kind, times, place):
     assert np.allclose(forecast.at(times[-1] + np.arange(1.0, 6.0)), place, atol=1e-3)
 
 
-def test_velocity_goes_straight_on():
-    seen = np.array([[1.0, 0.0], [1.5, -1.0], [2.0, -2.0]])
-    forecast = shown(range(3), seen, FORECASTS['velocity']())
-    assert np.allclose(forecast.at(np.array([4.0])), [[3.0, -4.0]])
-
-
 # --- changes of course, and wrong sightings
 
 

@@ -107,8 +107,6 @@ SUMS = {
     'circle': ('floor', Problem(floor=floor('circle')), at(1.0), [-0.2, 0.3], 1e-5),
     # The hull binds as well, from the other side.
     'constant speed': ('floor', Problem(floor=floor('circle', 1.0)), at(1.0), [-0.2, 0.3], 1e-5),
-    'hexagon': ('floor', Problem(floor=floor('polygon', 0.8, 6)), at(1.0), [-0.2, 0.3], 1e-5),
-    'chords': ('max_rate', Problem(max_rate=0.5), at(1.0), [-0.2, 0.3], 1e-5),
     'turns': ('max_rate', replace(TURNING, floor=floor('circle', 0.6)), *ASIDE),
     'turns of an octagon': ('max_rate', replace(TURNING, floor=floor('polygon', 0.6, 8)), *ASIDE),
     'speeds': ('max_acceleration', WING, at(0.5), [7.0, 1.5], 1e-4),

@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 from problems import floor, seeds
 
-from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import reading, sets
 from orbimpc_ros.mpc.proof.document import Certificate, verified
 from orbimpc_ros.mpc.proof.reading import Refused
-from orbimpc_ros.mpc.proof.stated import Sets
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
@@ -213,39 +211,11 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
 # --- support functions, by brute force
 
 
-def stated_sets(**changes):
-    known = {'least': 0.5, 'polygon': 0, 'faces': np.zeros((0, 2)), 'full': 2.0 * math.pi}
-    nothing = {'cone_step': np.zeros(0, np.int64), 'cones': np.zeros((0, 6)), 'narrow': 1e-9}
-    return Sets(**{**known, **nothing, **changes})
-
-
-def held_against(least, points, g, length, curve):
-    """Assert that a least value is one, and that it is next to what points come to."""
-    sizes = np.linalg.norm(points, axis=1)
-    found = (points @ g + length * sizes + 0.5 * curve * sizes**2).min()
+def held_against(least, points, g):
+    """Assert that a least value is one; return by how much points come to more."""
+    found = (points @ g).min()
     assert least <= found + 1e-12
     return found - least
-
-
-@pytest.mark.parametrize('seed', range(25))
-def test_the_least_beyond_a_polygon(seed):
-    rng = np.random.default_rng([8, seed])
-    faces = int(rng.integers(3, 9))
-    floor = rng.uniform(0.1, 1.0) * math.cos(math.pi / faces)
-    low = rng.uniform(-7.0, 7.0)
-    high = low + rng.uniform(0.0, 3.0)
-    known = np.array([0, -1]), np.array([[low, high], [floor, 1.0]]), 1
-    angles = np.linspace(low, high, 2001)
-    units = np.array([np.cos(angles), np.sin(angles)]).T
-    reach = floor / (units @ normals(2, faces).T).max(axis=1)
-    shares = np.linspace(0.0, 1.0, 21)[:, None]
-    speeds = (1.0 - shares) * reach + shares
-    points = (speeds[..., None] * units).reshape(-1, 2)
-    for length, tight in ((0.0, True), (0.4, False)):
-        g = rng.normal(size=2)
-        made = stated_sets(least=floor, polygon=faces)
-        least = sets.over_stage(made, known, None, 0, g, length, 0.0, 2)
-        assert held_against(least, points, g, length, 0.0) < (1e-3 if tight else 10.0)
 
 
 @pytest.mark.parametrize('seed', range(15))
@@ -260,11 +230,11 @@ def test_the_least_beyond_a_face_and_within_a_cone(seed):
     beyond = np.concatenate([points, units])
     beyond = beyond[beyond @ axis >= floor]
     least = sets.beyond_face(g, axis, floor, 1.0)
-    assert 0.0 <= held_against(least, beyond, g, 0.0, 0.0) + 1e-12 < 0.2
+    assert 0.0 <= held_against(least, beyond, g) + 1e-12 < 0.2
     angle = rng.uniform(0.1, 3.0)
     within = units[units @ axis >= math.cos(angle)]
     least = sets.in_cone(g, np.array([*axis, math.cos(angle), math.sin(angle)]), 3)
-    assert held_against(least, within, g, 0.0, 0.0) < 0.2
+    assert held_against(least, within, g) < 0.2
 
 
 @pytest.mark.parametrize('seed', range(15))
@@ -276,7 +246,7 @@ def test_the_least_over_the_orbitope(seed):
     rotations.append(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
     points = coordinates(np.array(rotations))
     least = sets.over_orbitope(g.T.ravel(), np.zeros((4, 4)))
-    assert abs(held_against(least, points, g.T.ravel(), 0.0, 0.0)) < 1e-9
+    assert abs(held_against(least, points, g.T.ravel())) < 1e-9
 
 
 def test_what_takes_more_work_than_its_length_may_is_refused():

@@ -27,24 +27,6 @@ from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import NUMBERS
 
 
-@pytest.fixture
-def bench(launch, observer):
-    return Bench(launch, observer, QUICK)
-
-
-@pytest.fixture(scope='module')
-def veteran(shared):
-    return Bench(*shared, QUICK)
-
-
-@pytest.fixture
-def flying(veteran):
-    """A planner that has flown before, made to forget it."""
-    assert veteran.enable(True)
-    assert veteran.reset().success
-    return veteran
-
-
 def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
     slow = {'step': 2.0, 'horizon': 2}  # with a second for a tick, however busy the machine is
     asked = slow | {'terminal': 'constraint', 'publish_certificate': 'true'}
@@ -81,18 +63,9 @@ def test_a_reader_that_came_too_late_hears_the_report_when_the_answer_is_repeate
     assert told(ticks[0])['status'] == 'optimal'
 
 
-def test_disabled_means_the_safe_command_again_and_again(flying):
-    assert moving(flying.fly(1.0))
-    assert flying.enable(False)
-    assert not moving(flying.fly(2.0))
-    flying.until(lambda: told(flying.ticks[-1])['cause'] == 'disabled', 'the cause')
-    flying.says('disabled')
-    flying.enable(True)
-    assert moving(flying.fly(3.0))
-
-
-def test_after_a_reset_it_flies_to_the_same_goal_as_soon_as_there_is_odometry(bench):
-    bench.fly(100.0)
+def test_after_a_reset_it_flies_to_the_same_goal_and_disabled_it_is_safe(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    assert moving(bench.fly(100.0))
     flown = len(bench.commands)
     kept = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
     assert bench.reset().message == kept
@@ -107,6 +80,12 @@ def test_after_a_reset_it_flies_to_the_same_goal_as_soon_as_there_is_odometry(be
         return any(map(moving, bench.commands[flown:]))
 
     bench.until(goes_on, 'a command to move')
+    assert bench.enable(False)
+    assert not moving(bench.fly(2.0))
+    bench.until(lambda: told(bench.ticks[-1])['cause'] == 'disabled', 'the cause')
+    bench.says('disabled')
+    bench.enable(True)
+    assert moving(bench.fly(3.0))
 
 
 def test_a_timer_may_be_quicker_than_a_step(launch, observer):
