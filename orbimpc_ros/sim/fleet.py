@@ -23,6 +23,7 @@ TINY = 1e-300  # [m^2] instead of a drift of zero
 ASTRAY = 0.5  # [m] that starts and goals of a crossing are off the ring, along each axis
 
 Parameters = dict[str, Any]
+Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 
 
 def vehicles(count: int, seed: int = 0) -> dict[str, Parameters]:
@@ -88,16 +89,10 @@ def _triple(vector: Array) -> tuple[float, ...]:
     return (*vector.tolist(), 0.0)
 
 
-def separations(
-    tracks: Mapping[str, tuple[Array, Array]],
-) -> tuple[Array, dict[tuple[str, str], Array]]:
+def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str], Array]]:
     """Return all K times, and of each pair the least distances from one to the next, (K - 1,) [m].
 
-    They are infinite while not both fly.
-
-    Args:
-        tracks: of each vehicle, increasing times, shape (M,) [s], and positions, shape (M, n) [m],
-            between which it moves evenly.
+    They are infinite while not both fly. From one position to the next a vehicle moves evenly.
     """
     times = np.unique(np.concatenate([stamps for stamps, _ in tracks.values()]))
     ways = {

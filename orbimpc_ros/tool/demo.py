@@ -128,7 +128,7 @@ def clearance(flown: Mapping[str, History]) -> bool:
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
-    _, found = separations({name: each.track for name, each in flown.items()})
+    _, found = separations({name: (each.times, each.positions) for name, each in flown.items()})
     for pair, apart in found.items():
         if min(apart) < radius:
             print(f'COLLISION     {" and ".join(pair)} within {min(apart):.3f} m of each other')

@@ -82,11 +82,6 @@ class History:
         return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
 
     @property
-    def track(self) -> tuple[Array, Array]:
-        """Return times and positions of the vehicle, shapes (M,) [s] and (M, 3) [m]."""
-        return self.times, self.positions
-
-    @property
     def missed(self) -> tuple[float, float]:
         """Return how far from the goal [m] and how fast [m/s] the vehicle is at the end."""
         apart = self.positions[-1] - self.ropes[-1]

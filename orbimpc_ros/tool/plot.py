@@ -283,7 +283,7 @@ def distance(flown: Flights) -> Panel:
 
 def separation(flown: Flights) -> Panel:
     """Return the least distance of the closest pair of vehicles since the odometry before."""
-    times, found = separations({name: each.track for name, each in flown.items()})
+    times, found = separations({name: (each.times, each.positions) for name, each in flown.items()})
     least = np.min([*found.values()], axis=0)
     radius = next(iter(flown.values())).values['avoid_radius']
     line = times[1:] - times[0], np.where(np.isfinite(least), least, np.nan)
