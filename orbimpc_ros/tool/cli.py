@@ -7,7 +7,7 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,17 +23,6 @@ DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible, 130 interrupted'
 
-COMMANDS = {
-    'bench': 'measure side by side with the solvers that are installed',
-    'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
-    'replay': 'solve the inputs of a bag again, compare',
-    'faults': 'try planner and simulator under faults, as real processes, and print the matrix',
-    'plot': 'draw the figures and an animation of a bag',
-    'solve': 'solve one problem from a file, print the plan',
-    'study': 'fly many random tasks and report how they end',
-    'verify': 'prove lower bounds again, in exact arithmetic',
-    'view': 'look at a flight in a browser, live or from a bag',
-}
 IN_CLONE = ('bench', 'faults')  # in benchmarks/, which is not installed
 PLANNING = ('bench', 'demo', 'study')  # for long: a slow planner is worth a word
 SOLVING = ('bench', 'replay', 'solve', 'study', 'verify')  # in this process, after compiling
@@ -111,9 +100,9 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'orbimpc_ros {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for name, summary in COMMANDS.items():
+    for name, (summary, arguments) in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary, epilog=EXIT_CODES)
-        for names, options in ARGUMENTS.get(name, ()):
+        for names, options in arguments:
             sub.add_argument(*names, **options)
         if name in IN_CLONE and words[:1] == [name]:
             _module(name).add_arguments(sub)
@@ -177,9 +166,10 @@ WHICH = 'a parameter file, a study file, or the name of one'
 OTHERS = 'separated by commas; all but orbitope need a clone of the repository'
 WHOSE = 'of the vehicle, such as uav1'
 NAMESPACE = _argument('--namespace', type=_namespace, default='', metavar='NS', help=WHOSE)
-# Those of the commands that are in benchmarks/, which is not installed, are declared there.
-ARGUMENTS: Mapping[str, Sequence[Argument]] = {
-    'demo': (
+# By command: what it does, and its arguments; those of a command in benchmarks/ are declared there.
+COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
+    'bench': ('measure side by side with the solvers that are installed', ()),
+    'demo': ('run planner and simulator over DDS, record a bag, draw the picture', (
         _argument('scenario', nargs='?', default='retrieval', choices=SCENARIOS, metavar='SCENARIO',
             help=f'one of {", ".join(SCENARIOS)} (default: %(default)s)'),
         _argument('--vehicles', type=int, metavar='K',
@@ -187,8 +177,8 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
         _argument('--out', default='out', metavar='DIR',
             help='takes the results (default: %(default)s)'),
         _set('override a parameter of planner or simulator'),
-    ),
-    'replay': (
+    )),
+    'replay': ('solve the inputs of a bag again, compare', (
         _argument('bag', metavar='BAG', help='its folder, .mcap or .db3 file'),
         _argument('--params', metavar='FILE',
             help='parameters; by default those that the bag was made with'),
@@ -196,8 +186,10 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
         _argument('--tick', type=int, metavar='K',
             help='show this tick alone, recorded and replayed'),
         NAMESPACE,
-    ),
-    'plot': (
+    )),
+    'faults': ('try planner and simulator under faults, as real processes, and print the matrix',
+        ()),
+    'plot': ('draw the figures and an animation of a bag', (
         _argument('bag', metavar='BAG', help='a recorded flight'),
         _argument('-o', '--out', required=True, metavar='DIR',
             help='takes the pictures; made if missing'),
@@ -205,8 +197,8 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
         _argument('--dark', action='store_true', help='for dark pages, not for print'),
         _argument('--no-animation', dest='animated', action='store_false',
             help='only still pictures'),
-    ),
-    'solve': (
+    )),
+    'solve': ('solve one problem from a file, print the plan', (
         _argument('file', metavar='FILE|-', help='the problem, JSON or YAML; - reads stdin'),
         _argument('--projection', choices=PROJECTIONS, default='thrust_aligned',
             help='how rotations are made of points of the orbitope (default: %(default)s)'),
@@ -216,8 +208,8 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
             help='search no longer, and print the best plan found by then (default: %(default)g)'),
         _argument('--certificate', metavar='FILE', help='write what proves the lower bound, or '
             'that nothing is feasible, for `orbimpc verify`'),
-    ),
-    'study': (
+    )),
+    'study': ('fly many random tasks and report how they end', (
         _argument('file', metavar='FILE', nargs='?', default='retrieval',
             help=f'{WHICH} (default: %(default)s)'),
         _argument('--runs', type=int, default=100, metavar='N',
@@ -233,8 +225,8 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
             help='of a Dask scheduler (default: the cores here)'),
         _argument('--workers', type=int, metavar='N',
             help='processes here (default: one per core)'),
-    ),
-    'verify': (
+    )),
+    'verify': ('prove lower bounds again, in exact arithmetic', (
         _argument('path', metavar='CERTIFICATE.json|BAG', help='of `orbimpc solve`; a flight'),
         _argument('--problem', metavar='FILE',
             help='that the certificate is to be of, as given to solve'),
@@ -242,8 +234,8 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
         NAMESPACE,
         _argument('--params', metavar='FILE', help='of a bag that has no notes of its own'),
         _argument('--out', metavar='DIR', help="write the ticks' certificates there"),
-    ),
-    'view': (
+    )),
+    'view': ('look at a flight in a browser, live or from a bag', (
         _argument('bag', nargs='?', metavar='BAG',
             help='a recorded flight (default: what is running now)'),
         NAMESPACE,
@@ -251,7 +243,7 @@ ARGUMENTS: Mapping[str, Sequence[Argument]] = {
             help='of the page (default: 9090, or any that is free)'),
         _argument('--no-browser', dest='browser', action='store_false',
             help='only say where the page is'),
-    ),
+    )),
 }  # fmt: skip
 
 if __name__ == '__main__':

@@ -199,18 +199,13 @@ def _kept(file: Path, about: dict[str, Any]) -> dict[Key, Row]:
     try:
         whole = file.read_text().rpartition('\n')[0]
         head, *rows = map(json.loads, whole.splitlines())
-        kept = {key_of(row): row for row in rows}
+        kept = {(row['controller'], row['index']): row for row in rows}
         differ = [name for name in about if head.get(name) != json.loads(json.dumps(about[name]))]
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
         raise BadInput(str(file), 'damaged', 'the results of a study') from None
     if differ:
         raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
     return kept
-
-
-def key_of(row: Row) -> Key:
-    """Return by whom a flight was flown, and its number."""
-    return row['controller'], row['index']
 
 
 # --- many flights
@@ -227,14 +222,11 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
         while pending and going():
             done, pending = wait(pending, GLANCE, FIRST_COMPLETED)
             for future in done:
-                try:
-                    row = future.result()
-                except OrbimpcError:
-                    raise
-                except Exception as error:  # whatever a worker, or the way to it, came to
-                    why = f'a flight failed: {type(error).__name__}: {error}'
-                    raise OrbimpcError(why) from error
-                yield row
+                yield future.result()
+    except OrbimpcError:
+        raise
+    except Exception as error:  # whatever a worker, or the way to it, came to
+        raise OrbimpcError(f'a flight failed: {type(error).__name__}: {error}') from error
     finally:
         for future in pending:
             future.cancel()

@@ -44,7 +44,7 @@ from orbimpc_ros.mpc.arrays import Array, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import files, settings
 from orbimpc_ros.tool.files import folder_at, new_folder
-from orbimpc_ros.tool.flights import OURS, Job, Row, baselines, each_flown, key_of, rows_of, workers
+from orbimpc_ros.tool.flights import OURS, Job, Row, baselines, each_flown, rows_of, workers
 from orbimpc_ros.tool.plot import Panel, draw_panel, in_both_looks
 from orbimpc_ros.tool.run.processes import interruptions
 from orbimpc_ros.tool.run.progress import ProgressLine
@@ -162,7 +162,7 @@ def _fly(
     ):
         progress.show(done, f'{done} of {total} flights')
         for row in each_flown(pool, jobs, lambda: not received):
-            flown[key_of(row)] = row
+            flown[row['controller'], row['index']] = row
             out.write(json.dumps(row) + '\n')
             done += 1
             progress.show(done, f'{done} of {total} flights')
