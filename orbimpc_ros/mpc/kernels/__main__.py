@@ -8,7 +8,6 @@ from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.search.round_floor import RoundFloor
-from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
@@ -22,7 +21,6 @@ def the_rest() -> None:
     """Compile all else."""
     RoundFloor(Problem(floor=Floor('circle')), 1e-6)
     Verifier(Problem())
-    HullRiccati(Problem(), 1e-6)
     SO3Multipliers(Problem(dimension=3), beside=True)
     PlaceProgram(Problem())
 

@@ -28,26 +28,13 @@ Mathematics: docs/mathematics.md, 4.7.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point, vectorised
 from orbimpc_ros.mpc.kernels.linear import solve_spd
-from orbimpc_ros.mpc.kernels.penalty import (
-    BEST,
-    ENOUGH,
-    HALVINGS,
-    PAUSED,
-    PROMISED,
-    PROVED,
-    SETTLED,
-    SIGMA,
-    STALLED,
-    STEPS,
-    STUCK,
-    TAKEN,
-    descends,
-    stiffen,
-)
 from orbimpc_ros.mpc.kernels.penalty_terms import (
     multipliers,
     project,
@@ -57,9 +44,49 @@ from orbimpc_ros.mpc.kernels.penalty_terms import (
     value_of,
 )
 
+SETTLED, STALLED, PAUSED, PROVED = range(4)  # what a minimisation ends with; PROVED: a bound
+SIGMA, BEST, PROMISED = range(3)  # in Iterate.numbers
+STEPS, TAKEN = range(2)  # in Iterate.counts
+
 LIMIT = 200  # Newton steps and updates of the multipliers
 NOTHING = 1e-18  # a minimum is near enough where so little is left
 WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
+ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
+HALVINGS = 30
+DESCENT = 1e-4  # share of a Newton step's promise that a step must keep
+ROUNDING = 1e-13
+GROWTH = 3.0
+QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
+
+
+class Iterate(NamedTuple):
+    """A minimisation that can be interrupted.
+
+    Attributes:
+        x: the point it is at, shape (N, d).
+        held: the multipliers held, or the force that they exert, shape (N, d).
+        numbers: sigma, the penalty's parameter; the greatest lower bound; how far the last Newton
+            step promised to bring the merit down, shape (3,).
+        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
+    """
+
+    x: Array
+    held: Array
+    numbers: Array
+    counts: np.ndarray
+
+
+def begun(steps: int, width: int, sigma: float) -> Iterate:
+    """Return the progress of a minimisation that has not begun.
+
+    Args:
+        steps: N.
+        width: d, the coordinates of a step.
+        sigma: the penalty's first parameter.
+    """
+    numbers = np.array([sigma, -np.inf, np.inf])
+    x, held = np.zeros((steps, width)), np.zeros((steps, width))
+    return Iterate(x, held, numbers, np.zeros(2, np.int64))
 
 
 @compiled
@@ -213,6 +240,39 @@ def _with_lengths(quadratic, terms, x):
         if terms.lengths[k] > 0.0:
             cost += terms.lengths[k] * np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2 + x[k, 2] ** 2)
     return cost
+
+
+@compiled
+def stiffen(progress, near, largest):
+    """Set the next sigma, when its Newton steps came near a minimum or are given up.
+
+    Args:
+        progress: updated in place.
+        near: whether they came near.
+        largest: sigma may be.
+    """
+    sigma, taken = progress.numbers[SIGMA], progress.counts[TAKEN]
+    if not near:
+        sigma /= GROWTH * GROWTH
+    elif taken <= QUICK:
+        sigma = min(largest, sigma * GROWTH * GROWTH)
+    elif taken <= SLOW:
+        sigma = min(largest, sigma * GROWTH)
+    progress.numbers[SIGMA] = sigma
+    progress.numbers[PROMISED], progress.counts[TAKEN] = np.inf, 0
+
+
+@compiled
+def descends(reached, merit, share, decrease):
+    """Return whether a share of a Newton step brings the merit down far enough (Armijo's rule).
+
+    Args:
+        reached: the merit there.
+        merit: before the step.
+        share: of the step, 0..1.
+        decrease: that the whole step promises.
+    """
+    return reached <= merit - DESCENT * share * decrease + ROUNDING * (1.0 + abs(merit))
 
 
 @entry_point

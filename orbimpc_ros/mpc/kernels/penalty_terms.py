@@ -7,7 +7,11 @@ set: of L_k - sigma S(R_k) on the positive semidefinite matrices, of w + sigma R
 and so on. The generalised Hessian of the envelopes is a sum of a few rank-one parts for each
 constraint that acts.
 
-Mathematics: docs/mathematics.md, 4.7.
+The 4x4 matrix S(R) = I + K(R), positive semidefinite over conv SO(3), has K linear onto the
+traceless symmetric matrices; K* is its adjoint for the entrywise inner products. R is given by its
+nine entries, column by column.
+
+Mathematics: docs/mathematics.md, 2.2 and 4.7.
 """
 
 from __future__ import annotations
@@ -19,7 +23,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import diagonalise, is_positive
-from orbimpc_ros.mpc.kernels.orbitope import add_adjoint, set_lmi, set_pair
 
 NEGLIGIBLE = 1e-12  # share of sigma at which a part of the Hessian is left out
 REFUTED = 1e-9  # share of what cancels from which on a refutation is one
@@ -158,6 +161,70 @@ def no_sides() -> tuple[np.ndarray, Array, Array]:
 
 
 @compiled
+def _set_lmi(x, s):
+    """Set S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.orbitopes.lmi`.
+
+    Args:
+        x: R's entries column by column, shape (9,).
+        s: to be set, shape (4, 4).
+    """
+    s[0, 0] = 1.0 + x[0] + x[4] + x[8]
+    s[1, 1] = 1.0 + x[0] - x[4] - x[8]
+    s[2, 2] = 1.0 - x[0] + x[4] - x[8]
+    s[3, 3] = 1.0 - x[0] - x[4] + x[8]
+    s[0, 1] = s[1, 0] = x[5] - x[7]
+    s[0, 2] = s[2, 0] = x[6] - x[2]
+    s[0, 3] = s[3, 0] = x[1] - x[3]
+    s[1, 2] = s[2, 1] = x[1] + x[3]
+    s[1, 3] = s[3, 1] = x[6] + x[2]
+    s[2, 3] = s[3, 2] = x[5] + x[7]
+
+
+@compiled
+def _add_adjoint(m, scale, out):
+    """Add a multiple of K*(m), the adjoint of R's part of S(R).
+
+    Args:
+        m: symmetric, shape (4, 4).
+        scale: of what is added.
+        out: to be added to, shape (9,).
+    """
+    out[0] += scale * (m[0, 0] + m[1, 1] - m[2, 2] - m[3, 3])
+    out[4] += scale * (m[0, 0] - m[1, 1] + m[2, 2] - m[3, 3])
+    out[8] += scale * (m[0, 0] - m[1, 1] - m[2, 2] + m[3, 3])
+    out[5] += scale * 2.0 * (m[0, 1] + m[2, 3])
+    out[7] += scale * 2.0 * (m[2, 3] - m[0, 1])
+    out[6] += scale * 2.0 * (m[0, 2] + m[1, 3])
+    out[2] += scale * 2.0 * (m[1, 3] - m[0, 2])
+    out[1] += scale * 2.0 * (m[0, 3] + m[1, 2])
+    out[3] += scale * 2.0 * (m[1, 2] - m[0, 3])
+
+
+@compiled
+def _set_pair(basis, i, j, out):
+    """Set K* of the unit symmetric matrix that two columns of a basis span.
+
+    Args:
+        basis: orthonormal columns, shape (4, 4).
+        i: of one column.
+        j: of the other, or i.
+        out: to be set, shape (9,).
+    """
+    scale = 1.0 if i == j else np.sqrt(2.0)
+    a, b, c, d = basis[0, i], basis[1, i], basis[2, i], basis[3, i]
+    p, q, r, s = basis[0, j] * scale, basis[1, j] * scale, basis[2, j] * scale, basis[3, j] * scale
+    out[0] = a * p + b * q - c * r - d * s
+    out[4] = a * p - b * q + c * r - d * s
+    out[8] = a * p - b * q - c * r + d * s
+    left, right = a * q + b * p, c * s + d * r
+    out[5], out[7] = left + right, right - left
+    left, right = a * r + c * p, b * s + d * q
+    out[6], out[2] = left + right, right - left
+    left, right = a * s + d * p, b * r + c * q
+    out[1], out[3] = left + right, right - left
+
+
+@compiled
 def set_forces(terms, held, force):
     """Set the gradient of the terms for fixed multipliers.
 
@@ -172,7 +239,7 @@ def set_forces(terms, held, force):
         if k == 0 and terms.coasting:
             force[0, 0] = held.fraction[0]
         else:
-            add_adjoint(held.orbitopes[k], -1.0, force[k])
+            _add_adjoint(held.orbitopes[k], -1.0, force[k])
         for c in range(3):
             force[k, c] += held.lengths[k, c] - held.rows[k] * terms.rows[k, c]
     for i in range(len(held.sides)):
@@ -254,7 +321,7 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
     ``basis`` brings the eigenvectors of the last projection and takes this one's.
     """
     s, t, u = small[0], small[1], small[2]
-    set_lmi(x, s)
+    _set_lmi(x, s)
     if held[0, 0] == held[1, 1] == held[2, 2] == held[3, 3] == 0.0:
         t[:] = s
         if is_positive(t):  # most steps: the constraint does not act
@@ -372,7 +439,7 @@ def value_of(terms, x, held, s):
     value = held.fraction[0] * x[0, 0] - max(0.0, held.fraction[0])
     for k in range(len(x)):
         if not (k == 0 and terms.coasting):
-            set_lmi(x[k], s)
+            _set_lmi(x[k], s)
             for i in range(4):
                 for j in range(4):
                     value -= held.orbitopes[k, i, j] * s[i, j]
@@ -436,7 +503,7 @@ def _orbitope_columns(first, bases, values, sigma, step, column, weight, count):
                     continue
                 share = 1.0 if both else values[k, i] / (values[k, i] - values[k, j])
                 if share > NEGLIGIBLE:
-                    set_pair(bases[k], i, j, column[count])
+                    _set_pair(bases[k], i, j, column[count])
                     step[count], weight[count] = k, sigma * share
                     count += 1
     return count

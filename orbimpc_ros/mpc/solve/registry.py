@@ -14,10 +14,9 @@ from orbimpc_ros.mpc.solve.request import Found, Method, Request
 # (module, class). The first whose ``solves`` holds is chosen; modules are imported in turn, since
 # the later ones take longer to import.
 METHODS = [
-    ('solve.hull_riccati', 'HullRiccati'),
     ('search.engine', 'Engine'),
     ('search.round_floor', 'RoundFloor'),
-    ('solve.planar_catch', 'PlanarCatch'),
+    ('solve.planar_way', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it

@@ -20,10 +20,23 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
-from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, PROVED, SETTLED, Iterate, begun
+from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
+    BEST,
+    PAUSED,
+    PROVED,
+    SETTLED,
+    Iterate,
+    begun,
+    minimise,
+)
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
-from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
+from orbimpc_ros.mpc.model.condensed import (
+    Condensed,
+    knowns,
+    other_axes,
+    suits_dense_code,
+    thrust_axis,
+)
 from orbimpc_ros.mpc.model.dynamics import (
     first_length,
     length_weight,
@@ -34,7 +47,6 @@ from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
-from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
