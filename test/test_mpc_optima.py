@@ -83,11 +83,12 @@ def test_convex_optima_are_those_of_another_formulation(family, seed):
     assert plan.objective == pytest.approx(convex(problem, start, targets), rel=1e-5)
 
 
-@pytest.mark.parametrize('horizon', [1, 2, 45])
-def test_long_and_short_horizons_are_solved_as_well(horizon):
-    rng = np.random.default_rng(4)
-    problem = Problem(horizon=horizon, step=0.2, weights=Weights(attitude=2.0))
-    start, targets = disturbed(rng, problem), goals(rng, problem, distance=3.0)
+@pytest.mark.parametrize(('horizon', 'order'), [(1, 1), (2, 1), (45, 1), (55, 2), (59, 2)])
+def test_long_and_short_horizons_are_solved_as_well(horizon, order):
+    rng, step = np.random.default_rng(4), 0.2 if order == 1 else 1.0
+    known = {'horizon': horizon, 'step': step, 'translation_order': order}
+    problem = Problem(**known, weights=Weights(attitude=2.0))
+    start, targets = disturbed(rng, problem), goals(rng, problem, distance=3.0 * horizon)
     plan = Solver(problem, gap_tolerance=1e-7).solve(start, targets)
     assert plan.objective == pytest.approx(convex(problem, start, targets), rel=2e-6)
 

@@ -40,6 +40,7 @@ from orbimpc_ros.mpc.search.tree import (
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves do not
+LONGEST_INERTIAL = 58  # without a floor: beyond it interior steps take longer than sparse solves
 ROOM = 1_000_000  # nodes times steps that there is memory for
 SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
 SPACES = 4  # threads whose memory is kept
@@ -124,7 +125,7 @@ class Engine:
             and problem.terminal == 'penalty'
             and not problem.obstacles
             and not (problem.approach.exists and floor.fraction < problem.least_heading)
-            and problem.horizon <= LONGEST
+            and problem.horizon <= (LONGEST_INERTIAL if disks and problem.inertial else LONGEST)
         )
 
     def solve(self, request: Request) -> Found:

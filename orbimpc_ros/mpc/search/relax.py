@@ -42,7 +42,7 @@ MIXING = 5e3  # multiplications that it takes to mix points, and to share out wh
 FEW = 2  # rank of a Hessian up to which points are mixed
 MIXED = 2 * FEW + 1  # points
 PASSES, STILL = 50, 1e-9  # over their shares; and by how much less than this they do not move
-LONGEST = 4e6  # multiplications that are done without a look at the time
+LONGEST = 1e7  # multiplications that are done without a look at the time
 ROUNDING = 1e-15  # of numbers that cancel
 HALVINGS, SHRINK = 6, 0.4
 

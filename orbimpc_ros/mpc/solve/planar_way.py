@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Turns and catches of a wing in space: the best way in one plane.
+"""Turns in space: the best way in one plane.
 
 A wing that cannot stop, and is to be somewhere else, turns in the plane of its heading and its
 goal. What it flies there is a problem of the plane, which the search over sectors settles in a
@@ -19,13 +19,10 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.geometry.rotations import carried
-from orbimpc_ros.mpc.model.dynamics import drift, position_weights, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import drift, position_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.solve.registry import General
-from orbimpc_ros.mpc.solve.request import Found, Guess, Request
-
-ALONE = 'no ways but those in the plane of heading and goal were looked at'
+from orbimpc_ros.mpc.solve.request import Guess, Request
 
 
 class PlanarWay:
@@ -65,42 +62,6 @@ class PlanarWay:
         found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
         assert found.x is not None  # the search begins with one
         return coordinates(carried(attitude, found.x @ plane.T))
-
-
-class PlanarCatch:
-    """Solves problems of space with a floor and a turn rate where the last goal alone counts.
-
-    The general search, which proves something of space, has its turn where there is no deadline.
-
-    Args:
-        problem: what to solve.
-        tolerance: relative gap, in the plane, at which a way is good enough.
-    """
-
-    takes_guess = trusts_guess = True
-
-    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        self._problem, self._plane = problem, PlanarWay(problem, tolerance)
-        self._general = General(problem, tolerance)
-
-    @staticmethod
-    def solves(problem: Problem) -> bool:
-        """Return whether this method applies to a problem, and is fast on this machine."""
-        return (
-            problem.weights.position == problem.weights.attitude == 0.0
-            and not problem.obstacles
-            and PlanarWay.leads(problem)
-        )
-
-    def solve(self, request: Request) -> Found:
-        """Return the best trajectory found in the plane, or the general search's."""
-        if not request.hurried:
-            return self._general.solve(request)
-        x, guess = self._plane.way(request), request.guess
-        cost = trajectory_of(self._problem, request.state, request.goals, x).cost
-        if guess is not None and guess.cost <= cost:
-            x, cost = guess.x, guess.cost
-        return Found(x, cost, -np.inf, 1, ALONE)
 
 
 def _planar(problem: Problem) -> Problem:

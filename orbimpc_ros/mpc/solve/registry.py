@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.solve.request import Found, Method, Request
 METHODS = [
     ('search.engine', 'Engine'),
     ('search.round_floor', 'RoundFloor'),
-    ('solve.planar_way', 'PlanarCatch'),
+    ('solve.planar_catch', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
