@@ -18,7 +18,7 @@ from orbimpc_ros.loop.traffic import centre, placed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker, shown
 from orbimpc_ros.ros.messages import OK, WARN, Stamp, diagnostics, point, pose
-from orbimpc_ros.sim.world import Airspeeds, Flight
+from orbimpc_ros.sim.world import Flight
 
 
 def sensed(stamp: Stamp, content: Odometry | GoalObservation) -> tuple[str, Any]:
@@ -44,13 +44,13 @@ def transform(odometry: OdometryMessage) -> TransformStamped:
     return message
 
 
-def truth(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> DiagnosticArray:
+def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
     """Return the true state of a simulated vehicle at a time [ns], as a status of a name."""
-    vehicle, now = flight.vehicle, flight.vehicle.airspeed
+    vehicle, seen, now = flight.vehicle, flight.airspeeds, flight.vehicle.airspeed
     values = {
         'airspeed': now,
-        'least_airspeed': airspeeds.least,
-        'stalls': airspeeds.stalls,
+        'least_airspeed': seen.least,
+        'stalls': seen.stalls,
         'wind': vehicle.wind.tolist(),
         'position': vehicle.position.tolist(),
         'velocity': vehicle.velocity.tolist(),
@@ -59,8 +59,8 @@ def truth(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> Diagnosti
         'touched': sorted(flight.touched),
         **vehicle.facts,
     }
-    if airspeeds.stalled:
-        slow = f'stalled: {now:.3g} m/s, below {airspeeds.stall_speed:g} m/s'
+    if seen.stalled:
+        slow = f'stalled: {now:.3g} m/s, below {seen.stall_speed:g} m/s'
         return diagnostics(at, name, WARN, slow, values)
     return diagnostics(at, name, OK, 'flies', values)
 

@@ -26,7 +26,7 @@ from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Continuous, Model, measured
-from orbimpc_ros.sim.world import Airspeeds, departure, outcome
+from orbimpc_ros.sim.world import departure, outcome
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -50,7 +50,6 @@ class FlightSimulation(ABC):
         flight: now.
         view: the messages of it that reach a planner.
         finished: whether the flight has ended.
-        airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
@@ -76,10 +75,6 @@ class FlightSimulation(ABC):
         self.flight = departure(settings.scenario, time)
         self.view = View(settings.faults, settings.seed, settings.scenario.model.step)
         self.finished = False
-        model = settings.scenario.model
-        self.airspeeds: Airspeeds | None = None
-        if isinstance(model, Continuous):
-            self.airspeeds = Airspeeds(model.stall_speed).seeing([self.flight.vehicle])
 
     # --- its pace
 
@@ -215,9 +210,9 @@ class FlightSimulation(ABC):
         if 'goal_path' in out:
             out['goal_path'].publish(outputs.future(stamp, flight, steps))
         out['world_markers'].publish(outputs.world_markers(stamp, flight))
-        if self.airspeeds is not None:
+        if 'truth' in out:
             name = f'{self.node.get_fully_qualified_name()}: truth'
-            out['truth'].publish(outputs.truth(at, name, flight, self.airspeeds))
+            out['truth'].publish(outputs.truth(at, name, flight))
         if self._transforms is not None:
             shown = messages.odometry_message(stamp, measured(flight.vehicle))
             self._transforms.sendTransform(outputs.transform(shown))
@@ -242,9 +237,6 @@ class FlightSimulation(ABC):
         except EngineFailure as error:
             self.finished, self.node.exit_code = True, FAILED
             self.node.get_logger().fatal(f'the engine has failed: {error}')
-            return
-        if self.airspeeds is not None:
-            self.airspeeds = self.airspeeds.seeing(self.flight.trail)
 
     def warn(self, text: str) -> None:
         """Report what is wrong."""
@@ -258,8 +250,9 @@ class FlightSimulation(ABC):
         self._out['captured'].publish(Bool(data=flight.captured))
         ending = f'{outcome(flight)}, after {flight.ticks} ticks'
         numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
-        if self.airspeeds is not None:
-            numbers |= {'least_airspeed': self.airspeeds.least, 'stalls': self.airspeeds.stalls}
+        if 'truth' in self._out:
+            seen = flight.airspeeds
+            numbers |= {'least_airspeed': seen.least, 'stalls': seen.stalls}
         self._diagnose(messages.OK if flight.captured else messages.WARN, ending, numbers)
         self.node.get_logger().info(ending)
         if self.settings.exit_when_done:

@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle
-from orbimpc_ros.sim.vehicle import Model, Vehicle
+from orbimpc_ros.sim.vehicle import Continuous, Model, Vehicle
 
 FINISHES = ('capture', 'arrival')
 ROUNDING = 1e-6  # of the stall speed
@@ -78,6 +78,26 @@ class Scenario:
 
 
 @dataclass(frozen=True)
+class Airspeeds:
+    """The airspeeds of a flight so far."""
+
+    stall_speed: float = 0.0  # below which a vehicle has stalled [m/s]; 0 for none
+    least: float = math.inf  # [m/s]
+    stalls: int = 0  # how often it fell below the stall speed
+    stalled: bool = False  # whether it was below when last seen
+
+    def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
+        """Return the record with these vehicles, in order of time, added."""
+        seen = self
+        for vehicle in vehicles:
+            speed = vehicle.airspeed
+            stalled = speed < self.stall_speed * (1.0 - ROUNDING)
+            stalls = seen.stalls + (stalled and not seen.stalled)
+            seen = replace(seen, least=min(seen.least, speed), stalls=stalls, stalled=stalled)
+        return seen
+
+
+@dataclass(frozen=True)
 class Flight:
     """A scenario after some steps.
 
@@ -93,6 +113,7 @@ class Flight:
     headed: bool = False  # whether it was within the cone of approach then
     trail: tuple[Vehicle, ...] = ()  # the vehicle on its way through the last step, to its end
     touched: frozenset[int] = frozenset()
+    airspeeds: Airspeeds = Airspeeds()  # since the start
 
     @property
     def elapsed(self) -> float:
@@ -172,7 +193,8 @@ class Flight:
         nearest = min(parts, key=lambda flight: flight.miss)
         kept = {name: getattr(nearest, name) for name in ('miss', 'missed_at', 'headed')}
         trail = tuple(vehicle for part in parts for vehicle in part.trail)
-        return replace(later, ticks=self.ticks + 1, trail=trail, **kept)
+        seen = self.airspeeds.seeing(trail)
+        return replace(later, ticks=self.ticks + 1, trail=trail, airspeeds=seen, **kept)
 
     def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
         """Return the flight after a time [s] under one command, its goal swinging on."""
@@ -200,10 +222,13 @@ class Flight:
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:
     """Return the flight before its first step; ``time`` [s] moves the start on the clock."""
-    start = scenario.model.begun(scenario.start)
+    model = scenario.model
+    start = model.begun(scenario.start)
     if time is not None:
         start = replace(start, time=time)
-    return Flight(replace(scenario, start=start), start)
+    stall_speed = model.stall_speed if isinstance(model, Continuous) else 0.0
+    seen = Airspeeds(stall_speed).seeing([start])
+    return Flight(replace(scenario, start=start), start, airspeeds=seen)
 
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:
@@ -234,26 +259,6 @@ def outcome(flight: Flight) -> str:
         return 'not captured'
     when = flight.missed_at - flight.scenario.start.time
     return f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
-
-
-@dataclass(frozen=True)
-class Airspeeds:
-    """The airspeeds of a flight so far."""
-
-    stall_speed: float  # below which a vehicle has stalled [m/s]; 0 for none
-    least: float = math.inf  # [m/s]
-    stalls: int = 0  # how often it fell below the stall speed
-    stalled: bool = False  # whether it was below when last seen
-
-    def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
-        """Return the record with these vehicles, in order of time, added."""
-        seen = self
-        for vehicle in vehicles:
-            speed = vehicle.airspeed
-            stalled = speed < self.stall_speed * (1.0 - ROUNDING)
-            stalls = seen.stalls + (stalled and not seen.stalled)
-            seen = replace(seen, least=min(seen.least, speed), stalls=stalls, stalled=stalled)
-        return seen
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:

@@ -31,8 +31,7 @@ from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.vehicle import Continuous
-from orbimpc_ros.sim.world import Airspeeds, Flight, departure
+from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.offline import aboard, closed_loop
 
@@ -135,15 +134,14 @@ def _of_way(way: Sequence[Flight]) -> Row:
     its end; of a vehicle in an engine its least ``airspeed`` [m/s], and the largest magnitudes of
     what the engine reports, such as its ``bank`` [rad].
     """
-    last, model = way[-1], way[0].scenario.model
-    trail = [vehicle for flight in way for vehicle in flight.trail]
-    airspeeds = Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0).seeing(trail)
-    row = {'closest': min(flight.miss for flight in way), 'stalls': airspeeds.stalls}
+    last = way[-1]
+    row = {'closest': min(flight.miss for flight in way), 'stalls': last.airspeeds.stalls}
     if last.scenario.finish == 'arrival':
         row |= {'missed': last.distance, 'speed': last.speed}
     if last.vehicle.engine is not None:
-        facts = [fact for each in trail if not each.caught for fact in each.facts.items()]
-        row |= {'airspeed': airspeeds.least}
+        trail = [vehicle for flight in way for vehicle in flight.trail if not vehicle.caught]
+        facts = [fact for each in trail for fact in each.facts.items()]
+        row |= {'airspeed': last.airspeeds.least}
         row |= {name: max(abs(v) for n, v in facts if n == name) for name in dict(facts)}
     return row
 

@@ -103,7 +103,7 @@ def run(
         'values': draws.values,
         'rules': draws.rules,
         'margin': draws.margin,
-        'tuned': _tuned(names, draws.name),
+        'tuned': {n: baselines().tuned_of(draws.name).get(n, {}) for n in names if n != OURS},
     }
     folder = _folder(out, draws.name)
     flown = rows_of(folder / FLIGHTS, about, resumed=resume)
@@ -138,11 +138,6 @@ def _controllers(given: str) -> list[str]:
     if not {*names} <= {*known} or len({*names}) < len(names):
         raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
     return names
-
-
-def _tuned(names: Sequence[str], study: str) -> dict[str, dict[str, float]]:
-    """Return what baselines were tuned to for a study."""
-    return {name: baselines().tuned_of(study).get(name, {}) for name in names if name != OURS}
 
 
 def _fly(

@@ -26,10 +26,10 @@ class ProgressLine:
     def show(self, done: int, text: str) -> None:
         """Draw ``done`` with a text beside it, unless nothing has changed that is worth it."""
         share = min(1.0, done / self._total)
-        step = done if self._live else int(share * LINES)
-        if self._shown is not None and (step, text if self._live else '') == self._shown:
+        shown = (done, text) if self._live else (int(share * LINES), '')
+        if shown == self._shown:
             return
-        self._shown = (step, text if self._live else '')
+        self._shown = shown
         filled = int(share * WIDTH)
         line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
         line = line[: shutil.get_terminal_size().columns - 1]  # a second line would stay
