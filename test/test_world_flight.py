@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flying import fly
 from scenarios import dubins, retrieval, retrieval_problem
 
 from orbimpc_ros.loop.capture import STAY, Events, closest_approach, is_headed
 from orbimpc_ros.loop.goal.forecast import Hold
-from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.loop.planner import Planner, Snapshot
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
-from orbimpc_ros.sim.vehicle import Model, Plant, launched, measured
+from orbimpc_ros.sim.vehicle import Model, Plant, launched
 from orbimpc_ros.sim.world import Rope, departure, fixed, met, touched
 
 
@@ -55,18 +55,10 @@ def test_the_papers_story(seed):
     if seed is not None:
         nudge = np.random.default_rng(seed).uniform(-1e-3, 1e-3, 2)
         scenario = replace(scenario, start=launched(scenario.model, nudge, np.eye(2)))
-    planner, forecast = Planner(retrieval_problem()), Hold()
-    flights, ticks = [departure(scenario)], []
-    while not flights[-1].over:
-        odometry = measured(flights[-1].vehicle, scenario.model.velocity_source)
-        forecast.observe(GoalObservation(odometry.time, flights[-1].goal))
-        ticks.append(planner.step(Snapshot(odometry, forecast.at(planner.ends(odometry.time)))))
-        command = ticks[-1].command
-        planner.sent(command)
-        flights.append(flights[-1].after(command.speed_fraction, command.body_rate))
+    _, ticks, flights = zip(*fly(Planner(retrieval_problem()), scenario, Hold()), strict=True)
     assert flights[-1].captured
     assert 23.0 <= flights[-1].missed_at <= 25.0
-    *misses, caught = (flight.miss for flight in flights[1:])
+    *misses, caught = (flight.miss for flight in flights)
     assert sum(miss < 0.35 for miss in misses) >= 3
     assert caught < scenario.capture_radius - 0.01
     assert min(misses) > scenario.capture_radius + 0.01
