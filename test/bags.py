@@ -1,7 +1,6 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The bags of demos and golden ones in tests: read, rewritten, every plan rolled out."""
 
-import itertools
 from collections import defaultdict
 from contextlib import closing
 from pathlib import Path
@@ -11,12 +10,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
-from orbimpc_ros.ros.messages import Frames, read_force, read_odometry, read_speed_and_rate
 from orbimpc_ros.ros.topics import Topic
-from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.vehicle import advance, launched
-from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.history import History, Planned
 
@@ -37,41 +32,6 @@ def messages_of(folder):
     for message in bags.read(folder / 'bag'):
         found[message.topic[1:]].setdefault(message.stamp, message.content)
     return found
-
-
-def check_rollout(folder):
-    """What was commanded, flown by the vehicle's model, is the plan's and odometry's next pose.
-
-    Flown in space; in the plane z stays zero and turning is about z.
-    """
-    found, anywhere = messages_of(folder), Frames()
-    values = settings.read(bags.notes(folder / 'bag')['parameters']) | {'dimension': 3}
-    model, fraction = sim_settings(values).scenario.model, values['start.speed_fraction']
-    for now, then in itertools.pairwise(sorted(found['odom'])):
-        _, seen = read_odometry(found['odom'][now], 3, anywhere)
-        _, pushed, rate = read_speed_and_rate(found['cmd_vel'][now], 3, anywhere)
-        full = model.forward
-        if model.translation_order == 1:  # odometry shows the speed, though not the thrust
-            fraction = min(1.0, seen.body_velocity[0] / full)
-        else:
-            _, pushed = read_force(found['cmd_thrust'][now], anywhere)
-            full *= model.mass
-        moving = {'velocity': seen.attitude @ seen.body_velocity, 'body_rate': seen.body_rate}
-        vehicle = launched(model, seen.position, seen.attitude, fraction=fraction, **moving)
-        fraction = pushed / full
-        flown = advance(model, vehicle, fraction, rate)
-        for pose in (found['plan'][now].poses[1].pose, found['odom'][then].pose.pose):
-            place = pose.position
-            assert np.allclose([place.x, place.y, place.z], flown.position, atol=1e-6)
-            assert np.allclose(attitude(pose.orientation), flown.attitude, atol=1e-6)
-        # At rotation order 2 a rate is taken over at the end of the step and turns in the next.
-        turned = flown.attitude if model.rotation_order == 1 else flown.attitude @ exp(rate)
-        commanded = attitude(found['rotation'][now].quaternion)
-        assert np.allclose(commanded, turned, atol=1e-6)
-
-
-def attitude(message):
-    return from_quaternion(np.array([message.w, message.x, message.y, message.z]), 3)
 
 
 def made_up(positions, values, **others):

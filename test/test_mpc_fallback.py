@@ -10,9 +10,7 @@ from problems import ORDERS, floor
 from scenarios import model_of
 from stepping import Stepped, odometry
 
-from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.fallback import safe_command
-from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
@@ -20,7 +18,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.plan import Command, shifted
+from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -245,17 +243,6 @@ def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
 # --- closed loops and arrivals
 
 
-def test_second_order_state_carries_thrust_velocity_and_coasted_attitude():
-    problem = Problem(3, 2, 2, step=0.5)
-    attitude = exp(np.array([0.2, -0.4, 0.9]))
-    compensator, rate = Compensator(problem), np.array([0.1, 0.2, -0.3])
-    compensator.history.add(Command(0.25, np.zeros(3), np.eye(3)))
-    state = compensator.state(replace(odometry(np.zeros(3), attitude, 2.0), body_rate=rate))
-    assert np.allclose(state['rotation'], 0.25 * attitude)
-    assert np.allclose(state['velocity'], 2.0 * attitude[:, 0])
-    assert np.allclose(state['coasted'], attitude @ exp(np.array([0.05, 0.1, -0.15])))
-
-
 @pytest.mark.parametrize('orders', ORDERS)
 def test_every_model_flies_to_its_goal_in_closed_loop(orders):
     n = orders['dimension']
@@ -382,11 +369,6 @@ def test_another_controller_goes_on_from_what_this_one_remembers():
     second = Stepped(replace(first.problem, max_rate=1.5), shrinking=True)
     second.continue_from(first)
     assert len(second.ends(1.0)) == len(first.ends(1.0)) == 5
-
-
-def test_a_trajectory_is_interpolated_and_its_ends_are_held():
-    path = GoalTrajectory(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 4.0]]))
-    assert np.allclose(path.at(np.array([-1.0, 1.0, 5.0])), [[0, 0], [1, 2], [2, 4]])
 
 
 @pytest.mark.parametrize(('band', 'drift'), [(0.2, 0.0), (0.0, -0.3), (0.0, 0.0)])

@@ -24,7 +24,7 @@ from problems import (
 )
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.errors import BadInput, Infeasible
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
@@ -328,13 +328,3 @@ def test_holding_the_rotation_stands_in_for_a_method_that_fails(monkeypatch):
         plan = solver.solve(start, targets)
         assert plan.status == 'feasible'
         assert plan.lower_bound <= truly.objective <= plan.objective * (1.0 + 1e-9)
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_a_state_lacks_nothing_that_the_problem_depends_on(n):
-    start, targets = State.at(np.zeros(n), np.eye(n)), np.zeros((3, n))
-    solver = Solver(Problem(n, rotation_order=2, horizon=3), coasting=True)
-    with pytest.raises(BadInput, match=r'state\.coasted'):
-        solver.solve(start, targets)
-    with pytest.raises(BadInput, match=r'state\.wanted is None; allowed: a rotation'):
-        Solver(Problem(n, horizon=3, weights=Weights(attitude=1.0))).solve(start, targets)

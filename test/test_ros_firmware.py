@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.firmware import Setpoint
 
-DRAWS = 10_000
+DRAWS = 2_000
 EAST, NORTH, UP = np.eye(3)
 
 

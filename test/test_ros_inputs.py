@@ -257,6 +257,8 @@ def test_a_forecast_from_outside_is_used_while_it_is_fresh(inputs):
     np.testing.assert_allclose(targets(inputs, ahead(inputs, 3), 0.5), wanted)
     between = targets(inputs, ahead(inputs, 2, 0.05), 0.5)  # as where the plan begins later
     np.testing.assert_allclose(between, [[1.5, 1.0], [2.5, 1.0]])
+    held = targets(inputs, np.array([-1.0, 99.0]), 0.5)  # at its ends
+    np.testing.assert_allclose(held, [[0.0, 1.0], [4.0, 1.0]])
     np.testing.assert_array_equal(targets(inputs, ahead(inputs, 1), 1.5), [[5.0, 0.0]])
 
 

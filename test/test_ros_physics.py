@@ -2,7 +2,6 @@
 """Vehicles in continuous time and in engines: parameters, flights over DDS, an engine that dies."""
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -72,21 +71,6 @@ def test_how_a_goal_moves_is_not_said_where_the_engine_moves_it(change):
     name = change.partition('=')[0]
     with pytest.raises(BadInput, match=f'{name} is .*; allowed: 0 with vehicle: hummingbird'):
         settings.resolve(config('rope.yaml'), [change])
-
-
-def test_the_spacecraft_arrives(capfd, tmp_path):
-    """Over DDS, on Basilisk's own wheels and thrusters."""
-    pytest.importorskip('Basilisk', reason="pip install 'orbimpc_ros[basilisk]' runs this")
-    words = ['--set', 'odom_timeout=60.0', '--set', 'goal_timeout=60.0', '--out', str(tmp_path)]
-    assert cli.main(['demo', 'servicer', *words]) == 0
-    out, _ = capfd.readouterr()
-    assert re.search(r'arrived +yes, \d\.\de-0\d m from the goal', out)
-    found = messages_of(tmp_path / 'servicer')
-    truths = [fields(each) for each in found['truth'].values()]
-    assert max(each['pointing'] for each in truths) < 0.1
-    forces = [each.wrench.force.x for each in found['cmd_thrust'].values()]
-    assert 0.0 <= min(forces) <= max(forces) <= 0.9 + 1e-9
-    assert (tmp_path / 'servicer' / 'trajectory.png').is_file()
 
 
 def test_an_engine_that_fails_ends_the_flight_with_a_line(launch, monkeypatch):

@@ -143,6 +143,20 @@ def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):
     assert_refused(path)
 
 
+def test_a_bag_that_is_still_written_is_read_up_to_its_last_chunk(small, tmp_path, capsys):
+    """As where its recorder is killed: what is written leaves the process chunk by chunk."""
+    tick = next(each for each in bags.raw(small) if each.topic == '/tick')
+    listed = (Topic(tick.topic, tick.type),)
+    with closing(BagWriter(tmp_path / 'run', listed, {'parameters': '{}'})) as writer:
+        for k in range(600):
+            writer.write(tick.topic, k, tick.data, k + 1)
+        found = bags.raw(tmp_path / 'run')
+        assert bags.notes(tmp_path / 'run') == {'parameters': '{}'}
+    assert 300 < len(found) < 600
+    assert [each.stamp for each in found] == list(range(len(found)))
+    assert f'was not closed: read up to its last chunk, {len(found)}' in capsys.readouterr().err
+
+
 # --- too large, or no bag at all
 
 

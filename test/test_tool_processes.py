@@ -10,7 +10,6 @@ import sys
 import textwrap
 import time
 
-import numpy as np
 import pytest
 from harness import PATIENCE, alive, wait_for
 from nav_msgs.msg import Odometry
@@ -122,22 +121,6 @@ def recorded(domain, observer, tmp_path, monkeypatch):
 
     yield recorder, record
     recorder.close()
-
-
-def test_before_its_end_a_bag_is_read_up_to_its_last_chunk(recorded, tmp_path, capsys):
-    """As where its recorder is killed."""
-    count, draw = 600, np.random.default_rng(1)
-    sent = [Odometry(header=header(k * SECOND // 100, 'odom')) for k in range(count)]
-    for message in sent:
-        message.pose.covariance = draw.normal(size=36)
-    recorded[1](sent)
-    stamps = [message.stamp for message in bags.read(tmp_path / 'bag')]
-    err = capsys.readouterr().err
-    assert err.count('\n') == 1
-    assert f'was not closed: read up to its last chunk, {len(stamps)} messages' in err
-    assert stamps == [k * SECOND // 100 for k in range(len(stamps))]
-    assert count // 2 < len(stamps) < count
-    assert bags.notes(tmp_path / 'bag') == {'parameters': '{}'}
 
 
 def test_the_order_of_sending_is_kept(recorded, tmp_path):

@@ -161,13 +161,6 @@ def test_what_is_wrong_is_named_in_one_line(solve, problem, culprit):
     assert '; ' in err  # what to do about it
 
 
-def test_infeasible_names_the_constraint(solve):
-    code, out, err = solve(case(terminal='constraint', goal=[50.0, 0.0]))
-    assert (code, out) == (cli.INFEASIBLE, '')
-    assert err.count('\n') == 1
-    assert 'terminal: constraint' in err
-
-
 def test_a_process_reads_standard_input_and_keeps_tracebacks_to_itself():
     done, bad = (orbimpc('solve', '-', text=json.dumps(case(horizon=each))) for each in (5, 0))
     assert (done.returncode, done.stderr) == (0, '')

@@ -195,7 +195,7 @@ def test_results_go_on_where_they_were_cut_off_and_only_with_the_same_study(tmp_
 
 def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     folder = tmp_path / 'study'
-    flown = ('--set', 'max_ticks=2', '--runs', 40, '--workers', 1)
+    flown = ('--set', 'max_ticks=2', '--runs', 20, '--workers', 1)
     words = ('study', 'retrieval', *flown, '-o', folder)
     # Its own session: the signal goes to its workers as well, as from a terminal.
     process = subprocess.Popen(
@@ -213,12 +213,12 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     assert process.returncode == 130, err
     assert 'Traceback' not in err
     kept = file.read_text().splitlines()
-    assert f'kept {len(kept) - 1} of 40 flights' in out
+    assert f'kept {len(kept) - 1} of 20 flights' in out
     done = orbimpc(*words, '--resume')
     assert done.returncode == 0, done.stderr
     assert file.read_text().splitlines()[: len(kept)] == kept
     rows = [json.loads(line) for line in file.read_text().splitlines()[1:]]
-    assert sorted(row['index'] for row in rows) == list(range(40))
+    assert sorted(row['index'] for row in rows) == list(range(20))
     assert (folder / 'report.md').read_text() == done.stdout
     assert {each.name for each in folder.glob('*.png')} == {'caught.png', 'caught-dark.png'}
 

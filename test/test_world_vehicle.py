@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenarios import model_of
-from scipy.integrate import solve_ivp, trapezoid
+from scipy.integrate import solve_ivp
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
@@ -104,22 +104,6 @@ def moving(plant, rng):
 def scenario_of(plant, vehicle, goal=None):
     n = plant.dimension
     return Scenario(plant, vehicle, fixed(np.full(n, 1e5) if goal is None else goal), 1.0, 1000)
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_without_lag_and_wind_it_flies_exact_arcs(n):
-    rng = np.random.default_rng(1)
-    plant = plant_of(n)
-    vehicle = moving(plant, rng)
-    rate, t = rng.normal(size=plant.rates), 0.7
-    end = plant.flown(vehicle, t, 0.8, rate, 0.0)[-1]
-    turned = vehicle.attitude @ exp(t * rate)
-    np.testing.assert_allclose(end.attitude, turned, atol=1e-12)
-    fine = np.linspace(0.0, t, 20001)
-    headings = np.array([(vehicle.attitude @ exp(at * rate))[:, 0] for at in fine])
-    way = 0.8 * plant.forward * trapezoid(headings, fine, axis=0)
-    np.testing.assert_allclose(end.position, vehicle.position + way, atol=1e-8)
-    np.testing.assert_allclose(end.velocity, 12.0 * turned[:, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(('n', 'order'), ORDERS)
