@@ -44,7 +44,6 @@ LONGEST_INERTIAL = 58  # without a floor: beyond it interior steps take longer t
 ROOM = 1_000_000  # nodes times steps that there is memory for
 SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
 SPACES = 4  # threads whose memory is kept
-RANK = 1e-9  # share of the greatest weight from which on others count
 NONE: Array = np.zeros((0, 2))  # of guesses
 SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
 
@@ -64,10 +63,6 @@ class PlanarCost:
         self._problem, self._condensed = problem, Condensed(problem)
         self.hessian, self._inverse, self.excess = regular(self._condensed.hessian)
         self._lengths = length_weights(problem)[1:].astype(float)
-        self._rank = problem.horizon
-        if not self._lengths.any():
-            values = np.abs(np.linalg.eigvalsh(self._condensed.hessian))
-            self._rank = int(np.count_nonzero(values > RANK * values.max()))
         floor = problem.floor
         fraction = float(floor.fraction) if floor.exists else 0.0
         self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0
@@ -77,7 +72,7 @@ class PlanarCost:
     def quadratic(self, request: Request) -> Quadratic:
         """Return the cost."""
         q, constant = self._condensed.affine(request.state, request.goals)
-        return Quadratic(self.hessian, self._inverse, q, self._lengths, constant, self._rank)
+        return Quadratic(self.hessian, self._inverse, q, self._lengths, constant)
 
     def ring(self, state: State) -> Ring:
         """Return the floor, and what limits headings and speeds from a state on."""

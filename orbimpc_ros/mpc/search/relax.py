@@ -2,8 +2,7 @@
 """The relaxation of a node: a convex quadratic over the hulls of its stage sets.
 
 Block coordinate descent (each step in turn takes its proximal map) finds the faces, and one Newton
-step moves along all of them at once. Where the cost depends on few sums of headings, the point is
-mixed with corners of the sets instead; where neither leads on, an interior-point method does.
+step moves along all of them at once. Where that does not lead on, an interior-point method does.
 Whatever point that leads to, the tangent of the cost there has its least over the sets themselves
 in closed form: a lower bound.
 
@@ -32,16 +31,12 @@ from orbimpc_ros.mpc.search.interior import (
     set_multipliers,
     set_system,
 )
-from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, extreme, prox, support
+from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
 ROUNDS = 60
-PATIENCE = 6  # rounds between two looks at whether the bound still rises
+PATIENCE = 2  # rounds between two looks at whether the bound still rises
 KEY, TAKEN, BEFORE = range(3)  # of a node: its bound; rounds; its bound at the last look
-MIXING = 5e3  # multiplications that it takes to mix points, and to share out what they weigh
-FEW = 2  # rank of a Hessian up to which points are mixed
-MIXED = 2 * FEW + 1  # points
-PASSES, STILL = 50, 1e-9  # over their shares; and by how much less than this they do not move
 LONGEST = 1e7  # multiplications that are done without a look at the time
 ROUNDING = 1e-15  # of numbers that cancel
 HALVINGS, SHRINK = 6, 0.4
@@ -56,7 +51,6 @@ class Quadratic(NamedTuple):
         q: shape (N, 2).
         lengths: l >= 0, shape (N,).
         constant: what the cost lacks; it only scales tolerances.
-        rank: of H, before it was made regular; N where lengths count.
     """
 
     hessian: Array
@@ -64,7 +58,6 @@ class Quadratic(NamedTuple):
     q: Array
     lengths: Array
     constant: float
-    rank: int
 
 
 class Room(NamedTuple):
@@ -83,8 +76,6 @@ class Room(NamedTuple):
         basis: in which directions, shape (2N, 2).
         system: shape (2N, 2N).
         right: shape (2N,).
-        corners: of the sets, which the point is mixed with, shape (M, N, 2).
-        images: H of them, shape (M, N, 2).
     """
 
     slope: Array
@@ -99,8 +90,6 @@ class Room(NamedTuple):
     basis: Array
     system: Array
     right: Array
-    corners: Array
-    images: Array
 
 
 def room_for(steps: int) -> Room:
@@ -119,8 +108,6 @@ def room_for(steps: int) -> Room:
         np.zeros((size, 2)),
         np.zeros((size, size)),
         np.zeros(size),
-        np.zeros((MIXED, steps, 2)),
-        np.zeros((MIXED, steps, 2)),
     )
 
 
@@ -265,72 +252,6 @@ def _pull_back(z, room):
 
 
 @compiled
-def _mix(quad, z, taken, room):
-    """Move to where the cost is least among mixtures of the point and corners of the sets.
-
-    The newest corner is where the tangent of the cost at the point is least.
-    """
-    slope, corners, images, start = room.slope, room.corners, room.images, room.trial
-    gram, fall, share = np.zeros((MIXED, MIXED)), np.zeros(MIXED), np.zeros(MIXED)
-    newest, count = taken % MIXED, min(taken + 1, MIXED)
-    for k in range(len(z)):
-        x, y = extreme(room.shapes[k], slope[k, 0], slope[k, 1])
-        corners[newest, k, 0], corners[newest, k, 1] = x, y
-    set_slope(quad.hessian, quad.q, corners[newest], images[newest])
-    copy_to(start, z)
-    for i in range(count):
-        for k in range(len(z)):
-            for e in range(2):
-                off = corners[i, k, e] - z[k, e]
-                fall[i] += slope[k, e] * off
-                for j in range(count):
-                    gram[i, j] += off * (images[j, k, e] - slope[k, e])
-    _share_out(gram, fall, share, count)
-    for i in range(count):
-        for k in range(len(z)):
-            for e in range(2):
-                z[k, e] += share[i] * (corners[i, k, e] - start[k, e])
-    set_slope(quad.hessian, quad.q, z, slope)
-
-
-@compiled
-def _share_out(gram, fall, share, count):
-    """Set the shares, >= 0 and at most 1 in all, of which a quadratic is least, nearly.
-
-    Args:
-        gram: its Hessian, shape (M, M).
-        fall: its slope where all shares are zero, shape (M,); becomes that at the shares.
-        share: zeros, shape (M,), set.
-        count: of the shares that there are.
-    """
-    rest = 1.0
-    for _ in range(PASSES):
-        most = 0.0
-        for i in range(count):  # at the cost of what is left, then of another
-            for j in range(i, count):
-                curved, down = gram[i, i], fall[i]
-                if j > i:
-                    curved += gram[j, j] - 2.0 * gram[i, j]
-                    down -= fall[j]
-                if curved <= 0.0:
-                    continue
-                source = share[j] if j > i else rest
-                move = min(source, max(-share[i], -down / curved))
-                if move == 0.0:
-                    continue
-                share[i] += move
-                if j > i:
-                    share[j] -= move
-                else:
-                    rest -= move
-                for each in range(count):
-                    fall[each] += move * (gram[each, i] - (gram[each, j] if j > i else 0.0))
-                most = max(most, abs(move))
-        if most <= STILL:
-            break
-
-
-@compiled
 def cost_at(quad, z, slope):
     """Return the cost at a point of given slope H z + q, without the constant."""
     cost = 0.0
@@ -418,9 +339,9 @@ def relax(quad, curvatures, node, limits, room, work):
     """
     z, best, known = node
     cutoff, gap = limits
-    count, mixes = len(z), quad.rank <= FEW
+    count = len(z)
     set_slope(quad.hessian, quad.q, z, room.slope)
-    for taken in range(ROUNDS):
+    for _ in range(ROUNDS):
         _sweep(quad, z, room)
         for turn in range(2):
             cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
@@ -431,11 +352,9 @@ def relax(quad, curvatures, node, limits, room, work):
                 return PRUNED, work
             if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
                 return SOLVED, work
-            if turn == 0 and mixes:
-                _mix(quad, z, taken, room)
-            elif turn == 0:
+            if turn == 0:
                 _newton(quad, z, cost, room)
-        work -= 10.0 * count * count + (MIXING if mixes else count**3)
+        work -= 10.0 * count * count + count**3
         known[TAKEN] += 1.0
         if known[TAKEN] % PATIENCE == 0.0:  # as high as rounding lets it be, or nearly
             if known[TAKEN] >= ROUNDS or known[KEY] - known[BEFORE] < 0.1 * (cost - known[KEY]):

@@ -168,26 +168,6 @@ def support(shape, curvature, length, gx, gy):
 
 
 @compiled
-def extreme(shape, gx, gy):
-    """Return where g . z is least over the set."""
-    size, outer = np.sqrt(gx * gx + gy * gy), shape[OUTER]
-    if is_within(shape, -gx, -gy):
-        t = -outer / max(TINY, size)
-        return t * gx, t * gy
-    x, y, least = 0.0, 0.0, np.inf
-    for side in range(2):
-        vx, vy, t = shape[LX], shape[LY], shape[LEAST_L]
-        if side == 1:
-            vx, vy, t = shape[UX], shape[UY], shape[LEAST_U]
-        along = gx * vx + gy * vy
-        if along < 0.0:
-            t = outer
-        if along * t < least:
-            x, y, least = t * vx, t * vy, along * t
-    return x, y
-
-
-@compiled
 def prox(shape, h, length, cx, cy):
     """Return where h |z|^2 / 2 + c . z + l |z| is least over the hull, its face and direction.
 

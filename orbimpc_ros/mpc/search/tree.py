@@ -447,7 +447,7 @@ def is_promising(quad, ring, tree, z, sector, share, room):
 def improve(quad, ring, tree, room):
     """Descend from the speeds and turns that were found promising."""
     hessian, q, z, end = quad.hessian.copy(), quad.q.copy(), room.trial, len(quad.q) - 1
-    pulled = Quadratic(hessian, quad.inverse, q, quad.lengths, quad.constant, quad.rank)
+    pulled = Quadratic(hessian, quad.inverse, q, quad.lengths, quad.constant)
     curvature, sector = 0.0, np.empty((end + 1, SECTOR))
     for k in range(end + 1):
         curvature = max(curvature, hessian[k, k])
