@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 35_852,
-    'orbimpc_ros/mpc': 18_684,
+    'orbimpc_ros': 35_746,
+    'orbimpc_ros/mpc': 18_578,
     'orbimpc_ros/loop': 4_045,
     'orbimpc_ros/ros': 4_952,
     'orbimpc_ros/sim': 2_977,
