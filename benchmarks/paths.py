@@ -20,9 +20,9 @@ import numpy as np
 
 from benchmarks.baselines.baseline import wrapped
 from benchmarks.baselines.followers import GRAVITY, LAWS, Flying, Path
+from orbimpc_ros.loop.compensation import Odometry, WindReport
 from orbimpc_ros.loop.goal.motion import Route
 from orbimpc_ros.loop.planner import Snapshot
-from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed

@@ -11,8 +11,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orbimpc_ros.loop.compensation import Odometry
     from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
-    from orbimpc_ros.loop.state import Odometry
     from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
     from orbimpc_ros.mpc.outcome import Fallback, Status
     from orbimpc_ros.mpc.plan import Command, Plan, Proof
@@ -33,7 +33,7 @@ __version__ = '0.1.0'
 _HOMES = {
     'mpc.errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
     'loop.planner': ('Decision', 'Planner', 'Snapshot'),
-    'loop.state': ('Odometry',),
+    'loop.compensation': ('Odometry',),
     'mpc.outcome': ('Fallback', 'Status'),
     'mpc.plan': ('Command', 'Plan', 'Proof'),
     'mpc.problem': (

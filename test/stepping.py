@@ -3,8 +3,8 @@
 
 import numpy as np
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.planner import Planner, Snapshot
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.sim.vehicle import launched
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from orbimpc_ros.loop.compensation import Odometry, WindReport
 from orbimpc_ros.loop.goal.forecast import BELIEVED, FORECASTS, MEMORY, Bank
 from orbimpc_ros.loop.goal.motion import GoalObservation, Paced, Route
 from orbimpc_ros.loop.planner import Planner, Snapshot
-from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor, Problem

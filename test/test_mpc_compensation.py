@@ -13,6 +13,7 @@ from problems import ORDERS, rotation
 from scenarios import spacecraft_problem
 from stepping import Stepped, flown, started
 
+from orbimpc_ros.loop.capture import WINDOW, VelocityFrameCheck
 from orbimpc_ros.loop.compensation import (
     GAP,
     LARGEST,
@@ -23,10 +24,10 @@ from orbimpc_ros.loop.compensation import (
     Estimator,
     Interval,
     NoiseModel,
+    Odometry,
     Response,
     advanced,
 )
-from orbimpc_ros.loop.state import WINDOW, Odometry, VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command

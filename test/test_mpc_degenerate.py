@@ -12,8 +12,8 @@ import pytest
 from problems import box, floor, polled, rotation, weights
 from stepping import Stepped
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.fallback import may_stop
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import flaw, violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem, Weights

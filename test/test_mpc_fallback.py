@@ -10,8 +10,8 @@ from problems import ORDERS, floor
 from scenarios import model_of
 from stepping import Stepped, odometry
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.fallback import safe_command
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates

@@ -16,7 +16,7 @@ from problems import ORDERS, REFERENCE, floor, needs_machine_code, polled, rotat
 from problems import state as state_of
 from stepping import Stepped, flown, odometry, started
 
-from orbimpc_ros.loop.compensation import Response
+from orbimpc_ros.loop.compensation import Odometry, Response
 from orbimpc_ros.loop.intercept import (
     AIM,
     EFFORT,
@@ -26,7 +26,6 @@ from orbimpc_ros.loop.intercept import (
     defect,
     steps_before,
 )
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput

@@ -19,7 +19,7 @@ from planners import told
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from orbimpc_ros.loop.state import Odometry as Measured
+from orbimpc_ros.loop.compensation import Odometry as Measured
 from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
 from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import TOPICS

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.compensation import Compensator
-from orbimpc_ros.loop.state import Odometry, WindReport
+from orbimpc_ros.loop.compensation import Compensator, Odometry, WindReport
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion, to_quaternion
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem

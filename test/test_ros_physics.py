@@ -9,8 +9,8 @@ import pytest
 from bags import messages_of
 from problems import needs_machine_code
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenarios import retrieval, retrieval3d
 
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View

@@ -10,9 +10,9 @@ from flying import fly
 from scenarios import dubins, retrieval, retrieval_problem
 
 from orbimpc_ros.loop.capture import STAY, Events, closest_approach, is_headed
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations

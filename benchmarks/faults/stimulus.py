@@ -21,7 +21,7 @@ from harness import Observer
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
-from orbimpc_ros.loop import state as measurement
+from orbimpc_ros.loop.compensation import Odometry as Measured
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
@@ -42,7 +42,7 @@ def odometry_at(seconds: float, stamp: int) -> Odometry:
     """Return odometry of a vehicle that flies in a circle."""
     turn = SPEED / RADIUS
     angle = turn * seconds
-    seen = measurement.Odometry(
+    seen = Measured(
         seconds,
         RADIUS * np.array([math.sin(angle), 1.0 - math.cos(angle)]),
         exp(np.array([angle])),

@@ -1,18 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Capture of a goal: the closest approach within a step, and what odometry shows of it."""
+"""What odometry shows: the capture of a goal, and velocities of another frame than stated."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Approach
 
 STAY = 1.0  # [s] within the radius, after which the vehicle has arrived
+WINDOW = 20  # measurements
+FITS_BETTER = 0.3  # times the error as given: that of the other frame, to be believed
+TELLING = 0.3  # of the speed: an error as given that is no noise
 
 
 def closest_approach(flown: tuple[Array, Array], swung: tuple[Array, Array]) -> tuple[float, float]:
@@ -106,3 +110,37 @@ class Events:
         elif self._entered is None:
             self._entered = odometry.time
         self.arrived = self._entered is not None and odometry.time - self._entered >= STAY
+
+
+class VelocityFrameCheck:
+    """Compares velocities, given in the ``body`` or ``world`` frame, with changes of position."""
+
+    def __init__(self, given: str) -> None:
+        self._given = given
+        self._last: Odometry | None = None
+        self._errors: deque[Array] = deque(maxlen=WINDOW)  # as given, otherwise, and the speed
+
+    def note(self, odometry: Odometry) -> None:
+        """Take in a measurement; one that is not newer starts afresh."""
+        last, self._last = self._last, odometry
+        if last is None or odometry.time <= last.time:
+            self._errors.clear()
+            return
+        moved = (odometry.position - last.position) / (odometry.time - last.time)
+        turned, velocity = odometry.attitude, odometry.body_velocity
+        as_given = turned @ velocity
+        # What was read as the body's had been the world's all along; or it was turned needlessly.
+        otherwise = velocity if self._given == 'body' else turned @ as_given
+        compared = np.array([moved - as_given, moved - otherwise, velocity])
+        self._errors.append(np.linalg.norm(compared, axis=1))
+
+    @property
+    def doubt(self) -> str:
+        """Return that velocities fit the other frame, in words; empty if they do not."""
+        if len(self._errors) < WINDOW:
+            return ''
+        given, other, speed = np.sum(self._errors, axis=0)
+        if other > FITS_BETTER * given or given <= TELLING * speed:  # equal: all are 0 at rest
+            return ''
+        frame = 'world' if self._given == 'body' else 'body'
+        return f'velocities fit the way flown as those of the {frame} frame: see velocity_frame'

@@ -31,15 +31,49 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.state import Odometry, WindReport
-from orbimpc_ros.mpc.arrays import Array, number
-from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
+from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
+from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
 
+SOURCES = ('ground', 'air')  # of a measured velocity
 MEMORY = 32  # commands; whatever was sent before them is taken as measured
 NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
-SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry(ByContent):
+    """A measurement of the vehicle's motion.
+
+    Attributes:
+        time: stamp [s].
+        position: in the world frame, shape (n,) [m].
+        attitude: body to world rotation, shape (n, n).
+        body_velocity: in the body frame, over ground or through the air, shape (n,) [m/s].
+        body_rate: in the body frame, shape (1,) or (3,) [rad/s].
+    """
+
+    time: float
+    position: Array
+    attitude: Array
+    body_velocity: Array
+    body_rate: Array
+
+    def __post_init__(self) -> None:
+        for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
+            array.setflags(write=False)
+
+
+@dataclass(frozen=True, eq=False)
+class WindReport(ByContent):
+    """A wind that somebody else has estimated."""
+
+    time: float  # stamp [s]
+    velocity: Array  # shape (n,) [m/s]
+    variance: float = math.nan  # along each axis [m^2/s^2]; NaN where it is not known
+
+    def __post_init__(self) -> None:
+        sealed(self.velocity)
 
 
 def along_the_air(odometry: Odometry) -> Odometry:
@@ -201,26 +235,6 @@ def _forward(problem: Problem, fraction: float) -> Array:
     vector = np.zeros(problem.dimension)
     vector[0] = problem.forward * fraction
     return vector
-
-
-def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
-    r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
-
-    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`, with
-    :math:`\phi` of shape (1,) or (3,) [rad].
-    """
-    hat = skew(phi)
-    across = hat @ vector
-    back = hat @ across
-    angle = math.sqrt(phi @ phi)
-    if angle < SMALL:
-        a = angle * angle
-        first, second, third = 0.5 - a / 24.0, 1.0 / 6.0 - a / 120.0, 1.0 / 24.0 - a / 720.0
-    else:
-        first = (1.0 - math.cos(angle)) / angle**2
-        second = (angle - math.sin(angle)) / angle**3
-        third = (0.5 - first) / angle**2
-    return vector + first * across + second * back, 0.5 * vector + second * across + third * back
 
 
 LONGEST = 1e3  # [s]

@@ -50,12 +50,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import turned
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.loop.task import Answer, Solvers, Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
-from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.geometry.rotations import log, turned
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan

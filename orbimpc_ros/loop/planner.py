@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import Compensator, Response, Start
+from orbimpc_ros.loop.compensation import Compensator, Odometry, Response, Start, WindReport
 from orbimpc_ros.loop.fallback import (
     cheapest_clear,
     clear_instead,
@@ -27,7 +27,6 @@ from orbimpc_ros.loop.fallback import (
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
-from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed

@@ -85,7 +85,8 @@ class Task:
         ``guessing`` is asked for.
         """
         assert self.solver is not None
-        guess = self.onward if guessing or self.solver.takes_guess(self.state) else None
+        useful = guessing or self.solver.takes_guess or bool(self.state.hazards)
+        guess = self.onward if useful else None
         try:
             plan = self.solver.solve(self.state, self.goals, guess, self.late)
         except Infeasible as error:

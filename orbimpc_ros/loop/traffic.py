@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput

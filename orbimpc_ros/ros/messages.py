@@ -38,8 +38,8 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from std_msgs.msg import Header
 
+from orbimpc_ros.loop.compensation import Odometry, WindReport
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory, Route
-from orbimpc_ros.loop.state import Odometry, WindReport
 from orbimpc_ros.loop.traffic import AgentTrajectory
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput

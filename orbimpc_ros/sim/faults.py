@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp

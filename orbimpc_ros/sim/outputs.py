@@ -12,8 +12,8 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from visualization_msgs.msg import Marker, MarkerArray
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.traffic import centre, placed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker, shown

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array, frozen, number, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp

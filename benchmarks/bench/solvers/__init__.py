@@ -71,7 +71,7 @@ class Ours:
         """Plan as the controller does; shifting the previous plan is a part of it."""
         state, goals = self._state, self._goals
         guess, end = None, time.perf_counter() + self._cap
-        if self._closed_loop and self._solver.takes_guess(state) and self._plan is not None:
+        if self._closed_loop and self._solver.takes_guess and self._plan is not None:
             guess = shifted(self._problem, state, self._plan)
         self._plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
 

@@ -17,6 +17,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 
 ROLL_UNDEFINED = 1e-6  # below this length, what the roll is to fit says nothing
+SMALL = 1e-2  # [rad] below it series of means are more exact than the closed forms
 HEADING_UNDEFINED = 1e-9  # below this speed fraction R e1 has no direction worth the name
 
 
@@ -59,6 +60,26 @@ def log(rotation: Array) -> Array:
         w, axis = -w, -axis
     norm = math.sqrt(axis @ axis)
     return axis * (2.0 * math.atan2(norm, w) / norm if norm > 1e-12 else 2.0)
+
+
+def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
+    r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
+
+    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`, with
+    :math:`\phi` of shape (1,) or (3,) [rad].
+    """
+    hat = skew(phi)
+    across = hat @ vector
+    back = hat @ across
+    angle = math.sqrt(phi @ phi)
+    if angle < SMALL:
+        a = angle * angle
+        first, second, third = 0.5 - a / 24.0, 1.0 / 6.0 - a / 120.0, 1.0 / 24.0 - a / 720.0
+    else:
+        first = (1.0 - math.cos(angle)) / angle**2
+        second = (angle - math.sin(angle)) / angle**3
+        third = (0.5 - first) / angle**2
+    return vector + first * across + second * back, 0.5 * vector + second * across + third * back
 
 
 def nearest(matrix: Array) -> Array:

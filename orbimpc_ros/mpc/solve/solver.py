@@ -68,6 +68,10 @@ class Solver:
         patient: whether a deadline leaves time to set up slower methods where the first one fails;
             that takes a second or so.
         enough: costs at which a search may stop, whether or not it has closed the gap.
+
+    Attributes:
+        problem: that it solves.
+        takes_guess: whether a guess makes it faster; among hazards one does in any case.
     """
 
     def __init__(
@@ -88,6 +92,7 @@ class Solver:
         self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
         self._method = self._made(among=False)
+        self.takes_guess = self._method.takes_guess
         self._among: Method | None = None  # which solves among hazards, made when it is needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
         prepare()
@@ -200,10 +205,6 @@ class Solver:
         if usable is not None and found.x is usable.x and found.gap > self._tolerance:
             return replace(found, reason=GOES_ON)
         return found
-
-    def takes_guess(self, state: State) -> bool:
-        """Return whether a guess makes this solver faster."""
-        return self._method.takes_guess or bool(state.hazards)
 
     def expect_hazards(self) -> None:
         """Make now what the first state with hazards would have to wait for, a second or so."""

@@ -20,7 +20,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
 
-from orbimpc_ros.loop.state import SOURCES
+from orbimpc_ros.loop.compensation import SOURCES
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box

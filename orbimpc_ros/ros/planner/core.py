@@ -18,11 +18,11 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Deadline
 from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, silence
 from orbimpc_ros.mpc.arrays import Array

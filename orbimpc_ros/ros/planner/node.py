@@ -23,9 +23,8 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from orbimpc_ros.loop.capture import Events
+from orbimpc_ros.loop.capture import Events, VelocityFrameCheck
 from orbimpc_ros.loop.planner import Decision, Planner
-from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason

@@ -20,7 +20,7 @@ from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.publisher import Publisher
 
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import firmware, messages
