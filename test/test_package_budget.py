@@ -6,7 +6,7 @@ from harness import ROOT
 
 LINES = {
     'orbimpc_ros': 35_730,
-    'orbimpc_ros/mpc': 18_578,
+    'orbimpc_ros/mpc': 18_600,
     'orbimpc_ros/loop': 4_008,
     'orbimpc_ros/ros': 4_951,
     'orbimpc_ros/sim': 2_977,
