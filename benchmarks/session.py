@@ -15,7 +15,7 @@ from harness import Observer
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.processes import Process, Processes, isolate
+from orbimpc_ros.tool.processes import Process, Processes, isolate
 
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
 PLANNER = 'orbimpc_ros.ros.planner'  # the module of the node

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.tool.run.processes import PROGRAM, Child, claimed, free
+from orbimpc_ros.tool.processes import PROGRAM, Child, claimed, free
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 240.0  # [s] for anything awaited: enough with ten processes for each core, too

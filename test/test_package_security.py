@@ -13,7 +13,7 @@ from harness import ROOT, run, wait_for
 
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.topics import topics_of
-from orbimpc_ros.tool.run.flying import Recorder
+from orbimpc_ros.tool.demo import Recorder
 
 POLICY = ROOT / 'config' / 'security' / 'policy.xml'
 # The schema's structure: elements in each, and the attributes that each must and may have.

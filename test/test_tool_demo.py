@@ -19,7 +19,6 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import bags, cli, demo, history, settings
-from orbimpc_ros.tool.run import flying
 
 LISTED = ('captured', 'cmd_thrust', 'goal_path', 'odom')  # though nothing comes on some
 
@@ -203,7 +202,7 @@ def test_an_interrupted_demo_leaves_a_readable_bag_and_no_process(tmp_path, numb
 
 def test_a_node_that_fails_is_shown(tmp_path):
     script = (
-        'import orbimpc_ros.tool.run.processes as p, sys;'
+        'import orbimpc_ros.tool.processes as p, sys;'
         'start = p.Process.__init__;'
         'p.Process.__init__ = lambda self, module, *a, **k: start(self, module + "x", *a, **k);'
         'from orbimpc_ros.tool import cli; sys.exit(cli.main(sys.argv[1:]))'
@@ -246,9 +245,9 @@ def fleet(tmp_path_factory):
 def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
     """However long one takes: a slow machine makes a flight long, and nobody flies blind."""
     wall, sent = itertools.count(), []  # a second passes between two looks
-    monkeypatch.setattr(flying, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
+    monkeypatch.setattr(demo, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
     recorder = SimpleNamespace(latest={}, publish_clock=sent.append)
-    clock = flying.Pacer(recorder, 10.0, 0.5)
+    clock = demo.Pacer(recorder, 10.0, 0.5)
     for uav1, uav2 in ((None, None), (10.0, None), (10.0, None), (10.0, 10.0), (10.5, 10.0)):
         stamps = {'/uav1/cmd_vel': uav1, '/uav2/cmd_vel': uav2}
         recorder.latest |= {k: round(v * SECOND) for k, v in stamps.items() if v is not None}
@@ -256,7 +255,7 @@ def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
     assert sent == [10.0, 10.0, 10.0, 10.5, 10.5]
     clock.look(NAMES[:1])  # the other one has landed
     assert sent[-1] == 11.0
-    monkeypatch.setattr(flying, 'time', SimpleNamespace(monotonic=lambda: 200.0))
+    monkeypatch.setattr(demo, 'time', SimpleNamespace(monotonic=lambda: 200.0))
     with pytest.raises(OrbimpcError, match='/uav1, /uav2: no command for'):
         clock.look(NAMES)
 

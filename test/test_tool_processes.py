@@ -19,12 +19,12 @@ from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.run.flying import Recorder, carried
+from orbimpc_ros.tool.demo import Recorder, carried
 
 STARTER = """
     import sys, time
     from pathlib import Path
-    from orbimpc_ros.tool.run.processes import Process
+    from orbimpc_ros.tool.processes import Process
 
     folder = Path(sys.argv[1])
     (folder / 'none.yaml').write_text('/**: {ros__parameters: {}}')
@@ -78,7 +78,7 @@ def test_a_node_obeys_whatever_was_ignored_when_it_was_started(started, number):
 
 
 def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain):
-    script = 'import sys; from orbimpc_ros.tool.run.processes import claimed'
+    script = 'import sys; from orbimpc_ros.tool.processes import claimed'
     script += '; print(claimed(int(sys.argv[1])), flush=True); input()'
 
     def claim(number):

@@ -14,7 +14,7 @@ from benchmarks.bench.results import HULLS, BenchRow, growth, rows_of, table
 from benchmarks.bench.solvers import Solver
 from benchmarks.machine import machine, require_known, versions, writable, write
 from orbimpc_ros.install import command
-from orbimpc_ros.tool.run.progress import ProgressLine
+from orbimpc_ros.tool.processes import ProgressLine
 
 WARM_UP = 3  # instances solved before the clock counts
 SEVERAL = 5  # time limits that a solver may use up, where others meet few of the instances

@@ -15,7 +15,7 @@ from nav_msgs.msg import Odometry
 from rclpy.utilities import get_default_context
 
 from orbimpc_ros.ros.process import LATEST, executor_named, initialised, qos
-from orbimpc_ros.tool.run.processes import interruptions
+from orbimpc_ros.tool.processes import interruptions
 
 
 def main() -> None:

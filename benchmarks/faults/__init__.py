@@ -13,7 +13,7 @@ from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
 from benchmarks.machine import machine, require_known, writable, write
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.run.progress import ProgressLine
+from orbimpc_ros.tool.processes import ProgressLine
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

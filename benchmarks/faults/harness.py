@@ -26,7 +26,7 @@ from benchmarks.session import PATIENCE, Session
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.run.processes import Process
+from orbimpc_ros.tool.processes import Process
 
 STEP = 0.2  # [s]
 EPOCH = 1000.0  # [s] at which simulated time begins

@@ -28,7 +28,7 @@ from benchmarks.machine import resident
 from benchmarks.session import PATIENCE
 from orbimpc_ros.ros.process import LATCHED
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.processes import Child
+from orbimpc_ros.tool.processes import Child
 from orbimpc_ros.tool.settings import config
 
 ALTERED = 'benchmarks.faults.altered'  # the planner's module, made to raise

@@ -46,8 +46,7 @@ from orbimpc_ros.tool import files, settings
 from orbimpc_ros.tool.files import folder_at, new_folder
 from orbimpc_ros.tool.flights import OURS, Job, Row, baselines, each_flown, rows_of, workers
 from orbimpc_ros.tool.plot import Panel, draw_panel, in_both_looks
-from orbimpc_ros.tool.run.processes import interruptions
-from orbimpc_ros.tool.run.progress import ProgressLine
+from orbimpc_ros.tool.processes import ProgressLine, interruptions
 from orbimpc_ros.tool.settings import Values, config
 
 MOST_RUNS, LARGEST_SEED, MOST_WORKERS = 1_000_000, 2**63 - 1, 1024

@@ -34,7 +34,7 @@ from orbimpc_ros.ros.process import LATCHED, LATEST, RANGE, attached, qos
 from orbimpc_ros.ros.topics import VEHICLE
 from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import bags, settings
-from orbimpc_ros.tool.run.processes import PROGRAM, Child, interruptions
+from orbimpc_ros.tool.processes import PROGRAM, Child, interruptions
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.scene import Scene

@@ -1,7 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Nodes as operating-system processes: started, watched, stopped, and gone with their parent.
 
-They meet in a DDS domain of one run: its own number, this machine only, and at once.
+They meet in a DDS domain of one run: its own number, this machine only, and at once. How far a run
+is shows a progress bar in plain text: redrawn in a terminal, a few lines elsewhere.
 
 ``python -m`` this module runs another one, or a program, that ends with the process which started
 it.
@@ -13,6 +14,7 @@ import ctypes
 import os
 import random
 import runpy
+import shutil
 import signal
 import socket
 import subprocess
@@ -42,6 +44,8 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
   </participant>
 </profiles>
 """
+WIDTH = 20
+LINES = 5  # where there is no terminal
 LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
 _CLAIMS: deque[socket.socket] = deque(maxlen=6)
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
@@ -239,6 +243,42 @@ def tether(parent: int) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it went before we asked
         sys.exit(1)
+
+
+# --- progress
+
+
+class ProgressLine:
+    """Shows how much of something is done.
+
+    Args:
+        total: what there is to do.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total = max(1, total)
+        self._stream = sys.stderr
+        self._live = self._stream.isatty()
+        self._shown: tuple[int, str] | None = None
+
+    def show(self, done: int, text: str) -> None:
+        """Draw ``done`` with a text beside it, unless nothing has changed that is worth it."""
+        share = min(1.0, done / self._total)
+        shown = (done, text) if self._live else (int(share * LINES), '')
+        if shown == self._shown:
+            return
+        self._shown = shown
+        filled = int(share * WIDTH)
+        line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
+        line = line[: shutil.get_terminal_size().columns - 1]  # a second line would stay
+        self._stream.write(f'\r{line}\x1b[K' if self._live else f'{line}\n')
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Leave the bar behind."""
+        if self._live and self._shown is not None:
+            self._stream.write('\n')
+            self._stream.flush()
 
 
 if __name__ == '__main__':
