@@ -37,13 +37,11 @@ from orbimpc_ros.mpc.problem import (
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import tree as trees
-from orbimpc_ros.mpc.proof.bound import leaf_bound, parts_of, work_of
-from orbimpc_ros.mpc.proof.convex import set_hessian
+from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Certificate, Posed, Refutation, refuted_by
-from orbimpc_ros.mpc.proof.flight import control_of
-from orbimpc_ros.mpc.proof.limits import STEP, Body, limits_of
+from orbimpc_ros.mpc.proof.flight import STEP, control_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
-from orbimpc_ros.mpc.proof.stated import Statement
+from orbimpc_ros.mpc.proof.stated import Body, Statement, limits_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import in_fractions, region_of
 
@@ -332,15 +330,13 @@ class Part:
         self.choices = (2 + len(posed.limits.bodies)) * self.count
         self.region = region_of(DEEP, self.choices, self.n, object)
         self.work = work_of(problem, self.stated.width, object)
-        point = np.zeros((self.count, self.stated.width))
-        self.allowed, *_ = parts_of(self.stated, one(point, np.zeros(self.count)))
         origins = np.zeros(0)
         if self.n == 2 and self.stated.root.turn < 0 and _sometimes(rng, 0.5):
             origins = rng.uniform(-4.0, 4.0, self.count)
         self.order = Order(False, np.array([Fraction(each) for each in origins], object))
         self.origins, self.depth, self.cuts = origins, 0, list[tuple[list[int], float, int]]()
         known = self.region.part[0], self.region.span[0]
-        begun = begin(self.stated.root, self.stated.sets, self.allowed.is_free, self.order, *known)
+        begun = begin(self.stated, self.order, *known)
         assert begun == HELD, 'a flight is left out from the beginning'
 
     def cut(self, kind: int, choice: int, parts: int, at: float, i: int) -> None:
@@ -352,9 +348,8 @@ class Part:
         if self.depth + 1 == DEEP:
             return
         node = [kind, choice, 0, parts, -1]
-        stated, radii = self.stated, self.stated.bodies.extents[:, 2 * self.n]
-        known = self.allowed, stated.root, stated.sets, radii, self.order, np.array(node)
-        made = part_of(*known, Fraction(at), i, self.depth + 1, self.region)
+        known = self.stated, self.order, np.array(node), Fraction(at), i
+        made = part_of(*known, self.depth + 1, self.region)
         if made == WRONG:
             return
         assert made == HELD, 'the part that a flight is in is left out'
@@ -534,9 +529,8 @@ class Part:
 
     def bound(self, leaf: ProofTree, refutes: bool) -> tuple[float, bool]:
         """Return what a leaf proves of the part, and whether it is sound."""
-        *_, leaves, sections = parts_of(self.stated, in_fractions(leaf))
         set_hessian(self.stated.order, self.stated.motion, self.stated.costs, self.work.squares)
-        known = self.stated, self.region, self.depth, leaves, sections, 0, refutes, self.work
+        known = self.stated, self.region, self.depth, in_fractions(leaf), 0, refutes, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
 

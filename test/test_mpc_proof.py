@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import reading, sets
 from orbimpc_ros.mpc.proof.document import Certificate, verified
 from orbimpc_ros.mpc.proof.reading import Refused
+from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
@@ -51,6 +52,10 @@ def test_fractions_prove_what_floats_do(seed):
         exact = Verifier(problem, Fraction).bound(state, goals, each.tree, None, limits)
         assert max(floats, exact) <= each.cost * (1.0 + OF_A_COST)
         proved += exact == floats or abs(exact - floats) < 1e-9 * (abs(exact) + 1.0)
+        stated = Statement(problem).of(state, goals, limits)  # without a look at its arrays
+        for part in (each for each in stated if isinstance(each, tuple)):
+            arrays = [each for each in part if isinstance(each, np.ndarray)]
+            assert all(each.flags.c_contiguous and each.dtype.kind in 'if' for each in arrays)
     assert proved > 30  # of others the floats cannot tell that they are convex
 
 

@@ -57,6 +57,16 @@ def floats(function: Callable) -> Callable:
     return entry_point(_bound_to_floats(function)) if COMPILED else function
 
 
+def bare(function: Callable) -> Callable:
+    """Return the machine code of :func:`floats`, called without a look at what it is handed.
+
+    To look at the types of a problem's numbers takes longer than to bound a leaf. Arguments have to
+    be as those of the one call that it was compiled for: arrays that are contiguous, of its kinds.
+    """
+    known = list(getattr(function, 'overloads', {}).values())
+    return known[0].entry_point if len(known) == 1 else function
+
+
 @cache
 def _bound_to_floats(function: Callable) -> Callable:
     """Return a generic function whose generic names mean what floats do."""

@@ -19,75 +19,34 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.arithmetic import generic, slack
-from orbimpc_ros.mpc.proof.convex import is_bent, lost, set_hessian
-from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
-from orbimpc_ros.mpc.proof.rows import pressed, slid, towed, with_ends
+from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
+from orbimpc_ros.mpc.proof.flight import (
+    DECIDED,
+    FIRST,
+    TIED,
+    WANTED,
+    pulled_back,
+    rolled,
+    set_arrival,
+)
+from orbimpc_ros.mpc.proof.rows import met, pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import (
     CHILD,
     CHILDREN,
     GONE,
     HELD,
-    ICOSAHEDRON,
     KIND,
     ROW,
-    Allowed,
-    Order,
     begin,
     part_of,
 )
-from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT, Stated
-from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, ProofTree
+from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
+from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
 
 # The least of the leaves' bounds, nothing is in any, none, or not all leaves have been seen.
 PROVED, REFUTED, UNSOUND, PAUSED = range(4)
-
-
-class Leaves(NamedTuple):
-    """What the leaves of a tree have: see :class:`orbimpc_ros.mpc.proof.tree.ProofTree`.
-
-    Attributes:
-        point: shape (L, N, d).
-        shor: shape (L, N).
-        press_end: shape (L,).
-        press_row: shape (P,).
-        press: shape (P,).
-        forces: multipliers that are vectors, one sort after another, shape (L, R, n).
-    """
-
-    point: Any
-    shor: Any
-    press_end: np.ndarray
-    press_row: np.ndarray
-    press: Any
-    forces: Any
-
-
-class Sections(NamedTuple):
-    """Where each sort of multipliers begins among the forces of leaves; -1 where there are none."""
-
-    pull: int
-    slide: int
-    tether: int
-    share: int
-    meet: int
-
-
-class Walk(NamedTuple):
-    """How far a walk through the M nodes of a tree is; new with zeros.
-
-    Attributes:
-        waiting: nodes to be seen, shape (M,).
-        parent: of each node, shape (M,).
-        counts: how many wait, and how many leaves have a bound, shape (2,).
-        least: of their bounds, shape (1,).
-    """
-
-    waiting: Any
-    parent: Any
-    counts: Any
-    least: Any
+DEPTH, PARENT, WAITING = range(3)  # of nodes, where a walk through them is
 
 
 class Work(NamedTuple):
@@ -206,65 +165,65 @@ def _of_step(sets, known, corners, k, g, share, shor, length, work):
 
 
 @generic
-def _at_point(stated, leaves, leaf, empty, work):
+def _at_point(stated, tree, leaf, empty, work):
     """Set slopes and forces of the cost at a leaf's point; return the cost, and its size."""
     start, costs, zero = stated.start, stated.costs, 0 * stated.sets.full
-    point = leaves.point[leaf]
+    point = tree.point[leaf]
     rolled(stated.motion, start, point, work.flown)
     work.flown[2:] = zero
     work.slopes[:] = zero
     if empty:
         return zero, zero
     value = _turned(stated.order, costs, start, point, work.slopes)
-    more, terms = _flown(costs, stated.ends.goals, point, leaves.shor[leaf], work)
+    more, terms = _flown(costs, stated.ends.goals, point, tree.shor[leaf], work)
     first = costs.weights[1, 0] * size_of(start[FIRST], stated.n)
     return value + more + first, value + terms + first
 
 
 @generic
-def _held(stated, region, depth, leaves, sections, leaf, work):
+def _held(stated, region, depth, tree, leaf, work):
     """Add forces of a leaf's multipliers; return what they come to, its size, and if they hold."""
-    ends, count, n = stated.ends, len(work.slopes), stated.n
-    point, forces = leaves.point[leaf], leaves.forces[leaf]
-    begun = leaves.press_end[leaf - 1] if leaf > 0 else 0
+    ends, flown = stated.ends, work.flown
+    begun = tree.press_end[leaf - 1] if leaf > 0 else 0
     value = size = 0 * stated.sets.full
-    held = 0 <= begun <= leaves.press_end[leaf] <= len(leaves.press)
-    if held and begun < leaves.press_end[leaf]:
-        known = stated.motion, stated.sets, stated.bodies, region, depth
-        value, size, held = pressed(*known, leaves, begun, leaf, work)
-    if sections.tether >= 0:
-        tether, tied = forces[sections.tether :], stated.start[-1]
-        more, terms, sound = towed(ends, tether[:count], point, tied, work.slopes)
+    held = 0 <= begun <= tree.press_end[leaf] <= len(tree.press)
+    if held and begun < tree.press_end[leaf]:
+        value, size, held = pressed(stated, region, depth, tree, begun, leaf, work)
+    if tree.tether.size > 0:
+        point, tied = tree.point[leaf], stated.start[TIED]
+        more, terms, sound = towed(ends, tree.tether[leaf], point, tied, work.slopes)
         value, size, held = value + more, size + terms, held and sound
-    if sections.slide >= 0 and n == 3:
-        more, terms, sound = slid(ends, forces[sections.slide :][:count], work.flown)
+    if tree.slide.size > 0 and stated.n == 3:
+        more, terms, sound = slid(ends, tree.slide[leaf], flown)
         value, size, held = value + more, size + terms, held and sound
-    if sections.pull >= 0 or sections.meet >= 0:
-        more, terms = with_ends(ends, forces, sections.pull, sections.meet, work.flown)
+    if tree.pull.size > 0:
+        more, terms = pulled(ends, tree.pull[leaf], flown)
+        value, size = value + more, size + terms
+    if tree.meet.size > 0 and ends.radius >= 0:
+        more, terms = met(ends, tree.meet[leaf], flown)
         value, size = value + more, size + terms
     return value, size, held
 
 
 @generic
-def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
+def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     """Return what a leaf proves, and whether its multipliers are sound.
 
     Args:
         stated: the problem.
         region: what is known of choices from the root to the leaf.
         depth: of the leaf.
-        leaves: of the tree.
-        sections: of their forces.
+        tree: whose arrays fit the problem.
         leaf: its row.
         empty: whether nothing costs anything: what holds alone has to come to more than nothing.
         work: arrays to be written; the Hessian is there.
     """
-    point, shor, slopes, n = leaves.point[leaf], leaves.shor[leaf], work.slopes, stated.n
+    point, shor, slopes, n = tree.point[leaf], tree.shor[leaf], work.slopes, stated.n
     count, zero, sets = len(point), 0 * stated.sets.full, stated.sets
     span, corners = region.span[depth], region.corners[depth]
     known = region.part[depth], span, count
-    value, size = _at_point(stated, leaves, leaf, empty, work)
-    more, terms, held = _held(stated, region, depth, leaves, sections, leaf, work)
+    value, size = _at_point(stated, tree, leaf, empty, work)
+    more, terms, held = _held(stated, region, depth, tree, leaf, work)
     if not held:
         return value, False
     pulled_back(stated.motion, work.flown, slopes)
@@ -274,7 +233,7 @@ def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
             along = slopes[k, c] * point[k, c]
             value, size = value - along, size + abs(along)
     if not empty:
-        convex, off = lost(stated.motion, stated.ends, shor, point, work)
+        convex, off = _lost(stated.motion, stated.ends, shor, point, work)
         value = value - off
         if not convex:
             return value, False
@@ -289,8 +248,8 @@ def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
         else:
             for c in range(n):
                 share[c] = zero
-                if sections.share >= 0:
-                    share[c] = leaves.forces[leaf, sections.share + k, c]
+                if tree.share.size > 0:
+                    share[c] = tree.share[leaf, k, c]
             patch = corners[k if n == 3 else 0]
             more, terms = _of_step(sets, known, patch, k, slopes[k], share, kept, length, work)
         value, size = value + more, size + terms
@@ -298,84 +257,78 @@ def leaf_bound(stated, region, depth, leaves, sections, leaf, empty, work):
 
 
 @generic
-def tree_bound(
-    stated, allowed, order, nodes, at, leaves, sections, depth, region, work, walk, most
-):
+def tree_bound(stated, tree, walk, region, work, least, found, number, most):
     """Return the least bound of a tree's leaves, how many have one, and what that comes to.
 
-    A walk through the tree may pause: another call with the same arguments takes it on.
+    A walk through the tree may pause: another call with what it came to takes it on.
 
     Args:
         stated: the problem.
-        allowed: which splits there are.
-        order: of steps.
-        nodes: of the tree, whose arrays fit the problem, shape (M, 5).
-        at: where nodes are cut, shape (M,).
-        leaves: of the tree.
-        sections: of their forces.
-        depth: of nodes, set by :func:`depths_of`, shape (M,).
+        tree: whose arrays fit the problem.
+        walk: of nodes their depth and parent, set by :func:`depths_of`, and those to be seen,
+            shape (3, M).
         region: to be written, a row for each depth.
         work: to be written.
-        walk: how far it is through the tree.
+        least: of the bounds so far.
+        found: how many leaves have one so far.
+        number: of nodes that wait to be seen; 0 before the walk begins.
         most: leaves after which it pauses.
 
     Returns:
-        The least; how many leaves have one; ``PROVED``, ``REFUTED``, ``UNSOUND`` or ``PAUSED``.
+        The least; how many leaves have one; how many nodes wait; ``PROVED``, ``REFUTED``,
+        ``UNSOUND`` or ``PAUSED``.
     """
-    root, sets, waiting, parent = stated.root, stated.sets, walk.waiting, walk.parent
-    least, number, found = walk.least[0], walk.counts[0], walk.counts[1]
-    radii, seen = stated.bodies.extents[:, 2 * stated.n], 0
+    nodes, waiting, seen = tree.nodes, walk[WAITING], 0
     if number == 0:
-        known = begin(root, sets, allowed.is_free, order, region.part[0], region.span[0])
+        known = begin(stated, tree, region.part[0], region.span[0])
         if known != HELD:
-            return least, 0, REFUTED if known == GONE else UNSOUND
-        if is_bent(leaves.shor):  # else no leaf's curvature has to be weighed against it
+            return least, 0, 0, REFUTED if known == GONE else UNSOUND
+        if is_bent(tree.shor):  # else no leaf's curvature has to be weighed against it
             set_hessian(stated.order, stated.motion, stated.costs, work.squares)
         number, waiting[0] = 1, 0
     while number > 0:
         if seen == most:
-            walk.least[0], walk.counts[0], walk.counts[1] = least, number, found
-            return least, found, PAUSED
+            return least, found, number, PAUSED
         number -= 1
         t = waiting[number]
-        d, node = depth[t], nodes[t]
+        d, node = walk[DEPTH, t], nodes[t]
         if t > 0:
-            above = parent[t]
+            above = walk[PARENT, t]
             i, whole = t - nodes[above, CHILD], nodes[above]
-            known = part_of(allowed, root, sets, radii, order, whole, at[above], i, d, region)
+            known = part_of(stated, tree, whole, tree.at[above], i, d, region)
             if known == GONE:
                 continue
             if known != HELD:
-                return least, 0, UNSOUND
+                return least, 0, 0, UNSOUND
         if node[KIND] != LEAF and node[KIND] != EMPTY:
             for i in range(node[CHILDREN]):
-                waiting[number], parent[node[CHILD] + i] = node[CHILD] + i, t
+                waiting[number] = node[CHILD] + i
                 number += 1
             continue
         empty, seen = node[KIND] == EMPTY, seen + 1
-        if not 0 <= node[ROW] < len(leaves.point):
-            return least, 0, UNSOUND
-        value, sound = leaf_bound(stated, region, d, leaves, sections, node[ROW], empty, work)
+        if not 0 <= node[ROW] < len(tree.point):
+            return least, 0, 0, UNSOUND
+        value, sound = leaf_bound(stated, region, d, tree, node[ROW], empty, work)
         if not sound or not abs(value) >= 0 or (empty and not value > 0):
-            return least, 0, UNSOUND
+            return least, 0, 0, UNSOUND
         if not empty:
             least = value if found == 0 else min(least, value)
             found += 1
-    return least, found, PROVED if found > 0 else REFUTED
+    return least, found, 0, PROVED if found > 0 else REFUTED
 
 
 @generic
-def depths_of(nodes, depth):
-    """Set the depth of each node, -1 of those that the root does not lead to.
+def depths_of(nodes, walk):
+    """Set the depth of each node, -1 of those that the root does not lead to, and its parent.
 
     Args:
         nodes: of a tree, shape (M, 5).
-        depth: to be set, shape (M,).
+        walk: to be set, shape (3, M).
 
     Returns:
-        The greatest; -1 where children are missing, doubled, or not after their parents.
+        The greatest depth; -1 where children are missing, doubled, or not after their parents.
     """
-    count, most = len(nodes), 0
+    depth, count, most = walk[DEPTH], len(nodes), 0
     depth[:] = -1
     depth[0] = 0
     for t in range(count):
@@ -387,46 +340,132 @@ def depths_of(nodes, depth):
         for child in range(first, first + parts):
             if depth[child] >= 0:
                 return -1
-            depth[child] = depth[t] + 1
+            depth[child], walk[PARENT, child] = depth[t] + 1, t
         most = max(most, depth[t] + 1)
     return most
 
 
-# --- what a bound is worked out of
+# --- convexity of the cost less the curvature that single steps keep for themselves
 
 
-def parts_of(stated: Stated, tree: Any) -> tuple:
-    """Return a tree as its bound takes it."""
-    capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
-    solid = len(stated.sets.faces)
-    count = tree.point.shape[1]
-    allowed = Allowed(stated.n, count, stated.decided == FREE, solid, capped)
-    sorts = tree.pull, tree.slide, tree.tether, tree.share, tree.meet[:, None]
-    begins, number = [], 0
-    for each in sorts:
-        begins.append(number if each.size else -1)
-        number += each.shape[1] if each.size else 0
-    known = [each for each in sorts if each.size]
-    forces = tree.point[:, :0, : stated.n]
-    if known:
-        forces = known[0] if len(known) == 1 else np.concatenate(known, axis=1)
-    rows = tree.press_end, tree.press_row, tree.press
-    leaves = Leaves(tree.point, tree.shor, *rows, np.ascontiguousarray(forces))
-    return (
-        allowed,
-        Order(tree.ordered, tree.origins),
-        tree.nodes,
-        tree.at,
-        leaves,
-        Sections(*begins),
-    )
+@generic
+def set_hessian(order, motion, costs, squares):
+    """Set the Hessian of the cost in z_1..z_N along an axis, in the first rows of (2 N + 2, N)."""
+    count = squares.shape[1]
+    h, arrival, twice = squares[:count], squares[2 * count :], 2 * costs.turned
+    set_arrival(motion, arrival)
+    for i in range(count):
+        for j in range(i + 1):
+            entry = 2 * costs.braked * arrival[1, i] * arrival[1, j]
+            for k in range(i, count):  # s_{k+1} sees z_{i+1} as s_N that of as many steps before
+                own = arrival[0, count - 1 - k + i] * arrival[0, count - 1 - k + j]
+                entry = entry + 2 * costs.weights[0, k + 1] * own
+            h[i, j] = entry
+    for k in range(count + 1 - order):
+        last = k + order - 1  # of the differences' 1, -1 or 1, -2, 1
+        for a in range(order + 1):
+            for b in range(a, order + 1):
+                share = (1 if a != 1 else -order) * (1 if b != 1 else -order)
+                if last - b >= 0:
+                    h[last - a, last - b] = h[last - a, last - b] + share * twice
+    h[count - 1, count - 1] = h[count - 1, count - 1] + 2 * costs.aimed
 
 
-def walk_of(tree: ProofTree, kind: Any) -> Walk:
-    """Return how far a walk through a tree is before it begins."""
-    count = len(tree.nodes)
-    waiting, parent = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    return Walk(waiting, parent, np.zeros(2, np.int64), np.zeros(1, kind))
+@generic
+def is_bent(shor):
+    """Return whether any step of one leaf, or of all, keeps curvature for itself."""
+    bent = False
+    for each in shor.ravel():
+        bent = bent or each > 0
+    return bent
+
+
+@generic
+def _lost(motion, ends, shor, point, work):
+    """Return whether the cost less a leaf's curvature is convex, and what its tangent may lose.
+
+    Where plans have to arrive, convex on the null space of the arrival's rows, which variables are
+    eliminated by. The point may miss the arrival by rounding.
+
+    Args:
+        motion: a step's.
+        ends: what is said of the end.
+        shor: curvature that steps keep, shape (N,).
+        point: where the tangent touches, shape (N, d).
+        work: positions and velocities there, the Hessian, and what is to be written.
+    """
+    flown, squares, gone = work.flown, work.squares, work.gone
+    count, n = squares.shape[1], flown.shape[2]
+    m, arrival, zero = squares[count : 2 * count], squares[2 * count :], 0 * ends.radius
+    top = zero
+    if not is_bent(shor):
+        return True, zero
+    for i in range(count):
+        for j in range(i + 1):
+            m[i, j] = squares[i, j] - (shor[i] if i == j else zero)
+            m[j, i] = m[i, j]
+            top = max(top, abs(m[i, j]))
+    gone[:] = False
+    off, longest, ratio = zero, zero + 1, zero
+    if ends.arrives > 0:
+        set_arrival(motion, arrival)
+    for r in range(ends.arrives):
+        a, pivot = arrival[r], -1
+        for j in range(count):
+            if not gone[j] and (pivot < 0 or abs(a[j]) > abs(a[pivot])):
+                pivot = j
+        if pivot < 0 or a[pivot] == 0:
+            continue
+        for c in range(n):
+            missed = flown[0, count, c] - ends.goals[count - 1, c]
+            if r == 1:
+                missed = flown[1, count, c] - ratio * missed
+            off = off + 4 * abs(missed / a[pivot])
+        ratio = arrival[1, pivot] / a[pivot]
+        _eliminate(m, arrival, r, pivot, gone)
+        gone[pivot] = True
+    for k in range(count):
+        for c in range(n):
+            longest = max(longest, abs(point[k, c]))
+    taken = top * count * off * (2 * n * count * (1 + longest) + off)
+    return _is_convex(m, gone, slack(top) * 4 * count), taken
+
+
+@generic
+def _eliminate(m, arrival, r, pivot, gone):
+    """Eliminate a variable from a quadratic, and from the next row of an arrival, by row r."""
+    a, count = arrival[r], len(m)
+    for i in range(count):
+        share = a[i] / a[pivot]
+        if i == pivot or gone[i]:
+            continue
+        for j in range(count):
+            if j != pivot and not gone[j]:
+                other = a[j] / a[pivot]
+                both = share * m[pivot, j] + other * m[i, pivot] - share * other * m[pivot, pivot]
+                m[i, j] = m[i, j] - both
+    if r == 0:
+        lead = arrival[1, pivot] / a[pivot]
+        for i in range(count):
+            if i != pivot and not gone[i]:
+                arrival[1, i] = arrival[1, i] - a[i] * lead
+
+
+@generic
+def _is_convex(m, gone, margin):
+    """Return whether a matrix without some rows is positive definite, by Cholesky's method."""
+    for i in range(len(m)):
+        for j in range(0 if gone[i] else i + 1):
+            if gone[j]:
+                continue
+            entry = m[i, j] - (margin if i == j else 0 * margin)
+            for k in range(j):
+                if not gone[k]:
+                    entry = entry - m[i, k] * m[j, k] * m[k, k]
+            if i == j and not entry > 0:
+                return False
+            m[i, j] = coarse(entry if i == j else entry / m[j, j])
+    return True
 
 
 def work_of(problem: Problem, width: int, kind: Any) -> Work:

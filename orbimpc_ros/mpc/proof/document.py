@@ -23,16 +23,16 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.limits import END, ENDS, STEP, Body, Cone, Limits, limits_of
+from orbimpc_ros.mpc.proof.flight import END, ENDS, STEP
 from orbimpc_ros.mpc.proof.reading import Refused
-from orbimpc_ros.mpc.proof.stated import UP
+from orbimpc_ros.mpc.proof.stated import UP, Body, Cone, Limits, limits_of
 from orbimpc_ros.mpc.proof.tree import (
+    ARRAYS,
     EMPTY,
     INTEGERS,
     LEAF,
-    MULTIPLIERS,
-    NOTHING,
-    NOWHERE,
+    OPTIONAL,
+    UNUSED,
     ProofTree,
 )
 from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
@@ -46,7 +46,6 @@ WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
 SOUGHT = ('problem', 'state', 'goals', 'radius')
-ARRAYS = ('nodes', 'at', 'point', 'shor', 'press_end', 'press_row', 'press')
 EACH, TERM = 100, 12  # microseconds that a number of a leaf takes, and a term of a Hessian
 LEAST_WORK, WORK = 2_000_000, 40  # microseconds, and for each character of a document
 
@@ -405,10 +404,8 @@ def _items(value: Any, name: str) -> list[Any]:
 
 def _plain_tree(tree: ProofTree) -> dict[str, Any]:
     """Return a tree as plain values: what it has no use for is left out."""
-    made = {name: getattr(tree, name).tolist() for name in ARRAYS}
-    for name in (*MULTIPLIERS, 'meet', 'origins'):
-        if getattr(tree, name).size:
-            made[name] = getattr(tree, name).tolist()
+    known = {name: getattr(tree, name) for name in ARRAYS + OPTIONAL}
+    made = {n: value.tolist() for n, value in known.items() if n in ARRAYS or value.size}
     return {**made, 'ordered': True} if tree.ordered else made
 
 
@@ -418,12 +415,10 @@ def _tree(stated: Any) -> ProofTree:
     Raises:
         BadInput: it is none.
     """
-    fields_of(stated, 'tree', ARRAYS, (*MULTIPLIERS, 'meet', 'origins', 'ordered'))
-    known = dict(stated)
+    known = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered')))
     if known.pop('ordered', True) is not True:
         raise BadInput('tree.ordered', stated['ordered'], 'true')
-    found: dict[str, Any] = dict.fromkeys(MULTIPLIERS, NOTHING)
-    found |= {'meet': np.zeros((0, 0)), 'origins': NOWHERE}
+    found: dict[str, Any] = dict(UNUSED)
     for name, value in known.items():
         try:
             made = np.array(numbers_of(value, f'tree.{name}'))
@@ -431,7 +426,8 @@ def _tree(stated: Any) -> ProofTree:
             raise BadInput(f'tree.{name}', value, 'lists of the same length') from None
         if name in INTEGERS and made.size and made.dtype != np.int64:
             raise BadInput(f'tree.{name}', value, 'integers')
-        found[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
+        if made.size or name in ARRAYS:
+            found[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
     if found['nodes'].shape[1:] != (5,):
         raise BadInput('tree.nodes', stated['nodes'], 'rows of 5')
     return ProofTree(**found, ordered='ordered' in stated)

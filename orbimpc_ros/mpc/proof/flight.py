@@ -15,11 +15,11 @@ import numpy as np
 
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.proof.arithmetic import Number, generic
-from orbimpc_ros.mpc.proof.limits import ENDS, STEP
 from orbimpc_ros.mpc.proof.tree import POINTS
 
-# Rows of what is known of a start, as far as the cost sees their coordinates, shape (8, d).
-VELOCITY, BLOWN, HASTENED, WIND, FIRST, WANTED, DECIDED, TIED = range(8)
+END, ENDS, STEP = range(3)  # what of a step is on one side of a body
+# Rows of what is known of a start, as far as the cost sees their coordinates, shape (6, d).
+VELOCITY, WIND, FIRST, WANTED, DECIDED, TIED = range(6)
 
 
 class Motion(NamedTuple):
@@ -38,6 +38,8 @@ class Motion(NamedTuple):
     add: Number
     follow: Number
     after: Number
+    blow: Number
+    gust: Number
     lead: Number
     forward: Number
     inertial: int
@@ -52,10 +54,10 @@ def rolled(motion, start, point, flown):
         flown[0, 0, c] = 0 * fast
         flown[1, 0, c] = fast if motion.inertial == 1 else motion.forward * before + start[WIND, c]
         for k in range(len(point)):
-            z, push = point[k, c], motion.push * before + start[BLOWN, c]
+            z, push = point[k, c], motion.push * before + motion.blow * start[WIND, c]
             flown[0, k + 1, c] = flown[0, k, c] + motion.drift * fast + push + motion.follow * z
             if motion.inertial == 1:
-                push = motion.add * before + start[HASTENED, c]
+                push = motion.add * before + motion.gust * start[WIND, c]
                 fast = motion.keep * fast + push + motion.after * z
                 flown[1, k + 1, c] = fast
             else:
@@ -98,7 +100,7 @@ def flown_by(motion: Motion, start: Any, point: Any) -> Any:
 
     Args:
         motion: a step's.
-        start: shape (8, n).
+        start: shape (6, n).
         point: headings R_1 e1..R_N e1, shape (N, n).
     """
     flown = np.zeros((4, len(point) + 1, point.shape[1]), point.dtype)

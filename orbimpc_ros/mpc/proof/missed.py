@@ -18,8 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.flight import DECIDED, controls_of, flown_by
-from orbimpc_ros.mpc.proof.places import Places
-from orbimpc_ros.mpc.proof.rows import about, side_of
+from orbimpc_ros.mpc.proof.rows import Places, about, side_of
 from orbimpc_ros.mpc.proof.sets import nearest_floor
 from orbimpc_ros.mpc.proof.splits import Region
 from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT, Stated

@@ -18,7 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.bound import leaf_bound, parts_of, work_of
+from orbimpc_ros.mpc.proof.bound import leaf_bound, work_of
 from orbimpc_ros.mpc.proof.document import Posed, Refutation, refuted_by
 from orbimpc_ros.mpc.proof.missed import MissedProgram, Side
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
@@ -27,10 +27,11 @@ from orbimpc_ros.mpc.proof.splits import GONE, HELD, ICOSAHEDRON, Cut, begin, pa
 from orbimpc_ros.mpc.proof.stated import FREE, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
+    ARRAYS,
     CUT,
     EMPTY,
     FACES,
-    MULTIPLIERS,
+    OPTIONAL,
     PATCHES,
     QUARTERS,
     SIDES,
@@ -116,7 +117,6 @@ class RefutationSearch:
         choices = (2 + len(stated.bodies.of)) * self._count
         self._region = region_of(DEEPEST, choices, stated.n, float)
         self._work = work_of(problem, stated.width, float)
-        self._allowed, self._order, *_ = parts_of(stated, self._program.nowhere)
         self._nodes, self._at, self._leaves = list[list[int]](), list[float](), list[ProofTree]()
 
     def tree(self) -> ProofTree | None:
@@ -127,8 +127,7 @@ class RefutationSearch:
         """
         self._add(1)
         stated, known = self._stated, (self._region.part[0], self._region.span[0])
-        free = self._allowed.is_free
-        if begin(stated.root, stated.sets, free, self._order, *known) == HELD:
+        if begin(stated, self._program.nowhere, *known) == HELD:
             self._poll()
             beyond = self._program.beyond
             held = beyond is not None and self._refutes(0, 0, beyond)
@@ -148,9 +147,7 @@ class RefutationSearch:
 
     def _refutes(self, place: int, depth: int, leaf: ProofTree) -> bool:
         """Return whether a leaf proves that nothing is at a node, which then keeps it."""
-        *_, leaves, sections = parts_of(self._stated, leaf)
-        known = self._stated, self._region, depth, leaves, sections, 0, True, self._work
-        value, sound = leaf_bound(*known)
+        value, sound = leaf_bound(self._stated, self._region, depth, leaf, 0, True, self._work)
         if len(self._leaves) == self.most or not (sound and value > 0.0):
             return False
         self._nodes[place][4] = len(self._leaves)
@@ -174,13 +171,12 @@ class RefutationSearch:
         """Return whether nothing is in any part of a node that is split."""
         if depth + 1 == DEEPEST:
             return False
-        stated, first = self._stated, self._add(cut.parts)
+        first = self._add(cut.parts)
         self._nodes[place] = [cut.kind, cut.choice, first, cut.parts, -1]
         self._at[place] = cut.at
         if cut.choice >= 2 * self._count:
             sides = (*sides, (depth + 1, cut.choice))
-        node, radii = np.array(self._nodes[place]), stated.bodies.extents[:, 2 * stated.n]
-        known = self._allowed, stated.root, stated.sets, radii, self._order, node, cut.at
+        known = self._stated, self._program.nowhere, np.array(self._nodes[place]), cut.at
         for i in range(cut.parts):
             part = part_of(*known, i, depth + 1, self._region)
             if part == GONE:
@@ -258,15 +254,14 @@ class RefutationSearch:
     def _made(self) -> ProofTree:
         """Return the tree of all nodes, and of what their leaves have."""
         leaves = self._leaves or [self._program.nowhere]
-        sizes = np.cumsum([len(each.press) for each in leaves])
-        stacked: dict[str, Any] = {
-            name: np.concatenate([getattr(each, name) for each in leaves])
-            for name in ('point', 'shor', 'press', 'press_row')
-        }
-        for name in (*MULTIPLIERS, 'meet'):
+        stacked: dict[str, Any] = {}
+        for name in (*ARRAYS[2:4], *ARRAYS[5:], *OPTIONAL):
             every = [getattr(each, name) for each in leaves]
             shape = max((each.shape for each in every if each.size), default=every[0].shape)
-            filled = [each if each.size else np.zeros(shape) for each in every]
-            stacked[name] = np.concatenate(filled) if any(shape) else every[0]
+            absent = name in OPTIONAL and any(shape)
+            stacked[name] = np.concatenate(
+                [each if each.size or not absent else np.zeros(shape) for each in every]
+            )
+        sizes = np.cumsum([len(each.press) for each in leaves])
         nodes = np.array(self._nodes, np.int64)
         return ProofTree(nodes, np.array(self._at), press_end=sizes, **stacked)

@@ -9,10 +9,15 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, root, slack
-from orbimpc_ros.mpc.proof.flight import control_of
+from orbimpc_ros.mpc.proof.flight import control_of, control_points
 from orbimpc_ros.mpc.proof.sets import cross, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
+from orbimpc_ros.mpc.proof.stated import Bodies
 from orbimpc_ros.mpc.proof.tree import POINTS
 
 
@@ -93,17 +98,18 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
 
 
 @generic
-def pressed(motion, sets, bodies, region, depth, leaves, begun, leaf, work):
+def pressed(stated, region, depth, tree, begun, leaf, work):
     """Add forces of multipliers of what is known beside bodies, at a leaf or above it.
 
     Returns:
         What they come to; the size of its terms; whether they are of what is known.
     """
-    value, size, normal = 0 * sets.full, 0 * sets.full, work.vectors[0]
+    motion, sets, bodies, zero = stated.motion, stated.sets, stated.bodies, 0 * stated.sets.full
+    value, size, normal, n = zero, zero, work.vectors[0], stated.n
     count, degree, flown = len(work.slopes), motion.degree, work.flown
-    end, n, rows = leaves.press_end[leaf], work.flown.shape[2], POINTS * count * len(bodies.of)
+    end, rows = tree.press_end[leaf], POINTS * count * len(bodies.of)
     for e in range(begun, end):
-        y, row = leaves.press[e], leaves.press_row[e]
+        y, row = tree.press[e], tree.press_row[e]
         if not (y >= 0 and 0 <= row < rows * (depth + 1)):
             return value, size, False
         if y == 0:
@@ -118,7 +124,7 @@ def pressed(motion, sets, bodies, region, depth, leaves, begun, leaf, work):
             return value, size, False
         value, size = value + y * (out - off), size + y * terms
         # Bernstein's control points are led by velocities from the ends that they are next to.
-        late, led = 1 if 2 * i > degree else 0, 0 * sets.full
+        late, led = 1 if 2 * i > degree else 0, zero
         if 0 < i < degree:
             led = -motion.lead if late == 1 else motion.lead
         for c in range(n):
@@ -174,24 +180,80 @@ def slid(ends, slide, flown):
 
 
 @generic
-def with_ends(ends, forces, pull, meet, flown):
-    """Add forces of multipliers of an arrival, and of meeting a goal.
+def pulled(ends, pull, flown):
+    """Add forces of multipliers of an arrival.
 
     Returns:
         What they come to; the size of its terms.
     """
-    value, size, count, n = 0 * ends.radius, 0 * ends.radius, len(ends.goals), flown.shape[2]
-    for i in range(ends.arrives if pull >= 0 else 0):
-        for c in range(n):
+    value, size, count = 0 * ends.radius, 0 * ends.radius, len(ends.goals)
+    for i in range(len(pull)):
+        for c in range(pull.shape[1]):
             missed = flown[i, count, c] - (ends.goals[count - 1, c] if i == 0 else 0 * value)
-            force = forces[pull + i, c] * missed
+            force = pull[i, c] * missed
             value, size = value + force, size + abs(force)
-            flown[2 + i, count, c] = flown[2 + i, count, c] + forces[pull + i, c]
-    if meet >= 0 and ends.radius >= 0:
-        steep = ends.radius * size_of(forces[meet], n)
-        value, size = value - steep, size + steep
-        for c in range(n):
-            force = forces[meet, c] * (flown[0, count, c] - ends.goals[count - 1, c])
-            value, size = value + force, size + abs(force)
-            flown[2, count, c] = flown[2, count, c] + forces[meet, c]
+            flown[2 + i, count, c] = flown[2 + i, count, c] + pull[i, c]
     return value, size
+
+
+@generic
+def met(ends, meet, flown):
+    """Add forces of multipliers of meeting a goal; return as :func:`pulled` does."""
+    count, n = len(ends.goals), len(meet)
+    steep = ends.radius * size_of(meet, n)
+    value, size = -steep, steep
+    for c in range(n):
+        force = meet[c] * (flown[0, count, c] - ends.goals[count - 1, c])
+        value, size = value + force, size + abs(force)
+        flown[2, count, c] = flown[2, count, c] + meet[c]
+    return value, size
+
+
+class Places:
+    """The control points that plans have beside bodies.
+
+    Args:
+        bodies: J of them.
+        free: control points without headings, less s_0, shape (N, m, n) [m].
+        reach: what headings add to them, shape (N, m, N) [m].
+
+    Attributes:
+        rows: which of four rows each step and body have, shape (J, N, 4).
+        points: which control points, of N m, they are of; where there are fewer, the first one
+            again, as in what follows, shape (J, N, 4).
+        free: where these are without headings, as bodies see them, shape (J, N, 4, n) [m].
+        reach: what each heading adds, shape (J, N, 4, N) [m].
+    """
+
+    def __init__(self, bodies: Bodies, free: Array, reach: Array) -> None:
+        count, m, n = free.shape
+        at = control_points(tuple(bodies.of.tolist()), count, m - 1)
+        self.rows, steps = at >= 0, np.arange(count)[:, None]
+        self.points = m * steps + np.where(self.rows, at, at[:, :, :1])
+        middles = np.where(self.rows[..., None], bodies.centres, bodies.centres[:, :, :1])
+        self.free = free.reshape(-1, n)[self.points] - middles
+        self.reach = reach.reshape(-1, count)[self.points]
+        self._bodies, self._radii = bodies, bodies.extents[:, 2 * n, None]
+
+    def entered(self, x: Array) -> tuple[Array, Array]:
+        """Return by how far headings lead into each body, and the directions out of it.
+
+        Args:
+            x: R_1 e1..R_N e1, shape (N, n).
+
+        Returns:
+            Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
+        """
+        count, n = x.shape
+        places = self.free + (self.reach.reshape(-1, count) @ x).reshape(self.free.shape)
+        around = self._radii[:, 0] > 0.0
+        along = np.concatenate([-places, places], axis=-1)
+        short = (self._bodies.extents[:, None, None, : 2 * n] - along).max(axis=2)
+        face = short.argmin(axis=-1)
+        into, ways = short.min(axis=-1), np.vstack([-np.eye(n), np.eye(n)])[face]
+        if around.any():
+            ways[around], away = separation(places[around])
+            into[around] = self._radii[around] - away
+        sizes = self._radii + self._bodies.margins[0]
+        nothing = around[:, None] & (sizes <= 0.0)  # shrunk for who leaves it: passed anywhere
+        return np.where(nothing, -np.inf, into + self._bodies.margins[0]), ways

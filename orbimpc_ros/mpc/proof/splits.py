@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.proof.arithmetic import generic
+from orbimpc_ros.mpc.proof.stated import FREE
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
@@ -28,7 +29,6 @@ from orbimpc_ros.mpc.proof.tree import (
 WHOLE = -1  # of a choice that nothing is known of
 HELD, GONE, WRONG = range(3)  # a part is known, nothing is left of it, or it is no part
 ICOSAHEDRON = 20  # triangles; those of the cap come after them
-
 
 # Columns of a tree's nodes.
 KIND, CHOICE, CHILD, CHILDREN, ROW = range(5)
@@ -58,20 +58,23 @@ class Cut(NamedTuple):
 
 
 class Order(NamedTuple):
-    """From where directions are counted, and whether steps that can be exchanged are in order."""
+    """Whether steps that can be exchanged are in order, and from where directions are counted.
+
+    Trees have both.
+    """
 
     ordered: bool
     origins: Any
 
 
 @generic
-def begin(root, sets, is_free, order, part, span):
+def begin(stated, order, part, span):
     """Set what is known of all trajectories: parts, shape (C,), spans, shape (C, 2).
 
     Returns:
         ``HELD``; ``GONE`` if there are none; ``WRONG`` if steps have no such order or origins.
     """
-    count = root.span.shape[1]
+    root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     part[:] = WHOLE
     span[:, 0], span[:, 1] = 0 * sets.full, sets.full
     for k in range(count):
@@ -91,15 +94,15 @@ def begin(root, sets, is_free, order, part, span):
             return WRONG
     if order.ordered and root.exchanged == 0:
         return WRONG
-    return HELD if _aimed(root, sets, is_free, part, span) else GONE
+    return HELD if _aimed(stated, part, span) else GONE
 
 
 @generic
-def _aimed(root, sets, is_free, part, span):
+def _aimed(stated, part, span):
     """Cut the last heading's sector to the approach; return whether anything is left of all."""
-    count = root.span.shape[1]
+    root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     k = count - 1
-    if root.aside < 0 or (k == 0 and not is_free):
+    if root.aside < 0 or (k == 0 and stated.decided != FREE):
         return True
     low, high = root.aim - root.aside, root.aim + root.aside
     if part[k] != WHOLE:
@@ -160,32 +163,15 @@ def _ordered(span, k, end):
     return True
 
 
-class Allowed(NamedTuple):
-    """Which splits there are.
-
-    Attributes:
-        n: dimension.
-        steps: N.
-        is_free: whether the first heading is no part of the state.
-        solid: faces of a floor in space; 0 without.
-        capped: patches of the tilt's cap; 0 without.
-    """
-
-    n: int
-    steps: int
-    is_free: bool
-    solid: int
-    capped: int
-
-
 @generic
-def _is_split_right(allowed, sets, radii, node, at, part, low, high):
+def _is_split_right(stated, node, at, part, low, high):
     """Return whether a node may be split as it is, given what is known of the choice there."""
-    kind, c, parts, n, count = node[KIND], node[CHOICE], node[CHILDREN], allowed.n, allowed.steps
+    kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
+    sets, extents, count = stated.sets, stated.bodies.extents, stated.root.span.shape[1]
     heading, body = c < count, c // count - 2
-    if (heading and c == 0 and not allowed.is_free) or not 0 <= c < (2 + len(radii)) * count:
+    if (c == 0 and stated.decided != FREE) or not 0 <= c < (2 + len(extents)) * count:
         return False
-    paced, box = count <= c < 2 * count, body >= 0 and radii[max(0, body)] == 0
+    paced, box = count <= c < 2 * count, body >= 0 and extents[max(0, body), 2 * n] == 0
     if kind == SPEED or paced:
         return kind == SPEED and paced and parts == 2 and low <= at <= high
     if kind == SIDES or box:
@@ -194,29 +180,26 @@ def _is_split_right(allowed, sets, radii, node, at, part, low, high):
         return n == 2 and part == 0 and parts == 2 and low <= at <= high
     if kind == ARCS:
         return n == 2 and part == WHOLE and parts >= 2
-    solid = heading and allowed.solid > 0
+    solid = heading and len(sets.faces) > 0
     if kind == FACES:
-        return solid and part == WHOLE and parts == allowed.solid
+        return solid and part == WHOLE and parts == len(sets.faces)
     if n == 2 or solid:
         return False
     if kind == PATCHES:
         capped = False
         for q in range(len(sets.cone_step) if heading else 0):
             capped = capped or (sets.cone_step[q] == c and sets.cones[q, n + 3] == 1)
-        known = parts == ICOSAHEDRON or (capped and parts == allowed.capped)
-        return part == WHOLE and known
+        capped = capped and parts == len(stated.root.patches) - ICOSAHEDRON
+        return part == WHOLE and (parts == ICOSAHEDRON or capped)
     return kind == QUARTERS and part == 0 and parts == 4
 
 
 @generic
-def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
+def part_of(stated, order, node, at, i, depth, region):
     """Set what is known of part i of a node, from what is known of that.
 
     Args:
-        allowed: which splits there are.
-        root: what is known of all.
-        sets: what stage sets are made of.
-        radii: of balls; 0 of boxes, shape (J,).
+        stated: the problem.
         order: of steps.
         node: its numbers, shape (5,).
         at: where it is cut.
@@ -232,27 +215,25 @@ def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
         return WRONG
     known, before = region.part[depth - 1, c], region.span[depth - 1]
     low, high = before[c, 0], before[c, 1]
-    if not _is_split_right(allowed, sets, radii, node, at, known, low, high):
+    if not _is_split_right(stated, node, at, known, low, high):
         return WRONG
     for e in range(len(part)):
         part[e], span[e, 0], span[e, 1] = region.part[depth - 1, e], before[e, 0], before[e, 1]
-    if allowed.n == 3:
+    if stated.n == 3:
         for e in range(len(part)):
             for a in range(3):
                 for b in range(3):
                     region.corners[depth, e, a, b] = region.corners[depth - 1, e, a, b]
     made = region.corners[depth]
-    return narrowed(allowed, root, sets, order, node, at, i, part, span, made)
+    return narrowed(stated, order, node, at, i, part, span, made)
 
 
 @generic
-def narrowed(allowed, root, sets, order, node, at, i, part, span, corners):
+def narrowed(stated, order, node, at, i, part, span, corners):
     """Narrow what is known of a node to its part i; return ``HELD`` or ``GONE``.
 
     Args:
-        allowed: see :func:`part_of`, as for the others.
-        root: see there.
-        sets: see there.
+        stated: see :func:`part_of`, as for the others.
         order: see there.
         node: see there.
         at: see there.
@@ -261,7 +242,7 @@ def narrowed(allowed, root, sets, order, node, at, i, part, span, corners):
         span: shape (C, 2), set in place.
         corners: shape (C, 3, 3), set in place.
     """
-    kind, c, count = node[KIND], node[CHOICE], allowed.steps
+    kind, c, root, count = node[KIND], node[CHOICE], stated.root, stated.root.span.shape[1]
     part[c] = i if kind in (SIDES, FACES) else 0
     if kind in (SIDES, FACES):
         return HELD
@@ -269,7 +250,7 @@ def narrowed(allowed, root, sets, order, node, at, i, part, span, corners):
         _set_patch(root.patches, node, i, corners[c])
         return HELD
     if kind == ARCS:
-        share = sets.full / node[CHILDREN]
+        share = stated.sets.full / node[CHILDREN]
         span[c, 0], span[c, 1] = at + i * share, at + (i + 1) * share
         return HELD
     span[c, 1 - i] = at
@@ -281,7 +262,7 @@ def narrowed(allowed, root, sets, order, node, at, i, part, span, corners):
         return HELD if _ordered(span, c, root.exchanged) else GONE
     held = _carried(span, c, 0, count, root.turn)
     if held and part[count - 1] == 0:
-        held = _aimed(root, sets, allowed.is_free, part, span)
+        held = _aimed(stated, part, span)
     return HELD if held else GONE
 
 

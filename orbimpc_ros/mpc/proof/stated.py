@@ -1,9 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A problem in numbers, floats or fractions, as its bounds are verified from.
+"""A problem in numbers, floats or fractions, as its bounds are verified from; its limits.
 
-Nothing here is condensed: motion is stated a step at a time, costs as weights of squares.
+Nothing here is condensed: motion is stated a step at a time, costs as weights of squares. Whatever
+a state eases (who is outside of a cone, or inside of a margin) is a number here, which proofs take
+for granted.
 
-Mathematics: docs/mathematics.md, 1, and docs/proofs.md.
+Mathematics: docs/mathematics.md, 1 and 3.7 to 3.10, and docs/proofs.md.
 """
 
 from __future__ import annotations
@@ -20,13 +22,18 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
 from orbimpc_ros.mpc.model.translation import step_of
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem.approach import LEEWAY
+from orbimpc_ros.mpc.problem.cones import relief
+from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root, roots
 from orbimpc_ros.mpc.proof.flight import (
-    BLOWN,
     DECIDED,
+    END,
+    ENDS,
     FIRST,
-    HASTENED,
+    STEP,
     TIED,
     VELOCITY,
     WANTED,
@@ -36,7 +43,6 @@ from orbimpc_ros.mpc.proof.flight import (
     controls_of,
     flown_by,
 )
-from orbimpc_ros.mpc.proof.limits import NO_LIMITS, STEP, Body, Cone, Limits
 
 NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
 WIDER = 1e-12  # [rad] by which sectors are wider than they are stated, for rounding of angles
@@ -46,7 +52,70 @@ UNTURNED = math.pi - 1e-9  # [rad] a turn limit that is as good as none
 FREE, SEGMENT, POINT = range(3)  # what R_1 may be
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 UP = 0.0, 0.0, 1.0
+NOTHING: Array = np.zeros(0)
 Rows = Any  # an array of numbers, of floats or of fractions
+
+
+class Cone(NamedTuple):
+    """Directions that headings of some steps are in.
+
+    At its least speed it ends flat: z . axis >= cos(angle) max(|z|, least).
+
+    Attributes:
+        axis: of any length, n numbers.
+        angle: [rad].
+        least: share of full speed.
+        steps: k >= 1.
+    """
+
+    axis: tuple[float, ...]
+    angle: float
+    least: float
+    steps: tuple[int, ...]
+
+
+class Body(NamedTuple):
+    """A box, or a ball, that plans are outside of.
+
+    Attributes:
+        low: corner, shape (n,); of a ball its centre [m].
+        high: corner; of a ball its centre.
+        radius: of a ball [m]; 0 of a box.
+        of: what of each step is on one of its sides: its ``END``; both ``ENDS``, from the second
+            step on; or all of the ``STEP``, that is, its control points.
+        shifts: by how much it has moved by the ends of steps 0..N, shape (N + 1, n) [m].
+        grown: by how much it counts as larger in each step, shape (N,) [m].
+    """
+
+    low: Array
+    high: Array
+    radius: float
+    of: int
+    shifts: Array
+    grown: Array
+
+
+class Limits(NamedTuple):
+    """What a problem's own numbers do not say.
+
+    Attributes:
+        cones: of the tilt, where it is not eased, and of the approach.
+        glide_slope: angle [rad]; 0 without.
+        eased: by how much s_1..s_N may be outside of it, shape (N,) [m].
+        bodies: in the order in which choices number them.
+        entry: share of full speed that changes begin from.
+        change: by how much it changes in a step at most; infinity without a limit.
+    """
+
+    cones: tuple[Cone, ...] = ()
+    glide_slope: float = 0.0
+    eased: Array = NOTHING
+    bodies: tuple[Body, ...] = ()
+    entry: float = 0.0
+    change: float = math.inf
+
+
+NO_LIMITS = Limits()
 
 
 class Costs(NamedTuple):
@@ -193,7 +262,7 @@ class Statement:
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
         self.problem, self._number = problem, number
         self.width = width_of(problem)
-        self._motion, self._blow = self._moved()
+        self._motion = self._moved()
         self._costs = self._weighed()
         self._root: Root | None = None
 
@@ -206,7 +275,7 @@ class Statement:
         made.ravel()[:] = [Fraction(each) for each in array.ravel().tolist()]
         return made
 
-    def _moved(self) -> tuple[Motion, tuple[Number, Number]]:
+    def _moved(self) -> Motion:
         problem, number, model = self.problem, self._number, self.problem.translation
         if number is not float and not type(model).__module__.startswith('orbimpc_ros.'):
             allowed = 'a model that certificates can state'
@@ -217,8 +286,8 @@ class Statement:
         (push, add), (follow, after), (blow, gust) = pairs
         drift, keep = map(number, once.transition[:, 1] if model.inertial else (0, 0))
         lead, inertial = h / model.degree, int(model.inertial)
-        moved = drift, keep, push, add, follow, after, lead, z, inertial, model.degree
-        return Motion(*moved), (blow, gust)
+        moved = drift, keep, push, add, follow, after, blow, gust, lead, z, inertial, model.degree
+        return Motion(*moved)
 
     def _weighed(self) -> Costs:
         problem, number, w = self.problem, self._number, self.problem.weights
@@ -260,8 +329,8 @@ class Statement:
 
     def _begun(self, state: State) -> tuple[int, Rows]:
         """Return what R_1 may be, and what is known of a start."""
-        problem, (blow, gust), n = self.problem, self._blow, self.problem.dimension
-        known, kind = np.zeros((8, self.width)), FREE
+        problem, n = self.problem, self.problem.dimension
+        known, kind = np.zeros((6, self.width)), FREE
         known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
         known[FIRST] = known[TIED] = self._seen(state.rotation)
         if state.wanted is not None:
@@ -272,14 +341,13 @@ class Statement:
         elif problem.turns_are_angles:
             known[TIED, :n] = state.attitude[:, 0]
         start = self._rows(known)
-        start[BLOWN, :n], start[HASTENED, :n] = blow * start[WIND, :n], gust * start[WIND, :n]
         if kind == POINT:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         return kind, start
 
     def _seen(self, rotation: Any) -> Array:
         """Return the coordinates of a rotation, column by column, as far as the cost sees them."""
-        return np.asarray(rotation.T.ravel()[: self.width])
+        return rotation.T.ravel() if self.width == 9 else rotation[:, 0]
 
     # --- what single steps are subject to
 
@@ -408,7 +476,7 @@ class Statement:
 
     @cached_property
     def _alone(self) -> Bodies:
-        width = self._rows(np.zeros((8, self.width)))
+        width = self._rows(np.zeros((6, self.width)))
         return self._beside(self._rows(np.zeros(self.problem.dimension)), (), width)
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
@@ -452,8 +520,57 @@ class Statement:
         """Return how far apart headings of length 1 take two control points, shape (N, pairs)."""
         units, none = (
             self._rows(each)
-            for each in (np.eye(self.problem.horizon), np.zeros((8, self.problem.horizon)))
+            for each in (np.eye(self.problem.horizon), np.zeros((6, self.problem.horizon)))
         )
         reach = controls_of(self._motion, flown_by(self._motion, none, units))
         a, b = np.triu_indices(self._motion.degree + 1, 1)
         return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
+
+
+# --- the limits of a problem from one state
+
+
+def limits_of(problem: Problem, state: State, goals: Array) -> Limits:
+    """Return the limits of a problem from a state to goals g_1..g_N, shape (N, n) [m]."""
+    plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
+    if plain and not (problem.obstacles or state.hazards):
+        return NO_LIMITS
+    cones, slope = list[Cone](), 0.0
+    eased: Array = NOTHING
+    if problem.has_cones:
+        outside = relief(problem, state, goals)
+        if problem.tilt:
+            steps = tuple((1 + np.flatnonzero(outside.tilt == 0.0)).tolist())
+            cones.append(Cone((0.0, 0.0, 1.0), problem.tilt, 0.0, steps))
+        if problem.glide_slope:
+            slope, eased = problem.glide_slope, outside.slope
+    if problem.approach.exists:
+        axis, wide = tuple(problem.approach.axis(state).tolist()), problem.approach.cone + LEEWAY
+        cones.append(Cone(axis, wide, problem.least_heading, (problem.horizon,)))
+    entry, change = 0.0, math.inf
+    if problem.max_acceleration and problem.rotation_order == 1:
+        entry, change = entry_speed(problem, state), problem.speed_change
+    return Limits(tuple(cones), slope, eased, bodies_of(problem, state), entry, change)
+
+
+def bodies_of(problem: Problem, state: State) -> tuple[Body, ...]:
+    """Return what plans are outside of: boxes at rest; then each other body twice.
+
+    Of these the end of a step alone is held closer than the hull of its control points.
+    """
+    n, count = problem.dimension, problem.horizon
+    still, kept = np.zeros((count + 1, n)), np.zeros(count)
+    of = ENDS if problem.no_corner_cutting else END
+    found = [Body(each.minimum, each.maximum, 0.0, of, still, kept) for each in problem.boxes]
+    traffic = traffic_of(problem, state)
+    if traffic is None:
+        return tuple(found)
+    for body, shifts, grown in zip(traffic.bodies, traffic.shifts, traffic.grown, strict=True):
+        found += [_moving(body, of, shifts, grown) for of in (END, STEP)]
+    return tuple(found)
+
+
+def _moving(body: Box | Ball, of: int, shifts: Array, grown: Array) -> Body:
+    if isinstance(body, Ball):
+        return Body(body.centre, body.centre, body.radius, of, shifts, grown)
+    return Body(body.minimum, body.maximum, 0.0, of, shifts, grown)

@@ -69,10 +69,14 @@ class ProofTree(NamedTuple):
     ordered: bool = False
 
 
+ARRAYS = ProofTree._fields[:7]  # of each tree
+OPTIONAL = ProofTree._fields[7:13]  # without elements where there are none
+VECTORS = ProofTree._fields[7:11]  # multipliers of steps, by leaves
 INTEGERS = 'nodes', 'press_end', 'press_row'
-MULTIPLIERS = ('pull', 'slide', 'tether', 'share')
 INTEGER, FLOAT = np.dtype(np.int64), np.dtype(np.float64)
+KINDS = [INTEGER if name in INTEGERS else FLOAT for name in ARRAYS + OPTIONAL]
 NOTHING = np.zeros((0, 0, 0))  # of multipliers that are not used
+UNUSED = {**dict.fromkeys(VECTORS, NOTHING), 'meet': np.zeros((0, 0)), 'origins': NOWHERE}
 
 
 def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
@@ -84,8 +88,7 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         multipliers: other arrays of the leaf, by their names, without the axis of leaves.
     """
     none = np.zeros(1, np.int64)
-    known: dict[str, Any] = dict.fromkeys(('pull', 'slide', 'tether', 'share'), NOTHING)
-    known['meet'] = np.zeros((0, 0))
+    known: dict[str, Any] = UNUSED | {name: value[None] for name, value in multipliers.items()}
     return ProofTree(
         nodes=np.zeros((1, 5), np.int64),
         at=np.zeros(1),
@@ -94,18 +97,24 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         press_end=none,
         press_row=none[:0],
         press=np.zeros(0),
-        **known | {name: value[None] for name, value in multipliers.items()},
+        **known,
     )
 
 
 def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
     """Return the tree of a problem as it was posed, from that of the same in natural units."""
     cost, force = units.cost, units.cost / units.length
-    timed = np.array([1.0, units.time])[: tree.pull.shape[1], None]
-    scales = {'shor': cost, 'press': force, 'pull': force * timed, 'slide': force}
-    scales |= {'tether': cost, 'share': cost, 'meet': force}
-    every = ((name, getattr(tree, name), scale) for name, scale in scales.items())
-    return tree._replace(**{name: scale * value for name, value, scale in every if value.size})
+    known: Any = tree
+    nodes, at, point, shor, end, row, press, pull, slide, tether, share, meet, *order = known
+    if pull.size:
+        pull = pull * (force * np.array([1.0, units.time])[: pull.shape[1], None])
+    presses = end, row, _times(press, force)
+    bound = _times(slide, force), _times(tether, cost), _times(share, cost), _times(meet, force)
+    return ProofTree(nodes, at, point, shor * cost, *presses, pull, *bound, *order)
+
+
+def _times(values: Array, scale: float) -> Array:
+    return values * scale if values.size else values
 
 
 def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
@@ -118,29 +127,18 @@ def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> boo
         width: d, how many coordinates of a rotation the cost sees.
         arrives: m, how many vectors an arrival is about.
     """
-    nodes, leaves, presses = len(tree.nodes), len(tree.point), np.shape(tree.press)[:1]
+    arrays: Any = tree[: len(KINDS)]
+    nodes, leaves, presses = len(tree.nodes), len(tree.point), tree.press.size
     vectors = leaves, horizon, n
-    return (
-        nodes > 0
-        and len(tree.origins) in (0, horizon)
-        and _is(tree.nodes, INTEGER, (nodes, 5))
-        and _is(tree.press_end, INTEGER, (leaves,))
-        and _is(tree.press_row, INTEGER, presses)
-        and _is(tree.at, FLOAT, (nodes,))
-        and _is(tree.point, FLOAT, (leaves, horizon, width))
-        and _is(tree.shor, FLOAT, (leaves, horizon))
-        and _is(tree.press, FLOAT, presses)
-        and _is(tree.origins, FLOAT, (len(tree.origins),))
-        and _is(tree.pull, FLOAT, (leaves, arrives, n), optional=True)
-        and _is(tree.slide, FLOAT, (leaves, horizon, 3), optional=True)
-        and _is(tree.tether, FLOAT, vectors, optional=True)
-        and _is(tree.share, FLOAT, vectors, optional=True)
-        and _is(tree.meet, FLOAT, (leaves, n), optional=True)
-    )
-
-
-def _is(value: Any, kind: np.dtype, shape: tuple[int, ...], *, optional: bool = False) -> bool:
-    """Return whether something is an array of a kind and a shape, or none where it is optional."""
-    if not (isinstance(value, np.ndarray) and value.dtype == kind and value.flags.c_contiguous):
-        return False
-    return value.shape == shape or (optional and value.size == 0)
+    shapes = (
+        (nodes, 5), (nodes,), (leaves, horizon, width), (leaves, horizon),
+        (leaves,), (presses,), (presses,),
+        (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (leaves, n), (horizon,),
+    )  # fmt: skip
+    for i, (value, kind, shape) in enumerate(zip(arrays, KINDS, shapes, strict=True)):
+        if value.dtype != kind or not value.flags.c_contiguous:
+            return False
+        absent = i >= len(ARRAYS) and not value.size and value.ndim == len(shape)
+        if not absent and value.shape != shape:
+            return False
+    return nodes > 0

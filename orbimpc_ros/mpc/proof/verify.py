@@ -20,20 +20,17 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.arithmetic import floats
+from orbimpc_ros.mpc.proof.arithmetic import bare, floats
 from orbimpc_ros.mpc.proof.bound import (
     PAUSED,
     PROVED,
     REFUTED,
     depths_of,
-    parts_of,
     tree_bound,
-    walk_of,
     work_of,
 )
-from orbimpc_ros.mpc.proof.limits import NO_LIMITS, Limits, limits_of
 from orbimpc_ros.mpc.proof.splits import Region
-from orbimpc_ros.mpc.proof.stated import Statement
+from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Limits, Statement, limits_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
@@ -66,6 +63,7 @@ class Verifier:
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
             still = one(np.zeros((count, self._statement.width)), leaf)
             self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
+            self._bound = bare(_bound)
 
     def bound(
         self,
@@ -95,26 +93,24 @@ class Verifier:
         stated = self._statement.of(state, goals, limits, radius)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
-        depth = np.empty(len(tree.nodes), np.int64)
-        deepest = self._depths(tree.nodes, depth)
+        walk = np.empty((3, len(tree.nodes)), np.int64)
+        deepest = self._depths(tree.nodes, walk)
         choices = (2 + len(stated.bodies.of)) * problem.horizon
         if deepest < 0 or (deepest + 1) * choices > MOST:
             return -math.inf
         if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
             self._region = region_of(2 * deepest + 1, choices, problem.dimension, self._kind)
-        most = 1 + SLICE // problem.horizon
+        most, what = 1 + SLICE // problem.horizon, PAUSED
+        seen: tuple[Any, int, int] = 0.0, 0, 0
         try:
-            parts = parts_of(stated, in_fractions(tree) if self._exact else tree)
-            walk = walk_of(tree, self._kind)
-            known = stated, *parts, depth, self._region, self._work, walk, most
-            least, _, what = self._bound(*known)
-            while what == PAUSED and not (late and late()):
-                least, _, what = self._bound(*known)
+            known = stated, in_fractions(tree) if self._exact else tree, walk
+            while what == PAUSED and not (seen[-1] and late and late()):
+                *seen, what = self._bound(*known, self._region, self._work, *seen, most)
         except HOSTILE:
             return -math.inf
         if what == REFUTED:
             return math.inf
-        return rounded_down(least) if what == PROVED else -math.inf
+        return rounded_down(seen[0]) if what == PROVED else -math.inf
 
 
 def in_fractions(tree: ProofTree) -> Any:

@@ -33,19 +33,17 @@ from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model.motion import coasting_controls, control_maps
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.flight import DECIDED
-from orbimpc_ros.mpc.proof.limits import limits_of
-from orbimpc_ros.mpc.proof.places import Places
+from orbimpc_ros.mpc.proof.rows import Places
 from orbimpc_ros.mpc.proof.splits import (
     GONE,
     ICOSAHEDRON,
     WHOLE,
-    Allowed,
     Cut,
     Order,
     begin,
     narrowed,
 )
-from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Statement
+from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Statement, limits_of
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
@@ -150,11 +148,8 @@ class Regions:
         begun = -math.pi / self._faces if self._faces else 0.0
         self.origins = np.full(count, begun) if ordered else NOWHERE
         self._order, self._begun = Order(ordered, self.origins), begun
-        capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
-        solid = len(stated.sets.faces)
-        self._allowed = Allowed(n, count, not self.first, solid, capped)
-        flags = stated.sets.cones[:, n + 3] == 1.0
-        self._upright = set(stated.sets.cone_step[flags].tolist()) if capped else set()
+        flags = stated.sets.cones[:, n + 3] == 1.0  # as wide as the patches of the tilt's cap
+        self._upright = set(stated.sets.cone_step[flags].tolist())
 
     # --- regions
 
@@ -163,8 +158,8 @@ class Regions:
         count, n = (2 + self.bodies) * self.problem.horizon, self.problem.dimension
         part, span = np.full(count, WHOLE), np.zeros((count, 2))
         corners, known = np.zeros((count if n == 3 else 1, 3, 3)), self._stated
-        free, decided = self._allowed.is_free, known.start[DECIDED : DECIDED + 1, :n]
-        if begin(known.root, known.sets, free, self._order, part, span) == GONE:
+        decided = known.start[DECIDED : DECIDED + 1, :n]
+        if begin(known, self._order, part, span) == GONE:
             return None
         if known.decided == POINT and self.problem.floor.margin(decided)[0] < -SATISFIED:
             return None
@@ -179,10 +174,9 @@ class Regions:
             span = span.copy()
         elif cut.kind in (PATCHES, QUARTERS):
             corners = corners.copy()
-        node, stated = np.array([cut.kind, cut.choice, 0, cut.parts]), self._stated
-        allowed = self._allowed, stated.root, stated.sets, self._order
-        left = narrowed(*allowed, node, cut.at, i, part, span, corners)
-        return None if left == GONE else Known(part, span, corners)
+        node, made = np.array([cut.kind, cut.choice, 0, cut.parts]), Known(part, span, corners)
+        left = narrowed(self._stated, self._order, node, cut.at, i, *made)
+        return None if left == GONE else made
 
     def changed(self, before: Known, after: Known, choice: int) -> list[int]:
         """Return the choices that differ between a region and a part of it."""
@@ -428,7 +422,8 @@ class Regions:
         if n == 3:
             if whole:
                 up = heading and choice in self._upright
-                return Cut(PATCHES, choice, self._allowed.capped if up else ICOSAHEDRON)
+                parts = len(self._stated.root.patches) - ICOSAHEDRON if up else ICOSAHEDRON
+                return Cut(PATCHES, choice, parts)
             wide = np.ptp(known.corners[choice], axis=0).max() >= FINEST
             return Cut(QUARTERS, choice, 4) if wide else None
         if whole:
