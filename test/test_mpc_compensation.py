@@ -205,11 +205,6 @@ def test_half_a_step_of_a_lag_is_in_the_euler_model():
         assert response.lead(Problem(step=step)) == pytest.approx(euler)
 
 
-def test_no_lag_changes_nothing():
-    odometry = measured(started(Plant()))
-    assert Compensator(Problem()).start(odometry).odometry is odometry
-
-
 @pytest.mark.parametrize('name', ['speed', 'rate'])
 @pytest.mark.parametrize('value', [-0.1, np.inf, np.nan])
 def test_a_lag_that_cannot_be_is_refused(name, value):

@@ -141,12 +141,6 @@ def test_refused_with_the_culprit_named_in_one_line(make, culprit):
     assert '\n' not in str(caught.value)
 
 
-def test_a_huge_value_is_cut_short_in_the_message():
-    with pytest.raises(BadInput) as caught:
-        Problem(terminal='x' * 10_000)
-    assert len(str(caught.value)) < 200
-
-
 # --- files
 
 CASE = {

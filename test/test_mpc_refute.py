@@ -63,14 +63,6 @@ def out_of_reach_above_a_floor(rng):
     return arriving(rng, rng.uniform(1.0, 1.4), floor=floor)
 
 
-def too_fast_to_stop(rng):
-    n = int(rng.integers(2, 4))
-    problem, start, _ = arriving(rng, 0.0, n, translation_order=2)
-    velocity = rng.uniform(0.5, 1.3) * problem.horizon * rotation(rng, n)[0]
-    stopped = start.position + 0.5 * problem.horizon * velocity
-    return case(problem, replace(start, velocity=velocity), stopped)
-
-
 def behind_a_wing(rng):
     """To where only who could turn on the spot, or wait, arrives."""
     limits = {'floor': Floor('circle', fraction=0.7), 'max_rate': 0.5}
@@ -141,7 +133,7 @@ def too_steep_a_descent(rng):
 KINDS = {
     each.__name__.replace('_', ' '): each
     for each in (
-        out_of_reach, out_of_reach_above_a_floor, too_fast_to_stop, behind_a_wing,
+        out_of_reach, out_of_reach_above_a_floor, behind_a_wing,
         no_turn_meets_the_cone, walled_in, held_by_a_body, held_by_a_ball_in_space, run_over,
         too_slow_to_speed_up, too_steep_a_descent,
     )

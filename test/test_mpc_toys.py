@@ -126,10 +126,3 @@ def test_a_new_model_is_planned_with_checked_and_proved(dimension, rotation_orde
     np.testing.assert_allclose(plan.velocities, velocities, rtol=0.0, atol=1e-9 * speed)
     np.testing.assert_allclose(places[-1], reached, rtol=0.0, atol=1e-7 * speed)
     np.testing.assert_allclose(velocities[-1], 0.0, atol=1e-6 * speed)
-
-
-def test_a_plan_for_another_model_does_not_pass_the_check():
-    start = State.at(np.zeros(2), np.eye(2), velocity=np.array([1.0, 0.0]))
-    plan = Solver(Problem(2, 1, 2)).solve(start, BEHIND)
-    found = violations(Problem(2, 1, DRAG), start, BEHIND, plan)
-    assert [each.partition(' ')[0] for each in found] == ['positions', 'velocities']

@@ -128,11 +128,8 @@ def test_full_speed_binds_on_the_way_to_a_far_goal_and_is_on_tick_as_json():
     assert json.loads(told['binding']) == pytest.approx(prices(decision))
 
 
-def test_longer_plans_than_can_be_priced_in_time_have_none():
+def test_plans_that_only_stand_in_or_are_too_long_to_be_priced_in_time_have_no_prices():
     assert prices(tick(Stepped(Problem(horizon=61)), FAR, 61)) == {}
-
-
-def test_a_plan_that_only_stands_in_has_no_prices():
     planner = Stepped(Problem(horizon=5, terminal='constraint'))
     assert tick(planner, [4.0, 0.0]).fallback == ''
     decision = tick(planner, [50.0, 0.0])

@@ -42,8 +42,9 @@ def goal(seconds, x, y, yaw=0.0):
     return message
 
 
-def seen(seconds, place, size=(1.0, 1.0, 1.0), kind=Marker.CUBE):
-    marker = Marker(header=messages.header(round(seconds * SECOND), 'map'), ns='a', type=kind)
+def seen(seconds, place, size=(1.0, 1.0, 1.0)):
+    head = messages.header(round(seconds * SECOND), 'map')
+    marker = Marker(header=head, ns='a', type=Marker.CUBE)
     marker.pose = messages.pose(np.array(place), np.eye(3))
     marker.scale = messages.vector(np.array(size))
     return MarkerArray(markers=[marker])
@@ -108,16 +109,6 @@ def test_a_path_an_obstacle_and_the_plan_of_another_are_moved():
     np.testing.assert_allclose(cube.body.minimum + cube.moved(np.zeros(1))[0], [2.5, -1.0])
     there = other.body.centre + other.moved(np.array([0.5]))[0]
     np.testing.assert_allclose(there, [1.5, 0.0], atol=1e-9)
-
-
-def test_the_velocity_of_an_obstacle_is_turned_with_it():
-    box = inputs(transforms=(TURNED,))
-    for at in (1.0, 1.1, 1.2, 1.3):
-        box.update('odom', odometry(at), at)
-        box.update('obstacles', seen(at, (10.0, 3.0 + at, 0.0), kind=Marker.SPHERE), at)
-    (hazard,) = box.traffic(1.3).hazards(1.3)
-    moved = hazard.moved(np.array([1.0]))[0] - hazard.moved(np.array([0.0]))[0]
-    np.testing.assert_allclose(moved, [1.0, 0.0], atol=1e-6)
 
 
 def test_a_transform_of_tf_is_taken_between_its_stamps():

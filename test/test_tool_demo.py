@@ -110,7 +110,6 @@ def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, demo_of, c
 @pytest.mark.parametrize(
     ('name', 'changes', 'end'),
     [
-        ('retrieval', ('max_ticks=2',), 'captured      no'),
         ('dubins', ('floor.shape=none', 'max_ticks=5'), 'arrived       no'),
         # A box that its planner does not know of, on the way that it takes.
         (

@@ -151,7 +151,7 @@ def test_where_what_a_search_left_proves_less_there_is_no_certificate(tool, monk
     ('bag', 'words', 'said'),
     [
         ('disturbed', (), '\n20 holds, 1 nothing claimed'),
-        ('dubins', (), '\n20 holds, '),
+        ('dubins', ('--tick', 10), '\n1 holds'),
         ('spacecraft', (), '\n19 holds, '),
         ('obstacles', (), '\n30 holds'),
         ('lander', ('--tick', 18), '\n1 holds'),
