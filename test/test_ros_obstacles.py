@@ -15,8 +15,7 @@ from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import read_obstacle, shown
-from orbimpc_ros.ros.messages import Frames, RosTime, Stamp, header
+from orbimpc_ros.ros.messages import Frames, RosTime, Stamp, header, read_obstacle, shown
 from orbimpc_ros.ros.planner.core import Inputs, others
 
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER

@@ -20,8 +20,7 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import plan_markers
-from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message
+from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message, plan_markers
 from orbimpc_ros.ros.planner.outputs import (
     command_messages,
     doubts,

@@ -21,8 +21,7 @@ from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.reading import parsed
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import shown
-from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.messages import Frames, Stamp, shown
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import NUMBERS
 

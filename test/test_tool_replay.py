@@ -28,8 +28,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import shown
-from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp, shown
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, launched, measured

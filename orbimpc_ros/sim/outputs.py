@@ -16,8 +16,7 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.traffic import centre, placed
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, marker, shown
-from orbimpc_ros.ros.messages import OK, WARN, Stamp, diagnostics, point, pose
+from orbimpc_ros.ros.messages import Stamp, marker, point, pose, shown
 from orbimpc_ros.sim.world import Flight
 
 
@@ -61,21 +60,21 @@ def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
     }
     if seen.stalled:
         slow = f'stalled: {now:.3g} m/s, below {seen.stall_speed:g} m/s'
-        return diagnostics(at, name, WARN, slow, values)
-    return diagnostics(at, name, OK, 'flies', values)
+        return messages.diagnostics(at, name, messages.WARN, slow, values)
+    return messages.diagnostics(at, name, messages.OK, 'flies', values)
 
 
 def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     """Return the rope, as far as it catches, its swing, and the vehicle."""
     model, radius = flight.scenario.model, flight.scenario.capture_radius
     unit, side = model.forward * model.step, 2.0 * radius
-    rope = marker(stamp, 'rope', 0, Marker.SPHERE, ORANGE, model.step)
+    rope = marker(stamp, 'rope', 0, Marker.SPHERE, messages.ORANGE, model.step)
     rope.scale = Vector3(x=side, y=side, z=side)
     rope.pose.position = point(flight.goal)
-    swing = marker(stamp, 'rope', 1, Marker.LINE_STRIP, GREY, model.step)
-    swing.scale.x = LINE * unit
+    swing = marker(stamp, 'rope', 1, Marker.LINE_STRIP, messages.GREY, model.step)
+    swing.scale.x = messages.LINE * unit
     swing.points = [point(flight.scenario.rope.center), point(flight.goal)]
-    vehicle = marker(stamp, 'vehicle', 0, Marker.ARROW, BLUE, model.step)
+    vehicle = marker(stamp, 'vehicle', 0, Marker.ARROW, messages.BLUE, model.step)
     vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
     vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)
     return MarkerArray(markers=[rope, swing, vehicle])
@@ -86,7 +85,7 @@ def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> Marker
     model, markers = flight.scenario.model, []
     for k, each in enumerate(flight.scenario.traffic):
         moved = each.moved(np.array([flight.elapsed]))[0]
-        ball = marker(stamp, 'traffic', k, Marker.SPHERE, RED, model.step)
+        ball = marker(stamp, 'traffic', k, Marker.SPHERE, messages.RED, model.step)
         shown(ball, placed(each.body, centre(each.body) + moved))
         for axis in 'xyz'[: model.dimension]:
             setattr(ball.scale, axis, getattr(ball.scale, axis) + 2.0 * margin)

@@ -22,8 +22,8 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
-from orbimpc_ros.ros.markers import stamp_of as stamp_of_markers
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, RosTime, pushed
+from orbimpc_ros.ros.messages import stamp_of as stamp_of_markers
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool import bags

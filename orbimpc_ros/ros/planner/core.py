@@ -30,8 +30,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import read_obstacle, stamp_of
-from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 

@@ -27,8 +27,7 @@ from orbimpc_ros.mpc.proof.document import Certificate, Refutation
 from orbimpc_ros.mpc.proof.prove import certificate_of
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import plan_markers
-from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp
+from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 
 # Topics of decisions, and of commands to the vehicle.
