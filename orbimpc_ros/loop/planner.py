@@ -603,19 +603,17 @@ class Planner:
             problem = replace(problem, max_rate=self._max_rate)
         command = command_of(problem, task.state, plan)
         entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
+        sent = self._compensator.held_back(problem, plan, command) if self._lags else command
         wrong = command_violations(problem, plan, command, entry)
-        if not wrong:
-            if self._lags:
-                command = self._compensator.held_back(problem, plan, command)
-            if last_look := flaw(problem, command, entry=entry):
-                wrong = [f'not sent: {last_look}']
+        if not wrong and (last_look := flaw(problem, sent, entry=entry)):
+            wrong = [f'not sent: {last_look}']
         if wrong:
             reason = Reason(Cause.COMMAND, '; '.join(wrong))
             return self._safe(task.state, Status.FAILED, reason)
         if problem.max_acceleration:
             memory.reached = entry
         known = task.problem, task.goals, reason.cause
-        return Decision(status, reason.words, task.state, plan, command, fallback, *known)
+        return Decision(status, reason.words, task.state, plan, sent, fallback, *known)
 
     def _safe(
         self,
