@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 35_554,
+    'orbimpc_ros': 35_552,
     'orbimpc_ros/mpc': 18_461,
-    'orbimpc_ros/loop': 4_008,
+    'orbimpc_ros/loop': 4_006,
     'orbimpc_ros/ros': 4_931,
     'orbimpc_ros/sim': 2_976,
     'orbimpc_ros/tool': 4_996,
