@@ -210,7 +210,7 @@ def test_what_shows_no_motion_is_forecast_where_it_is(kind, times, place):
 def test_a_second_after_a_change_of_course_the_new_one_is_known(turned, rate, noise):
     """However seldom the goal is seen: up to 3 m/s, three seconds ahead."""
     missed = []
-    for seed in range(20):
+    for seed in range(10):
         rng = np.random.default_rng([15, seed])
         speed, angle = rng.uniform(0.3, 3.0), rng.uniform(-np.pi, np.pi)
         old = speed * np.array([np.cos(angle), np.sin(angle)])
@@ -329,9 +329,9 @@ def test_a_goal_lost_for_long_is_held_where_it_is_seen_again():
 
 @pytest.mark.parametrize('family', ['carrier', 'turn'])
 def test_a_long_watch_loses_nothing(family):
-    """Three times as many sightings as are kept: the forecast stays exact."""
+    """Twice as many sightings as are kept: the forecast stays exact."""
     motion = drawn(family, 2, np.random.default_rng(10))
-    times = START + 0.5 * np.arange(3 * MEMORY)
+    times = START + 0.5 * np.arange(2 * MEMORY)
     bank, ahead = shown(times, motion(times)), times[-1] + np.arange(0.0, 4.0)
     np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
     assert bank.motion.model == family
