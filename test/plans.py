@@ -7,8 +7,7 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import State
-from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.reading import Refused, parsed
+from orbimpc_ros.mpc.proof.document import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
 GOALS = np.tile([3.0, 1.0], (5, 1))

@@ -44,8 +44,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.reach import missed
-from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.reading import parsed
+from orbimpc_ros.mpc.proof.document import parsed, verified
 from orbimpc_ros.mpc.proof.refute import catches_refuted
 from orbimpc_ros.sim.vehicle import Plant, measured
 

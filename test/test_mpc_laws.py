@@ -26,9 +26,7 @@ from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import reach
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.prove import certificate_of
-from orbimpc_ros.mpc.proof.reading import parsed
+from orbimpc_ros.mpc.proof.document import certificate_of, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
 ROUNDING = 1e-7  # relative: what plans may miss constraints by saves as much

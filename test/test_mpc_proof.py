@@ -17,9 +17,8 @@ from problems import floor, seeds
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof import reading, sets
-from orbimpc_ros.mpc.proof.document import Certificate, verified
-from orbimpc_ros.mpc.proof.reading import Refused
+from orbimpc_ros.mpc.proof import document, sets
+from orbimpc_ros.mpc.proof.document import Certificate, Refused, verified
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
@@ -201,16 +200,16 @@ def test_states_and_limits_that_are_none_are_refused(path, value, word):
 )
 def test_what_is_no_json_is_refused(text):
     with pytest.raises(Refused):
-        reading.parsed(text)
+        document.parsed(text)
 
 
 def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
     file = tmp_path / 'huge.json'
     with file.open('wb') as made:
         made.truncate(1 << 30)  # sparse
-    monkeypatch.setattr(reading, 'parsed', lambda text: pytest.fail('it was'))
+    monkeypatch.setattr(document, 'parsed', lambda text: pytest.fail('it was'))
     with pytest.raises(Refused, match='larger than'):
-        reading.read(file)
+        document.read(file)
 
 
 # --- support functions, by brute force

@@ -19,9 +19,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.prove import Unproved, held, held_in_time
-from orbimpc_ros.mpc.proof.reading import parsed
+from orbimpc_ros.mpc.proof.document import Unproved, held, held_in_time, parsed, verified
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.mpc.proof.tree import EMPTY, one
 from orbimpc_ros.mpc.solve.solver import Solver

@@ -24,9 +24,7 @@ from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.floor import largest_fraction
-from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.prove import WORD
-from orbimpc_ros.mpc.proof.reading import parsed
+from orbimpc_ros.mpc.proof.document import WORD, parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, RosTime, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of

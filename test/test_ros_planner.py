@@ -18,8 +18,7 @@ from std_msgs.msg import Float64, UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball
-from orbimpc_ros.mpc.proof.document import verified
-from orbimpc_ros.mpc.proof.reading import parsed
+from orbimpc_ros.mpc.proof.document import parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp, shown
 from orbimpc_ros.ros.process import qos

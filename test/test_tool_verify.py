@@ -12,8 +12,7 @@ from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.proof.document import OLD, Certificate
-from orbimpc_ros.mpc.proof.prove import WORD, Unproved
+from orbimpc_ros.mpc.proof.document import OLD, WORD, Certificate, Unproved
 from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.tool import bags, recording
 from orbimpc_ros.tool.recording import replayed

@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_of, holds
+from orbimpc_ros.mpc.proof.document import WORD, OutOfTime, Unproved, certificate_of, holds
 from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files

@@ -25,9 +25,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof import document, reading
-from orbimpc_ros.mpc.proof.document import Refutation
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof import document
+from orbimpc_ros.mpc.proof.document import Refutation, Unproved, certificate_of
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.files import folder_at
@@ -90,9 +89,9 @@ def run(
 
 def _file(path: Path, problem: str | None) -> TickVerdict:
     try:
-        known = reading.read(path)
+        known = document.read(path)
         row = _verified(None, known)
-    except reading.Refused as error:
+    except document.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
     if problem and not _is_of(known, case_of(files.read(problem))):
         raise BadInput.stating('certificate', 'refused', f'it is not of {problem}')
@@ -141,10 +140,10 @@ def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
     for each in bags.read(path, {'certificate'}):
         if each.topic == f'{namespace}/certificate':
             try:
-                known = reading.parsed(bytes(each.content.data))
+                known = document.parsed(bytes(each.content.data))
                 if not (isinstance(known, dict) and known.get('format') == document.OLD):
                     yield _verified(None, known)
-            except reading.Refused as error:
+            except document.Refused as error:
                 yield TickVerdict(None, COST).failed(str(error))
 
 
@@ -204,10 +203,10 @@ def _certified(
     """Return what becomes of a claim whose certificate is made now."""
     try:
         made = make()
-        found = _verified(row.tick, reading.parsed(made.text().encode()))
+        found = _verified(row.tick, document.parsed(made.text().encode()))
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
-    except reading.Refused as error:
+    except document.Refused as error:
         return row.unproved(f'refused: {error}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'

@@ -2,7 +2,7 @@
 """Certificates: a problem with its limits, what is claimed of it, and trees that prove it, in JSON.
 
 That is a bound; that nothing is feasible; or that nothing catches a goal at the first steps.
-Numbers are written so that they are read back as they were.
+Numbers are written so that they are read back as they were. A file is not to be trusted.
 
 Format: docs/proofs.md.
 """
@@ -11,20 +11,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
+from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.flight import END, ENDS, STEP
-from orbimpc_ros.mpc.proof.reading import Refused
 from orbimpc_ros.mpc.proof.stated import UP, Body, Cone, Limits, limits_of
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
@@ -48,6 +49,17 @@ STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'at
 SOUGHT = ('problem', 'state', 'goals', 'radius')
 EACH, TERM = 100, 12  # microseconds that a number of a leaf takes, and a term of a Hessian
 LEAST_WORK, WORK = 2_000_000, 40  # microseconds, and for each character of a document
+LARGEST = 64 << 20  # bytes of a file
+WORD = 'not proved: the word of the method'
+OutOfTime = Callable[[], bool]
+
+
+class Refused(ValueError):
+    """What is no certificate, or none that is sound: with the reason, in one line."""
+
+
+class Unproved(OrbimpcError):
+    """There is no certificate: for problems of a kind, or for a bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +213,9 @@ def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) 
     work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
     if work > LEAST_WORK + WORK * len(json.dumps(stated)):
         raise Refused('it takes more work than a document of its length may')
-    return map(_exact, problems, trees)
-
-
-def _exact(posed: Posed, tree: ProofTree) -> float:
-    exact = Verifier(posed.problem, Fraction)
-    return exact.bound(posed.state, posed.goals, tree, None, posed.limits, posed.radius)
+    for posed, tree in zip(problems, trees, strict=True):
+        exact = Verifier(posed.problem, Fraction)
+        yield exact.bound(posed.state, posed.goals, tree, None, posed.limits, posed.radius)
 
 
 def _leaves(tree: ProofTree, kind: int) -> int:
@@ -431,3 +440,106 @@ def _tree(stated: Any) -> ProofTree:
     if found['nodes'].shape[1:] != (5,):
         raise BadInput('tree.nodes', stated['nodes'], 'rows of 5')
     return ProofTree(**found, ordered='ordered' in stated)
+
+
+# --- JSON: names that come once, finite numbers, files of a bounded size
+
+
+def read(path: str | Path) -> Any:
+    """Return the document of a file.
+
+    Raises:
+        Refused: it is too large, or no JSON without doubled names and numbers that are none.
+    """
+    try:
+        with Path(path).open('rb') as file:
+            large = file.seek(0, 2) > LARGEST
+            file.seek(0)
+            text = b'' if large else file.read(LARGEST)
+    except OSError as error:
+        raise Refused(f'{path}: {error.strerror}') from None
+    if large:
+        raise Refused(f'{path}: larger than {LARGEST >> 20} MB')
+    return parsed(text)
+
+
+def parsed(text: bytes) -> Any:
+    """Return the document of a file's content, as :func:`read` does."""
+    try:
+        return json.loads(text, object_pairs_hook=_without_doubles, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise Refused(f'no JSON that is a certificate: {error}') from None
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(dict(pairs)) < len(pairs):
+        raise Refused('a name comes twice')
+    return dict(pairs)
+
+
+def _no_number(word: str) -> Any:
+    raise Refused(f'{word} is not a finite number')
+
+
+# --- certificates that hold, within a time
+
+Made = TypeVar('Made', Certificate, Refutation)
+
+
+def patient() -> bool:
+    """Return that there is time left, always."""
+    return False
+
+
+def held(make: Callable[[], Made]) -> Made | None:
+    """Return the certificate that is made, if it holds in exact arithmetic; None without one."""
+    try:
+        made = make()
+        return made if holds(made) else None
+    except (Unproved, Refused, BadInput):  # of what is no model there; without Clarabel
+        return None
+
+
+def held_in_time(
+    make: Callable[[OutOfTime], Made], clock: Callable[[], float], end: float
+) -> Made | None:
+    """Return the certificate that is made, if it holds; None without one in time.
+
+    To go through one takes no longer than to make it, where each leaf is gone through, too: half of
+    the time is for either. Beyond that it takes what a single leaf does at most.
+
+    Args:
+        make: makes it, until it is out of time.
+        clock: of the end [s].
+        end: by when one is wanted [s]; infinite for whenever it is there.
+    """
+    now = clock()
+    if now >= end:
+        return None
+    half = now + 0.5 * (end - now)
+    return held(lambda: make(lambda: clock() >= half))
+
+
+def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate:
+    """Return the certificate of a plan's bound: the tree that its search left.
+
+    Args:
+        problem: what was solved.
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        proof: of the plan.
+
+    Raises:
+        Unproved: the search left none.
+    """
+    if proof.tree is None:
+        raise Unproved('no certificate: the search left no proof of its bound')
+    return Certificate(problem, state, goals, max(0.0, proof.lower_bound), proof.tree)
+
+
+def holds(made: Certificate | Refutation) -> bool:
+    """Return whether a certificate holds, read as anyone would read it."""
+    try:
+        return verified(parsed(made.text().encode())).holds
+    except Refused:
+        return False

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
 from orbimpc_ros.mpc.model.translation import step_of
-from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.pace import entry_speed
@@ -305,6 +305,10 @@ class Statement:
         turned = double * r / h ** (2 * problem.rotation_order)
         return Costs(weights, braked, turned, double * a)
 
+    def limits(self, state: State, goals: Array) -> Limits:
+        """Return what :func:`limits_of` does, bodies at rest as they were the last time."""
+        return limits_of(self.problem, state, goals, self.boxes)
+
     def of(self, state: State, goals: Array, limits: Limits, radius: float = -1.0) -> Stated:
         """Return the problem from a state.
 
@@ -321,7 +325,10 @@ class Statement:
         sets = self._set(cones) if cones else self._without_cones
         origin = self._rows(state.position)
         ends = self._ended(self._rows(goals) - origin, limits, radius)
-        bodies = self._beside(origin, limits.bodies, start) if limits.bodies else self._alone
+        if limits.bodies is self.boxes:
+            bodies = self._beside_boxes(origin)
+        else:
+            bodies = self._beside(origin, limits.bodies, start)
         kinds = problem.dimension, self.width, problem.rotation_order, decided
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
@@ -475,9 +482,22 @@ class Statement:
         return Ends(known, arrives, number(radius), chord, begun, *slope)
 
     @cached_property
-    def _alone(self) -> Bodies:
-        width = self._rows(np.zeros((6, self.width)))
-        return self._beside(self._rows(np.zeros(self.problem.dimension)), (), width)
+    def boxes(self) -> tuple[Body, ...]:
+        """Return what is at rest among bodies."""
+        return boxes_of(self.problem)
+
+    @cached_property
+    def _at_rest(self) -> Bodies:
+        """Return that, seen from the origin."""
+        start = self._rows(np.zeros((6, self.width)))
+        return self._beside(self._rows(np.zeros(self.problem.dimension)), self.boxes, start)
+
+    def _beside_boxes(self, origin: Rows) -> Bodies:
+        n, known = self.problem.dimension, self._at_rest
+        extents = known.extents.copy()
+        extents[:, :n] += origin
+        extents[:, n : 2 * n] -= origin
+        return known._replace(extents=extents)
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
         n, count = self.problem.dimension, self.problem.horizon
@@ -530,8 +550,17 @@ class Statement:
 # --- the limits of a problem from one state
 
 
-def limits_of(problem: Problem, state: State, goals: Array) -> Limits:
-    """Return the limits of a problem from a state to goals g_1..g_N, shape (N, n) [m]."""
+def limits_of(
+    problem: Problem, state: State, goals: Array, boxes: tuple[Body, ...] | None = None
+) -> Limits:
+    """Return the limits of a problem from a state to goals.
+
+    Args:
+        problem: whose limits.
+        state: where plans start.
+        goals: g_1..g_N, shape (N, n) [m].
+        boxes: those of :func:`boxes_of`, where they are known.
+    """
     plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
     if plain and not (problem.obstacles or state.hazards):
         return NO_LIMITS
@@ -550,27 +579,31 @@ def limits_of(problem: Problem, state: State, goals: Array) -> Limits:
     entry, change = 0.0, math.inf
     if problem.max_acceleration and problem.rotation_order == 1:
         entry, change = entry_speed(problem, state), problem.speed_change
-    return Limits(tuple(cones), slope, eased, bodies_of(problem, state), entry, change)
+    still = boxes_of(problem) if boxes is None else boxes
+    return Limits(tuple(cones), slope, eased, still + _moving(problem, state), entry, change)
 
 
-def bodies_of(problem: Problem, state: State) -> tuple[Body, ...]:
-    """Return what plans are outside of: boxes at rest; then each other body twice.
-
-    Of these the end of a step alone is held closer than the hull of its control points.
-    """
+def boxes_of(problem: Problem) -> tuple[Body, ...]:
+    """Return the boxes at rest that plans are outside of, which bodies begin with."""
     n, count = problem.dimension, problem.horizon
     still, kept = np.zeros((count + 1, n)), np.zeros(count)
     of = ENDS if problem.no_corner_cutting else END
-    found = [Body(each.minimum, each.maximum, 0.0, of, still, kept) for each in problem.boxes]
-    traffic = traffic_of(problem, state)
+    return tuple(Body(each.minimum, each.maximum, 0.0, of, still, kept) for each in problem.boxes)
+
+
+def _moving(problem: Problem, state: State) -> tuple[Body, ...]:
+    """Return each other body twice.
+
+    Of these the end of a step alone is held closer than the hull of its control points.
+    """
+    traffic, found = traffic_of(problem, state), list[Body]()
     if traffic is None:
-        return tuple(found)
+        return ()
     for body, shifts, grown in zip(traffic.bodies, traffic.shifts, traffic.grown, strict=True):
-        found += [_moving(body, of, shifts, grown) for of in (END, STEP)]
+        low, high, radius = (
+            (body.centre, body.centre, body.radius)
+            if isinstance(body, Ball)
+            else (body.minimum, body.maximum, 0.0)
+        )
+        found += [Body(low, high, radius, of, shifts, grown) for of in (END, STEP)]
     return tuple(found)
-
-
-def _moving(body: Box | Ball, of: int, shifts: Array, grown: Array) -> Body:
-    if isinstance(body, Ball):
-        return Body(body.centre, body.centre, body.radius, of, shifts, grown)
-    return Body(body.minimum, body.maximum, 0.0, of, shifts, grown)

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.proof.bound import (
     work_of,
 )
 from orbimpc_ros.mpc.proof.splits import Region
-from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Limits, Statement, limits_of
+from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
@@ -89,7 +89,7 @@ class Verifier:
         """
         problem = self._statement.problem
         if limits is None:
-            limits = limits_of(problem, state, goals)
+            limits = self._statement.limits(state, goals)
         stated = self._statement.of(state, goals, limits, radius)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf

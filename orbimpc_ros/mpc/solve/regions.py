@@ -43,7 +43,7 @@ from orbimpc_ros.mpc.proof.splits import (
     begin,
     narrowed,
 )
-from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Statement, limits_of
+from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
@@ -127,7 +127,7 @@ class Regions:
         self.problem, self._turns, state = problem, turns, request.state
         self._state = state
         n, count = problem.dimension, problem.horizon
-        limits = limits_of(problem, state, request.goals)
+        limits = statement.limits(state, request.goals)
         stated = self._stated = statement.of(state, request.goals, limits)
         self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
         self.round_floors = list(range(self.first, count)) if problem.floor.radius else []

@@ -833,7 +833,7 @@ class Core:
         if nothing is None and not count:
             return decision
         # Imported by the first decision that needs it: a tenth of a second that starts are spared.
-        from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
+        from orbimpc_ros.mpc.proof.document import WORD, held_in_time
         from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 
         def made(late: Callable[[], bool]) -> Refutation:
