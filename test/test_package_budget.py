@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 35_552,
-    'orbimpc_ros/mpc': 18_461,
+    'orbimpc_ros': 35_546,
+    'orbimpc_ros/mpc': 18_457,
     'orbimpc_ros/loop': 4_006,
     'orbimpc_ros/ros': 4_931,
     'orbimpc_ros/sim': 2_976,
