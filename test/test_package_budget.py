@@ -8,11 +8,11 @@ LINES = {
     'orbimpc_ros': 35_546,
     'orbimpc_ros/mpc': 18_457,
     'orbimpc_ros/loop': 4_006,
-    'orbimpc_ros/ros': 4_931,
+    'orbimpc_ros/ros': 4_930,
     'orbimpc_ros/sim': 2_976,
-    'orbimpc_ros/tool': 4_996,
+    'orbimpc_ros/tool': 4_995,
     'benchmarks': 3_493,
-    'test': 17_742,
+    'test': 17_731,
 }
 WORDS = {'docs': 23_591, 'README.md': 900}
 
