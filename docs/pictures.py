@@ -28,7 +28,7 @@ from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.plot import (
     BLUE,

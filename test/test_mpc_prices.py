@@ -9,7 +9,7 @@ from oracles import Stated
 from problems import ORDERS, falling, floor, goals, lander, needs_machine_code, state, weights
 
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem, State, Weights
-from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
 EPS = 3e-4

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.proof.document import Unproved, certificate_of
-from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
 BEHIND = np.tile([-3.0, 1.0], (5, 1))

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.motion import coasting_controls, control_maps
+from orbimpc_ros.mpc.model.dynamics import coasting_controls, control_maps
 from orbimpc_ros.mpc.problem.cones import NOTHING, begun, turn_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 from orbimpc_ros.mpc.problem.problem import Problem

@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.kernels import COMPILED, compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, extend_factor, solve_factored
 from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
-from orbimpc_ros.mpc.model.motion import control_maps
+from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request

@@ -30,7 +30,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model.motion import coasting_controls, control_maps
+from orbimpc_ros.mpc.model.dynamics import coasting_controls, control_maps
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.flight import DECIDED
 from orbimpc_ros.mpc.proof.rows import Places

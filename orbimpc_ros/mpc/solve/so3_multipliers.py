@@ -38,12 +38,12 @@ from orbimpc_ros.mpc.model.condensed import (
     thrust_axis,
 )
 from orbimpc_ros.mpc.model.dynamics import (
+    control_maps,
     first_length,
     length_weight,
     length_weights,
     wanted_coordinates,
 )
-from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request

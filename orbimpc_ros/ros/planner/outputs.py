@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.document import Certificate, Refutation, certificate_of
-from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
