@@ -325,10 +325,8 @@ class Statement:
         sets = self._set(cones) if cones else self._without_cones
         origin = self._rows(state.position)
         ends = self._ended(self._rows(goals) - origin, limits, radius)
-        if limits.bodies is self.boxes:
-            bodies = self._beside_boxes(origin)
-        else:
-            bodies = self._beside(origin, limits.bodies, start)
+        rest = limits.bodies is self.boxes
+        bodies = self._beside_boxes(origin) if rest else self._beside(origin, limits.bodies, start)
         kinds = problem.dimension, self.width, problem.rotation_order, decided
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
@@ -494,6 +492,8 @@ class Statement:
 
     def _beside_boxes(self, origin: Rows) -> Bodies:
         n, known = self.problem.dimension, self._at_rest
+        if not self.boxes:
+            return known
         extents = known.extents.copy()
         extents[:, :n] += origin
         extents[:, n : 2 * n] -= origin
