@@ -46,6 +46,7 @@ ARRIVES = {'terminal': 'constraint'}
 SPACE = {'dimension': 3}
 COASTS = {'rotation_order': 2, 'translation_order': 2}
 ROUND = {'floor': Floor('circle', fraction=0.6)}
+WING = {'floor': Floor('circle', fraction=0.7), 'max_rate': 0.5, 'max_acceleration': 0.03}
 TOWARDS = Approach(0.4, (1.0, 0.5))
 FAMILIES: dict[str, dict[str, Any]] = {
     'hull': {},
@@ -117,11 +118,7 @@ OPEN: dict[str, dict[str, Any]] = {
         'max_acceleration': 0.05,
         'horizon': 4,
     },
-    'circle, turn rate, acceleration': {
-        'floor': Floor('circle', fraction=0.7),
-        'max_rate': 0.4,
-        'max_acceleration': 0.03,
-    },
+    'circle, turn rate, acceleration': {**WING, 'max_rate': 0.4},
     'acceleration, turn rate': {'max_acceleration': 0.2, 'max_rate': 1.0},
     'acceleration, boxes': {'max_acceleration': 0.2, 'boxes': 1, 'no_corner_cutting': True},
     'acceleration, discs': {'max_acceleration': 0.2, 'balls': 1, 'hazards': 1},
@@ -132,12 +129,7 @@ OPEN: dict[str, dict[str, Any]] = {
         'max_rate': 0.9,
         'approach': TOWARDS,
     },
-    'wing': {
-        'floor': Floor('circle', fraction=0.7),
-        'max_rate': 0.5,
-        'max_acceleration': 0.03,
-        'approach': Approach(0.5, (1.0, 0.5)),
-    },
+    'wing': {**WING, 'approach': Approach(0.5, (1.0, 0.5))},
 }
 
 

@@ -33,7 +33,7 @@ ROUNDING = 1e-7  # relative: what plans may miss constraints by saves as much
 LOOSE = {*OPEN, 'acceleration', 'space, acceleration'}  # whose gaps may stay open
 POLLS = 400  # of the clock, after which a search of an open family is over
 # To which not every way is found without a search.
-SOUGHT = {'approach', 'space, approach', 'turn rate, arrival', 'circle, arrival, acceleration'}
+SOUGHT = {'approach', 'space, approach', 'turn rate, arrival'}
 
 
 class Solved(NamedTuple):

@@ -126,6 +126,14 @@ def test_changes_count_from_what_was_commanded_and_from_the_floor_up():
     assert 0.5 - 1e-6 <= plan.speed_fraction[1] <= 0.6 + 1e-6
 
 
+@pytest.mark.parametrize('n', [2, 3])
+def test_an_arrival_at_speeds_that_change_little_is_along_other_directions(n):
+    problem = Problem(n, horizon=3, terminal='constraint', max_acceleration=0.2)
+    start, targets = State.at(np.zeros(n), 1e-3 * np.eye(n)), np.zeros((3, n))
+    targets[:2, 1], targets[2, 0] = 2.0, 0.4  # at any speeds it is by the goals aside
+    assert not violations(problem, start, targets, Solver(problem).solve(start, targets))
+
+
 def test_the_last_look_refuses_a_jump_of_speed():
     problem = Problem(max_acceleration=0.1)
     for fraction, entry, fine in ((0.6, 0.5, True), (0.61, 0.5, False), (0.39, 0.5, False)):

@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 35_512,
-    'orbimpc_ros/mpc': 18_423,
+    'orbimpc_ros': 35_510,
+    'orbimpc_ros/mpc': 18_421,
     'orbimpc_ros/loop': 4_006,
     'orbimpc_ros/ros': 4_930,
     'orbimpc_ros/sim': 2_976,

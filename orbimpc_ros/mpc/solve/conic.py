@@ -56,16 +56,19 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
     )
 
 
-def extended(data: dict[str, Any], rows: Array, offsets: Array) -> dict[str, Any]:
-    """Return compiled data with inequalities A'x + s = b', s >= 0, on top.
+def extended(
+    data: dict[str, Any], rows: Array, offsets: Array, *, equal: bool = False
+) -> dict[str, Any]:
+    """Return compiled data with A'x <= b', or A'x = b', on top.
 
     Args:
         data: as compiled, its rows cone by cone.
         rows: A', shape (m, columns).
         offsets: b', shape (m,).
+        equal: whether they are equalities.
     """
     dims, a, m = data['dims'], data['A'].tocoo(), len(offsets)
-    end = dims.zero + dims.nonneg
+    kind, end = ('zero', dims.zero) if equal else ('nonneg', dims.zero + dims.nonneg)
     lines, columns = np.nonzero(rows)
     entries = np.concatenate([a.data, rows[lines, columns]])
     places = np.concatenate([np.where(a.row < end, a.row, a.row + m), end + lines])
@@ -75,9 +78,7 @@ def extended(data: dict[str, Any], rows: Array, offsets: Array) -> dict[str, Any
         **data,
         'A': sparse.csc_matrix((entries, (places, across)), shape=shape),
         'b': np.concatenate([data['b'][:end], offsets, data['b'][end:]]),
-        'dims': SimpleNamespace(
-            zero=dims.zero, nonneg=dims.nonneg + m, soc=list(dims.soc), psd=list(dims.psd)
-        ),
+        'dims': SimpleNamespace(**{**vars(dims), kind: getattr(dims, kind) + m}),
     }
 
 

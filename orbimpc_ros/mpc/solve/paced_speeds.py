@@ -2,8 +2,7 @@
 """A limit of the change of speed on top of any other method.
 
 Without that limit a problem costs no more, so the bound of another method for it holds with it.
-Where its trajectory changes speed too fast, the speeds along its directions are chosen anew, which
-is convex: R_k = sigma_k Q_k with Q_k held, and sigma in a chain.
+Where its trajectory changes speed too fast, others are sought near its directions, again and again.
 
 Mathematics: docs/mathematics.md, 3.10.
 """
@@ -13,30 +12,31 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
+from itertools import chain
 
 import numpy as np
-from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
+from orbimpc_ros.mpc.check import speed_margin
+from orbimpc_ros.mpc.geometry.rotations import project_all
+from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.approach import LEEWAY, Approach
+from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.solve.conic import extended, run, solver_for
+from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
+from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
 from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.registry import method_for
+from orbimpc_ros.mpc.solve.relaxation import Row
 from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 ACCURATE = 1e-9  # of Clarabel
-
-Side = tuple[Array, Array, float]  # what headings add along a normal, that, and how much it takes
+NARROW = 1e-4  # [rad] half a cone that is a ray to Clarabel
+WIDEST = 1.5  # [rad] half a cone that is a half-space otherwise
 
 
 class PacedSpeeds:
@@ -55,11 +55,9 @@ class PacedSpeeds:
         self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
     ) -> None:
         self._problem, freed = problem, replace(problem, max_acceleration=0.0)
-        ahead = replace(freed, approach=Approach())  # directions are given, and as wide as they are
-        if problem.floor.exists:
-            ahead = replace(ahead, max_rate=0.0)
-        self._program = Program(ahead, coasting=coasting)
         self._method = method_for(freed, tolerance, coasting=coasting, among=among)
+        stated = replace(problem, max_rate=0.0) if problem.turns_are_angles else problem
+        self._program = Program(stated, coasting=coasting)
         self._statement, self._stiff = Statement(problem), np.full((problem.horizon,) * 2, np.inf)
 
     @staticmethod
@@ -75,116 +73,112 @@ class PacedSpeeds:
         """
         found = self._method.solve(request)
         known = [] if request.guess is None else [request.guess.x]
-        if found.x is not None:
-            held = self._holds(request.state, found.x)
-            known += [found.x] if held else self._slowed(request, found.x)
-        start = self._problem, request.state, request.goals
-        costs = [trajectory_of(*start, x).cost for x in known]
+        if found.x is not None and self._holds(request, found.x):
+            known.append(found.x)
+        else:
+            regions = Regions(self._problem, self._statement, request, self._stiff)
+            followed = (self._followed(request, regions, way) for way in self._ways(request, found))
+            known += next(filter(None, followed), [])
         if not known:
-            reason = 'no speeds along the way found change within max_acceleration'
-            return replace(found, x=None, cost=np.inf, reason=reason)
-        best = int(np.argmin(costs))
-        return replace(found, x=known[best], cost=costs[best], reason='')
+            return replace(found, x=None, cost=np.inf)
+        cost, best = min((self._flown(request, x).cost, i) for i, x in enumerate(known))
+        return replace(found, x=known[best], cost=cost, reason='')
 
-    def _holds(self, state: State, x: Array) -> bool:
-        sizes = np.linalg.norm(x[:, : self._problem.dimension], axis=1)
-        before = np.concatenate([[entry_speed(self._problem, state)], sizes[:-1]])
-        decided = int(first_change_is_decided(self._problem, state))
-        return bool((np.abs(sizes - before)[decided:] <= self._problem.speed_change).all())
+    def _flown(self, request: Request, x: Array) -> Trajectory:
+        return trajectory_of(self._problem, request.state, request.goals, x)
 
-    def _slowed(self, request: Request, x: Array) -> list[Array]:
-        """Return the best rotations along the directions of others, if there are any.
+    def _holds(self, request: Request, x: Array) -> bool:
+        rotations = self._flown(request, x).rotations
+        return bool(speed_margin(self._problem, request.state, rotations).min() >= 0.0)
 
-        Once as they are, and once with those kept that the vehicle was headed in before it got as
-        slow as it can within a step: where it is to stand still, directions are arbitrary. There
-        is time for the first only where time is up.
+    def _ways(self, request: Request, found: Found) -> Iterator[Array]:
+        """Yield R_1..R_N, shape (N, n, n), as found, of the guess or of what takes no search."""
+        if found.x is not None:
+            yield self._flown(request, found.x).rotations[1:]
+        if request.guess is None:
+            posed = self._problem, request.state, request.goals
+            every = chain(reversed(list(straight(*posed))), turning(*posed))
+            yield from in_time(every, request.out_of_time)
+        elif not request.late:
+            yield self._flown(request, request.guess.x).rotations[1:]
+
+    def _followed(self, request: Request, regions: Regions, way: Array) -> list[Array]:
+        """Return coordinates, shape (N, d), of trajectories each next to the one before, or way."""
+        found, cost = list[Array](), np.inf
+        while len(found) < FOLLOWED and not (found and request.late):
+            x = self._beside(request, regions, way, min(cost, 1.0))
+            if x is None:
+                break
+            found.append(x)
+            trajectory = self._flown(request, x)
+            if trajectory.cost > (1.0 - WORTH) * cost:
+                break
+            cost, way = trajectory.cost, trajectory.rotations[1:]
+        return found
+
+    def _beside(self, request: Request, regions: Regions, way: Array, unit: float) -> Array | None:
+        """Return the best coordinates, shape (N, d), next to a way, shape (N, n, n), or None.
+
+        Bodies are passed on the sides that the way is beside, floors beyond its tangents or faces.
         """
-        state, n = request.state, self._problem.dimension
-        if first_change_is_decided(self._problem, state):
-            return []
-        slow = HEADING_UNDEFINED, self._problem.speed_change
-        beside, aims = list(self._beside(request, x[:, :n])), self._problem.approach
-        ways = [_directions(state, x[:, :n], each) for each in slow[: 1 if request.late else 2]]
-        if aims.exists:
-            least = math.cos(aims.cone + LEEWAY)
-            ways = [each for each in ways if each[-1, :n] @ aims.axis(state) >= least]
-        found = (self._along(request, each, beside) for each in ways)
-        return [each for each in found if each is not None]
-
-    def _along(self, request: Request, aligned: Array, beside: list[Side]) -> Array | None:
-        """Return the best coordinates sigma_k Q_k, shape (N, d), given those of Q_k.
-
-        Bodies are passed on the sides that they are beside.
-        """
-        data = self._program.stated(request)
-        sigma, lifted = self._lifted(aligned)
-        rows, offsets = self._limits(request.state, aligned[:, : self._problem.dimension], beside)
-        entries = np.zeros((len(rows), lifted.shape[1]))
-        entries[:, sigma] = rows
-        dims = data['dims']  # the orbitopes hold what is no longer than 1
-        kept = dims.zero + dims.nonneg + sum(dims.soc)
-        flat = SimpleNamespace(zero=dims.zero, nonneg=dims.nonneg, soc=dims.soc, psd=[])
-        data = {
-            'P': lifted.T @ data['P'] @ lifted,
-            'c': lifted.T @ data['c'],
-            'A': sparse.csc_matrix(data['A'][:kept] @ lifted),
-            'b': data['b'][:kept],
-            'dims': flat,
-        }
-        answer = run(solver_for(extended(data, entries, offsets), ACCURATE), None)
-        if answer is None or str(answer.status) != 'Solved':
+        state, headings, program = request.state, way[:, :, 0], self._program
+        before = state.attitude if state.coasted is None else state.coasted
+        units = project_all(way, before, 'thrust_aligned')[0][:, :, 0]
+        spare, first = self._spare(state, units), self._problem.rotation_order - 1
+        if (spare < 0.0).any():
             return None
-        return np.asarray(np.clip(np.asarray(answer.x)[sigma], 0.0, 1.0)[:, None] * aligned)
+        decided = int(first_change_is_decided(self._problem, state))
+        floors = range(decided, len(way)) if self._problem.floor.exists else range(0)
+        choices = [*floors, *regions.beside(headings, math.inf)]
+        held = [row for each in regions.tangents(headings, choices, {}).values() for row, _ in each]
+        rays = list[Row]()
+        for k, half in enumerate(spare.tolist(), first):
+            wide = half >= NARROW
+            (held if wide else rays).extend(_cone(k, units, half * wide))
+        data = extended(program.stated(request), *self._limits(state, units))
+        data |= {'P': data['P'] / unit, 'c': data['c'] / unit}  # as accurate near the goal
+        data = program.cut(program.cut(data, held, equal=False), rays, equal=True)
+        answer = run(solver_for(data, ACCURATE), None)
+        if answer is None or str(answer.status) not in SOLVED:
+            return None
+        return program.statement.coordinates(np.asarray(answer.x)[program.statement.x], state)
 
-    def _lifted(self, aligned: Array) -> tuple[np.ndarray, Any]:
-        """Return the columns of sigma, and what all others and sigma come to in the program."""
-        x = self._program.statement.x
-        size = self._program.statement.columns
-        others = np.setdiff1d(np.arange(size), x)
-        sigma = len(others) + np.arange(len(x))
-        places = np.concatenate([others, x.ravel()])
-        columns = np.concatenate([np.arange(len(others)), np.repeat(sigma, x.shape[1])])
-        values = np.concatenate([np.ones(len(others)), aligned[:, : x.shape[1]].ravel()])
-        shape = size, len(others) + len(x)
-        return sigma, sparse.csc_matrix((values, (places, columns)), shape=shape)
+    def _spare(self, state: State, units: Array) -> Array:
+        """Return by how much the directions that are free can turn, whatever others do [rad].
 
-    def _beside(self, request: Request, headings: Array) -> Iterator[Side]:
-        """Yield the half-spaces on whose sides headings, shape (N, n), pass all bodies."""
-        regions = Regions(self._problem, self._statement, request, self._stiff)
-        near = regions.beside(headings, math.inf)
-        for held in regions.tangents(headings, near, {}).values():
-            for row, _ in held:
-                yield row.shares, row.normal, row.offset
+        Empty where no turn is an angle, negative where one is too wide already.
+        """
+        problem = self._problem
+        if not problem.turns_are_angles:
+            return np.zeros(0)
+        turned = np.vstack([state.attitude[:, 0], units])[problem.rotation_order - 1 :]
+        chords = np.linalg.norm(np.diff(turned, axis=0), axis=1)
+        left = problem.widest_turn + LEEWAY - 2.0 * np.arcsin(np.minimum(1.0, 0.5 * chords))
+        left[1:] *= 0.5  # the first one is from a direction that stays
+        return np.asarray(np.minimum(left, np.append(left[1:], np.inf)))
 
-    def _limits(self, state: State, axes: Array, beside: list[Side]) -> tuple[Array, Array]:
-        """Return rows A and right-hand sides b of A sigma <= b: what the program does not state."""
-        problem, count = self._problem, len(axes)
-        chain, eye, entry = np.eye(count) - np.eye(count, k=-1), np.eye(count), np.zeros(count)
-        entry[0] = entry_speed(problem, state)
-        most = WITHIN * problem.speed_change
-        passed = np.array([-reach * (axes @ normal) for reach, normal, _ in beside])
-        passed = passed.reshape(-1, count)
-        edges = -np.array([each for *_, each in beside])
-        met = np.maximum(passed, 0.0).sum(axis=1) > edges  # others are beside at any speeds
-        rows = chain, -chain, eye, -eye, passed[met]
-        least = np.array(problem.floor.least(axes))
-        if problem.approach.exists:
-            least[-1] = max(least[-1], problem.least_heading)
-        offsets = most + entry, most - entry, np.ones(count), -least, edges[met]
-        return np.vstack(rows), np.concatenate(offsets)
+    def _limits(self, state: State, units: Array) -> tuple[Array, Array]:
+        """Return A and b of A x <= b: the changes of speed, near directions of shape (N, n)."""
+        problem, statement, every = self._problem, self._program.statement, np.arange(len(units))
+        most, entry = WITHIN * problem.speed_change, entry_speed(problem, state)
+        sizes, along = np.zeros((2, len(units), statement.columns))
+        sizes[every, statement.t] = 1.0
+        along[every[:, None], statement.x[:, : problem.dimension]] = units
+        rows = np.vstack([sizes[:1], -along[:1], sizes[1:] - along[:-1], sizes[:-1] - along[1:]])
+        offsets = most + np.append([entry, -entry], np.zeros(len(rows) - 2))
+        first = 2 * first_change_is_decided(problem, state)
+        return rows[first:], offsets[first:]
 
 
-def _directions(state: State, headings: Array, slow: float) -> Array:
-    """Return coordinates of rotations along headings, shape (N, n); of a slow one, as before.
+def _cone(k: int, units: Array, half: float) -> list[Row]:
+    """Return half-spaces within a cone about direction k of units, shape (N, n).
 
-    At rotation order 2 the first one is where the vehicle coasts.
+    Args:
+        k: the step.
+        units: directions.
+        half: the angle between axis and side [rad]; 0 for planes that leave the axis.
     """
-    sizes = np.linalg.norm(headings, axis=1)
-    units, before = np.array(headings), state.attitude[:, 0]
-    for k in range(len(units)):
-        units[k] = headings[k] / sizes[k] if sizes[k] > slow else before
-        before = units[k]
-    if state.coasted is None:
-        return coordinates(carried(state.attitude, units))
-    rest = carried(state.coasted, units[1:])
-    return coordinates(np.concatenate([state.coasted[None], rest]))
+    _, _, across = np.linalg.svd(units[k : k + 1])
+    sides = np.vstack([across[1:], -across[1:]]) if half else across[1:]
+    wide = math.tan(min(half, WIDEST)) / math.sqrt(len(across) - 1)
+    return [Row(k, np.eye(len(units))[k], wide * units[k] + side, 0.0) for side in sides]

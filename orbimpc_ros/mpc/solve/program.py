@@ -199,18 +199,20 @@ class Program:
         """
         data, certifier = self._scaled(a, b, scale), self._certifier
         if rows:
-            data = self._cut(data, rows)
+            data = self.cut(data, rows, equal=False)
             certifier = Certifier({**data, 'P': self._p})
         answer = run(solver_for(data, self._tolerance), out_of_time)
         return self._relaxation(answer, data['A'].data, data['b'], data['c'], scale, certifier)
 
-    def _cut(self, data: dict[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
-        """Return data with half-spaces on top."""
+    def cut(self, data: dict[str, Any], rows: Sequence[Row], *, equal: bool) -> dict[str, Any]:
+        """Return data with half-spaces, or the planes at their edges, on top."""
+        if not rows:
+            return data
         shares, normals = (np.array([row[i] for row in rows]) for i in (1, 2))
         entries = np.zeros((len(rows), data['A'].shape[1]))
         axes = self.statement.x[:, : self.problem.dimension]
         entries[:, axes] = -shares[:, :, None] * normals[:, None]
-        return extended(data, entries, -np.array([row.offset for row in rows]))
+        return extended(data, entries, -np.array([row.offset for row in rows]), equal=equal)
 
     def _relaxation(
         self,

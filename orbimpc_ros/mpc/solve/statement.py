@@ -4,7 +4,7 @@
 Rows read A x + s = b with s in a cone: zeros first, then what is not negative, second-order cones,
 and semidefinite ones. Variables are x_0..x_N, the rotation coordinates; the displacements
 v_k = s_k - d_k from d_k, where the disturbance alone takes s_0; for an inertial vehicle the
-velocities p_0..p_N, less what the disturbance adds to them; and, where a length or a tilt needs
+velocities p_0..p_N, less what the disturbance adds to them; and, where a speed or a tilt needs
 them, t_1..t_N with t_k >= |R_k e1|. With those, the state is in b, but for the axes of cones and a
 coasted rotation, and the goals are in the linear cost: q_k |s_k - g_k|^2 = q_k |v_k|^2 +
 pull_k . v_k + a constant, pull_k = -2 q_k (g_k - d_k).
@@ -87,6 +87,7 @@ class ConicStatement:
         x: columns of x_1..x_N, shape (N, width).
         moved: columns of v_1..v_N, shape (N, n).
         last: columns of p_N, shape (n,) or (0,).
+        t: columns of t_1..t_N, shape (N,) or (0,).
     """
 
     def __init__(self, problem: Problem, *, coasting: bool = False) -> None:
@@ -96,13 +97,13 @@ class ConicStatement:
         axial = problem.weights.input == problem.weights.attitude == 0.0 and not self._decided
         self.width = n if axial else coordinate_count(n)
         self._lengths = length_weights(problem)[1:]
-        sized = bool(self._lengths.any() or problem.tilt)
+        sized = bool(self._lengths.any() or problem.tilt or problem.max_acceleration)
         self.columns = 0
         self._x = self._block(steps + 1, self.width)
         self._z, self.x = self._x[:, :n], self._x[1:]
         self.moved = self._block(steps, n)
         self._p = self._block((steps + 1) * problem.inertial, n)
-        self._t = self._block(steps * sized, 1)[:, 0]
+        self.t = self._block(steps * sized, 1)[:, 0]
         self._rho = self._block(int(self._coasting), 1)[:, 0]
         self._along = self._block(int(problem.first_turn_is_a_cone), 1)[:, 0]
         self._towards = self._block(int(problem.approach.exists), 1)[:, 0]
@@ -175,8 +176,8 @@ class ConicStatement:
         most: Array = np.ones(self.columns)
         entry = 1.0 + problem.step * spin * self._decided
         most[self._x] = entry
-        most[self._t] = 1.0
-        most[self._t[: self._decided]] = math.sqrt(problem.dimension) * entry
+        most[self.t] = 1.0
+        most[self.t[: self._decided]] = math.sqrt(problem.dimension) * entry
         moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
         most[self.moved] = moved[:, None]
         if problem.inertial:
@@ -206,7 +207,7 @@ class ConicStatement:
             pull = z[self._arrival].reshape(-1, n)
         if problem.first_turn_is_a_cone and n == 3:
             share[0] += z[self._cones[0]]
-        if len(self._t):
+        if len(self.t):
             share += self._leaning(z)
         if problem.glide_slope:
             slide = self._sliding(z)
@@ -299,16 +300,16 @@ class ConicStatement:
     def _inequalities(self, rows: _Rows) -> None:
         """State floor <= t <= 1, z_3 >= cos(tilt) t, 0 <= rho <= 1, a least heading."""
         problem, n = self.problem, self.problem.dimension
-        every = np.arange(len(self._t))
+        every = np.arange(len(self.t))
         if len(every):
             free = every[: len(every) - self._decided]
-            rows.add(np.ones(len(free)), (free, self._t[self._decided :], 1.0))
+            rows.add(np.ones(len(free)), (free, self.t[self._decided :], 1.0))
             least = problem.floor.clearance(n)
             if least > 0.0:
-                rows.add(np.full(len(every), -least), (every, self._t, -1.0))
+                rows.add(np.full(len(every), -least), (every, self.t, -1.0))
         if problem.tilt:
             lean, up = math.cos(problem.tilt), self._z[1:, 2]
-            self._tilted = rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean))
+            self._tilted = rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self.t, lean))
         if self._coasting:
             rows.add(np.array([0.0, 1.0]), (np.arange(2), self._rho[[0, 0]], np.array([-1.0, 1.0])))
         if problem.approach.exists:
@@ -320,8 +321,8 @@ class ConicStatement:
         """State |z_k| <= t_k or 1, the glide slope, the cones of turn and approach, and chords."""
         problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
         self._disks = np.zeros(0, int)
-        if len(self._t):
-            self._disks = self._heads(rows, self._z[1:], (np.arange(steps), self._t, -1.0))
+        if len(self.t):
+            self._disks = self._heads(rows, self._z[1:], (np.arange(steps), self.t, -1.0))
         elif self.width == n:
             self._heads(rows, self._z[1 + self._decided :])
         if problem.glide_slope:
@@ -397,8 +398,8 @@ class ConicStatement:
         diagonal[self.moved] = 2.0 * position_weights(problem)[:, None]
         diagonal[self._x[-1]] = 2.0 * attitude_weight(problem)
         diagonal[self.last] = 2.0 * velocity_weight(problem)
-        if len(self._t):
-            linear[self._t] = self._lengths
+        if len(self.t):
+            linear[self.t] = self._lengths
         differences = sparse.csc_matrix(input_map(problem))
         turning = 2.0 * input_weight(problem) * (differences.T @ differences)
         rest = sparse.csc_matrix((self.columns - self._x.size,) * 2)
