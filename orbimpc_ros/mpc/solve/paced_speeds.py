@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
-from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.program import TINY, Program
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.relaxation import Row
@@ -106,7 +106,7 @@ class PacedSpeeds:
         """Return coordinates, shape (N, d), of trajectories each next to the one before, or way."""
         found, cost = list[Array](), np.inf
         while len(found) < FOLLOWED and not (found and request.late):
-            x = self._beside(request, regions, way, min(cost, 1.0))
+            x = self._beside(request, regions, way, min(max(cost, TINY), 1.0))
             if x is None:
                 break
             found.append(x)
