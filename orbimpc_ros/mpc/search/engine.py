@@ -129,7 +129,7 @@ class Engine:
         Raises:
             Infeasible: no turn leads to a last heading that is allowed.
         """
-        quad, ring = self._cost.quadratic(request), self._cost.ring(request.state)
+        ring, quad = self._cost.ring(request.state), self._cost.quadratic(request)
         tree, room = _working_space(get_ident(), self._steps)
         # A copy: code for arrays that are read-only or strided would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
