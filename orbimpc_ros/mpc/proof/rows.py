@@ -233,7 +233,13 @@ class Places:
         middles = np.where(self.rows[..., None], bodies.centres, bodies.centres[:, :, :1])
         self.free = free.reshape(-1, n)[self.points] - middles
         self.reach = reach.reshape(-1, count)[self.points]
-        self._bodies, self._radii = bodies, bodies.extents[:, 2 * n, None]
+        self._extents = bodies.extents[:, None, None, : 2 * n]
+        self._faces = np.vstack([-np.eye(n), np.eye(n)])
+        radii, margins = bodies.extents[:, 2 * n, None], bodies.margins[0]
+        self._balls = np.flatnonzero(radii[:, 0] > 0.0)
+        self._radii = radii[self._balls]
+        nothing = (radii > 0.0) & (radii + margins <= 0.0)  # shrunk for who leaves it
+        self._margins = np.where(nothing, -np.inf, margins)  # that is passed anywhere
 
     def entered(self, x: Array) -> tuple[Array, Array]:
         """Return by how far headings lead into each body, and the directions out of it.
@@ -244,16 +250,10 @@ class Places:
         Returns:
             Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
         """
-        count, n = x.shape
-        places = self.free + (self.reach.reshape(-1, count) @ x).reshape(self.free.shape)
-        around = self._radii[:, 0] > 0.0
-        along = np.concatenate([-places, places], axis=-1)
-        short = (self._bodies.extents[:, None, None, : 2 * n] - along).max(axis=2)
-        face = short.argmin(axis=-1)
-        into, ways = short.min(axis=-1), np.vstack([-np.eye(n), np.eye(n)])[face]
-        if around.any():
-            ways[around], away = separation(places[around])
-            into[around] = self._radii[around] - away
-        sizes = self._radii + self._bodies.margins[0]
-        nothing = around[:, None] & (sizes <= 0.0)  # shrunk for who leaves it: passed anywhere
-        return np.where(nothing, -np.inf, into + self._bodies.margins[0]), ways
+        places = self.free + (self.reach.reshape(-1, len(x)) @ x).reshape(self.free.shape)
+        short = (self._extents - np.concatenate([-places, places], axis=-1)).max(axis=2)
+        into, ways = short.min(axis=-1), self._faces[short.argmin(axis=-1)]
+        if len(self._balls):
+            ways[self._balls], away = separation(places[self._balls])
+            into[self._balls] = self._radii - away
+        return into + self._margins, ways
