@@ -20,8 +20,7 @@ import problems
 from orbimpc_ros.mpc.check import margins, violations
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import nearest
+from orbimpc_ros.mpc.geometry.rotations import coordinates, nearest
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import (

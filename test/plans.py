@@ -4,7 +4,7 @@
 import numpy as np
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import State
 from orbimpc_ros.mpc.proof.document import Refused, parsed, verified

@@ -21,8 +21,7 @@ from problems import goals as goals_of
 
 from orbimpc_ros.mpc import check
 from orbimpc_ros.mpc.check import margins, violations
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, matrix
 from orbimpc_ros.mpc.plan import UNPROVED, Plan
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver

@@ -11,8 +11,7 @@ from plans import GOALS, START, assembled, changed, only_complaint, solved, stra
 from problems import floor, rotation
 
 from orbimpc_ros.mpc.check import command_violations, flaw, violations
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of, stop
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 

@@ -14,8 +14,7 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import shifted

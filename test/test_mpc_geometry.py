@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from problems import rotation
 
-from orbimpc_ros.mpc.geometry import orbitopes
+from orbimpc_ros.mpc.geometry import rotations
 from orbimpc_ros.mpc.geometry import rotations as so
 from orbimpc_ros.mpc.geometry.faces import cap, icosahedron, normals
 from orbimpc_ros.mpc.geometry.separation import separation
@@ -90,19 +90,19 @@ def test_margin_is_the_smallest_eigenvalue_of_the_lmi(seed):
     matrix = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 0.5)
     if seed % 3 == 0:  # singular values that coincide, either sign of the determinant
         matrix = rotation(rng, 3) @ np.diag(rng.choice([0.0, 1.0, -1.0], size=3)) @ rotation(rng, 3)
-    least = np.linalg.eigvalsh(orbitopes.lmi(orbitopes.coordinates(matrix)))[0]
-    assert orbitopes.margin(matrix) == pytest.approx(least, abs=1e-12)
+    least = np.linalg.eigvalsh(rotations.lmi(rotations.coordinates(matrix)))[0]
+    assert rotations.margin(matrix) == pytest.approx(least, abs=1e-12)
 
 
 @pytest.mark.parametrize('n', [2, 3])
 def test_coordinates_are_those_of_the_matrix_with_the_thrust_axis_first(n):
     rng = np.random.default_rng(0)
     q = np.stack([rotation(rng, n) for _ in range(4)])
-    x = orbitopes.coordinates(q)
-    assert x.shape == (4, orbitopes.coordinate_count(n))
-    assert np.array_equal(orbitopes.matrix(x), q) or np.allclose(orbitopes.matrix(x), q, atol=1e-15)
+    x = rotations.coordinates(q)
+    assert x.shape == (4, rotations.coordinate_count(n))
+    assert np.array_equal(rotations.matrix(x), q) or np.allclose(rotations.matrix(x), q, atol=1e-15)
     assert np.array_equal(x[:, :n], q[:, :, 0])
-    frobenius = orbitopes.frobenius_factor(n) * np.sum(x**2, axis=1)
+    frobenius = rotations.frobenius_factor(n) * np.sum(x**2, axis=1)
     assert np.allclose(frobenius, np.sum(q**2, axis=(1, 2)))
 
 

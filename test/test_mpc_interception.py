@@ -29,8 +29,7 @@ from orbimpc_ros.loop.intercept import (
 from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp, log
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import command_of
 from orbimpc_ros.mpc.problem import (

@@ -18,7 +18,7 @@ from problems import FAMILIES, HELD_OUT, OPEN, case, needs_machine_code, polled,
 
 from orbimpc_ros.mpc.check import holds, margins, violations
 from orbimpc_ros.mpc.errors import SolverFailure
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import Plan, shifted

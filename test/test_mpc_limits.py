@@ -23,8 +23,7 @@ from stepping import Stepped, odometry
 
 from orbimpc_ros.mpc.check import approach_margin, command_violations, flaw, violations
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
+from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, exp, turned_onto
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of
 from orbimpc_ros.mpc.problem import (

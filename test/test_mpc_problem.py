@@ -11,7 +11,7 @@ from problems import CASES, ORDERS, disturbed, floor, goals, weights
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.dynamics import trajectory_of

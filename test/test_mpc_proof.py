@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from problems import floor, seeds
 
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import document, sets
 from orbimpc_ros.mpc.proof.document import Certificate, Refused, verified

@@ -24,8 +24,7 @@ from orbimpc_ros.loop.task import Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, stop
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import moved_towards

@@ -19,8 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.clearance import clearances
-from orbimpc_ros.mpc.geometry.orbitopes import margin
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, margin
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State

@@ -13,8 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp, log, project_all
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, project_all
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State

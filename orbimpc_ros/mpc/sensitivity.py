@@ -26,7 +26,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import approach_margin, cone_margins, speed_margin, turn_margin
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
+from orbimpc_ros.mpc.geometry.rotations import coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model.dynamics import KINK, length_weights, on_axes
 from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan

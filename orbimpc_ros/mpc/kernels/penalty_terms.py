@@ -162,7 +162,7 @@ def no_sides() -> tuple[np.ndarray, Array, Array]:
 
 @compiled
 def _set_lmi(x, s):
-    """Set S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.orbitopes.lmi`.
+    """Set S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.rotations.lmi`.
 
     Args:
         x: R's entries column by column, shape (9,).

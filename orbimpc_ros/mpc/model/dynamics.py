@@ -27,7 +27,7 @@ from typing import Protocol
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.geometry.orbitopes import (
+from orbimpc_ros.mpc.geometry.rotations import (
     coordinate_count,
     coordinates,
     frobenius_factor,

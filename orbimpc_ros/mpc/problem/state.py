@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
-from orbimpc_ros.mpc.geometry.rotations import nearest
+from orbimpc_ros.mpc.geometry.rotations import MEMBERSHIP_TOLERANCE, margin, nearest
 from orbimpc_ros.mpc.problem.obstacle import MovingObstacle, tracked
 
 T = TypeVar('T')

@@ -17,7 +17,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.faces import Cell
-from orbimpc_ros.mpc.geometry.orbitopes import margin
+from orbimpc_ros.mpc.geometry.rotations import margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions

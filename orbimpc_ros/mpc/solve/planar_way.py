@@ -17,8 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
-from orbimpc_ros.mpc.geometry.rotations import carried
+from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
 from orbimpc_ros.mpc.model.dynamics import drift, position_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.search.engine import Engine

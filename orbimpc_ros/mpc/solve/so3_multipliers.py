@@ -18,7 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
+from orbimpc_ros.mpc.geometry.rotations import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     BEST,

@@ -16,7 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds, prepare, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
-from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
+from orbimpc_ros.mpc.geometry.rotations import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State

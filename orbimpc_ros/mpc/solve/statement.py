@@ -25,8 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, lmi_parts
-from orbimpc_ros.mpc.geometry.rotations import carried
+from orbimpc_ros.mpc.geometry.rotations import carried, coordinate_count, coordinates, lmi_parts
 from orbimpc_ros.mpc.model.dynamics import (
     adrift,
     attitude_weight,
