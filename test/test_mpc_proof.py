@@ -15,6 +15,7 @@ import pytest
 from problems import floor, seeds
 
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
+from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import document, sets
 from orbimpc_ros.mpc.proof.document import Certificate, Refused, verified
@@ -55,6 +56,13 @@ def test_fractions_prove_what_floats_do(seed):
             arrays = [each for each in part if isinstance(each, np.ndarray)]
             assert all(each.flags.c_contiguous and each.dtype.kind in 'if' for each in arrays)
     assert proved > 30  # of others the floats cannot tell that they are convex
+
+
+def test_steps_in_fractions_leave_those_in_floats_alone():
+    for model in itertools.chain(*(each.values() for each in DISCRETISATIONS.values())):
+        exact, rounded = step_of(model, Fraction(7, 8), Fraction(1)), step_of(model, 0.875, 1.0)
+        assert any(each.dtype == object for each in exact)
+        assert all(each.dtype == float for each in rounded)
 
 
 @pytest.mark.parametrize('seed', seeds(20))

@@ -150,7 +150,7 @@ class Step(NamedTuple):
     blow: Array
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=256, typed=True)  # in fractions and in floats
 def step_of(model: Translation, step: float, forward: float) -> Step:
     """Return a step of a model; made once."""
     made = (
