@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Where this copy is installed, and how to install what is missing without breaking ROS.
+"""The installed copy: where it is, and how to install what is missing without breaking ROS.
 
 An extra is named by the packages in it: this distribution is on no index, so that
 ``orbimpc_ros[view]`` would be looked for in vain. Where NumPy 1 is installed, as ROS 2 Jazzy's

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What odometry shows: the capture of a goal, and velocities of another frame than stated."""
+"""Findings from odometry: the capture of a goal, and velocities of another frame than stated."""
 
 from __future__ import annotations
 

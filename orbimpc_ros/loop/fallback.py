@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What a vehicle flies without a new plan: a clear way among hazards, or the safe command.
+"""Fallbacks where there is no new plan: a clear way among hazards, or the safe command.
 
 Without a floor ``max_rate`` bounds chords, and at a low speed a short chord is a wide angle: a plan
 may pass a body by a turn that is cut when it is flown. So each plan is *steered*: its headings are

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What the launch files launch: simulated flights, one or several, and planners of real vehicles.
+"""Launch descriptions: simulated flights, one or several, and planners of real vehicles.
 
 Needs ROS 2's launch, which PyPI does not have: only launch files import this module.
 """

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Where a goal was seen, and where it will be: at stamped points, or along a path without times.
+r"""Motion of a goal, seen and to come: at stamped points, or along a path without times.
 
 A path is followed as fast as the airspeed allows in the wind: the goal moves along it from the
 point nearest to the vehicle. Where it leads along t, an airspeed V in a wind w makes

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Where headings lead, rolled out a step at a time, and what forces on that come to.
+"""Rollouts of headings, a step at a time, and what forces on them come to.
 
 In either arithmetic.
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What the splits of a tree leave of each choice; that their parts are all there is.
+"""Splits of a tree: what they leave of each choice, and that their parts are all there is.
 
 In either arithmetic. A region has a row for each depth of the tree: a node's is made of its
 parent's.

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What is to be chosen for a request, in the terms of proofs: regions, and what they are cut into.
+"""Choices of a request, in the terms of proofs: regions, and what they are cut into.
 
 A region has a part of the directions of each heading, and of the sides of each body in each step
 (:mod:`orbimpc_ros.mpc.proof.splits`). Its hull is half-spaces: a heading in a sector or a patch,
