@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 35_489,
-    'orbimpc_ros/mpc': 18_401,
+    'orbimpc_ros': 35_484,
+    'orbimpc_ros/mpc': 18_396,
     'orbimpc_ros/loop': 4_005,
     'orbimpc_ros/ros': 4_930,
     'orbimpc_ros/sim': 2_976,

@@ -95,11 +95,12 @@ class Engine:
         tolerance: relative gap at which a plan is good enough to stop.
     """
 
-    takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
+    trusts_guess = False  # anywhere is good enough to start from
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         steps = self._steps = problem.horizon
         self._cost, self._tolerance = PlanarCost(problem), tolerance
+        self.takes_guess = problem.floor.exists  # disks are relaxed from anywhere
         if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
             self._tolerance *= SETTLED
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.

@@ -391,12 +391,6 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
 
 
 @compiled
-def _is_convex(ring):
-    """Return whether all headings of the disk are allowed."""
-    return ring.fraction == 0.0 and ring.change == np.inf and ring.within >= HALF
-
-
-@compiled
 def _take(quad, tree, z):
     """Take a trajectory for the best one if it is better."""
     if tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0:
@@ -506,7 +500,7 @@ def begin(quad, ring, tree, guess, room):
     if not set_reachable(ring, tree.sectors[0]):
         return False
     leave_open(tree, 0, -np.inf, np.inf)
-    if _is_convex(ring):  # then the relaxation leads to the optimum by itself
+    if ring.fraction == 0.0:  # of disks the relaxation leads to the optimum by itself
         return True
     near = guess if len(guess) > 0 else start
     if is_promising(quad, ring, tree, near, tree.sectors[0], np.inf, room):
@@ -552,7 +546,7 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
         if status in (SOLVED, STALLED):
             choice, cut, parts = _choose(quad, ring, tree, node, status, room)
     if status == GOING:
-        if _is_convex(ring):
+        if ring.fraction == 0.0:
             _take(quad, tree, tree.start[node])
         leave_open(tree, node, tree.known[node, KEY], np.inf)
         return work
