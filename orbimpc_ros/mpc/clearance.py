@@ -2,14 +2,14 @@
 """Distances of a plan from balls and from what moves, at all times: for the check of plans.
 
 Nothing of how plans are found enters: the motion within steps is followed along short chords, each
-against the body as its track has it, and the closest approach of the two is worked out.
+against the body as its track has it, and the closest approach of the two is worked out; a box is
+passed in each step on the outside of one face.
 
 Mathematics: docs/mathematics.md, 6.2.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,15 +51,16 @@ def _apart(hazards: Sequence[MovingObstacle], eased: Array, problem: Problem, pl
     times = _instants(problem, plan, hazards[0])
     away = _positions(problem, plan, times) - moved_together(hazards, times)
     step = np.minimum((0.5 * (times[1:] + times[:-1]) / problem.step).astype(int), plan.horizon - 1)
-    apart = np.empty((len(hazards), len(step)))
+    first = np.searchsorted(step, np.arange(plan.horizon))
+    apart = np.empty((len(hazards), plan.horizon))
     balls = {j: each.body for j, each in enumerate(hazards) if isinstance(each.body, Ball)}
     if balls:
-        apart[list(balls)] = _beyond_balls(list(balls.values()), away[list(balls)])
+        nearest = _beyond_balls(list(balls.values()), away[list(balls)])
+        apart[list(balls)] = np.minimum.reduceat(nearest, first, axis=1)
     for j, each in enumerate(hazards):
         if isinstance(each.body, Box):
-            ends = each.body.clearances(away[j, :-1]), each.body.clearances(away[j, 1:])
-            apart[j] = _beyond_faces(*ends)
-    return np.asarray((apart + eased[:, step]).min(axis=1))
+            apart[j] = _beyond_a_face(each.body.clearances(away[j]), first)
+    return np.asarray((apart + eased).min(axis=1))
 
 
 def _instants(problem: Problem, plan: Plan, hazard: MovingObstacle) -> Array:
@@ -100,16 +101,13 @@ def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
     return np.asarray(nearest - np.array([[each.radius] for each in balls]))
 
 
-def _beyond_faces(begin: Array, end: Array) -> Array:
-    """Return the least of the largest of clearances, shape (M, 2 n), that change evenly.
+def _beyond_a_face(each: Array, first: Array) -> Array:
+    """Return how far beyond one and the same face all of each step is, shape (N,) [m].
 
-    It is at an end, or where two of them are equal.
+    Args:
+        each: clearances of all faces at instants, shape (M + 1, 2 n).
+        first: at which instants steps begin, shape (N,).
     """
-    shares = [np.zeros(len(begin)), np.ones(len(begin))]
-    for i, j in itertools.combinations(range(begin.shape[1]), 2):
-        first, last = begin[:, i] - begin[:, j], end[:, i] - end[:, j]
-        change = np.where(first != last, first - last, np.inf)
-        shares.append(np.clip(first / change, 0.0, 1.0))
-    each = np.array(shares)[:, :, None]
-    outside = (begin + each * (end - begin)).max(axis=2)
-    return np.asarray(outside.min(axis=0))
+    begun = np.minimum.reduceat(each[:-1], first)
+    ended = each[np.append(first[1:], len(each) - 1)]
+    return np.asarray(np.minimum(begun, ended).max(axis=1))

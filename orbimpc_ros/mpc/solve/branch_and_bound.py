@@ -20,10 +20,10 @@ from dataclasses import replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
-from orbimpc_ros.mpc.problem import Box, Problem
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut
 from orbimpc_ros.mpc.proof.stated import Statement
@@ -88,7 +88,6 @@ class BranchAndBound:
 
         Raises:
             Infeasible: no trajectory satisfies the constraints: every branch was refuted.
-            SolverFailure: the same among moving boxes, whose corners no branch rounds in a step.
         """
         traffic = traffic_of(self.problem, request.state)
         if traffic is None and not self._chooses:
@@ -223,8 +222,6 @@ class _Run:
             self._expand(heapq.heappop(self._open))
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
-            if any(isinstance(each.body, Box) for each in posed.request.state.hazards):
-                raise SolverFailure('no trajectory has every moving box on one side in each step')
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
         return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
 
