@@ -53,12 +53,14 @@ class Places(NamedTuple):
 
     Attributes:
         hessian: H, shape (N, N).
+        inverse: H^-1, shape (N, N).
         maps: A, what z_1..z_N add to each place, shape (P, N); the first N are the identity.
         gram: G, shape (P, P).
         balls: the places that are within balls, shape (B,); the first N are the thrust axes.
     """
 
     hessian: Array
+    inverse: Array
     maps: Array
     gram: Array
     balls: np.ndarray
@@ -136,6 +138,38 @@ def _set_values(gram, free, held, count):
             weight = held.u[i] * held.normals[i, c]
             for p in range(len(values)):
                 values[p, c] += weight * column[p]
+
+
+@compiled
+def _set_slope(known, q, held, count, slope):
+    """Set the gradient of the Lagrangian at the iterate, shape (N, n); zero but for rounding."""
+    steps, n = q.shape
+    for k in range(steps):
+        for c in range(n):
+            slope[k, c] = q[k, c]
+            for j in range(steps):
+                slope[k, c] += known.hessian[k, j] * held.values[j, c]
+            for i in range(count):
+                slope[k, c] -= held.u[i] * known.maps[held.at[i], k] * held.normals[i, c]
+
+
+@compiled
+def _refine(known, q, held, count, slope, move):
+    """Bring the places of the minimiser to where the gradient vanishes, as far as can be told.
+
+    The inverse of an ill-conditioned Hessian leaves more of it than a bound of a small cost, which
+    gives up what is left, can do with. One step of iterative refinement is enough.
+    """
+    _set_slope(known, q, held, count, slope)
+    steps, n = q.shape
+    for c in range(n):
+        for k in range(steps):
+            move[k, c] = 0.0
+            for j in range(steps):
+                move[k, c] -= known.inverse[k, j] * slope[j, c]
+        for p in range(len(held.values)):
+            for k in range(steps):
+                held.values[p, c] += known.maps[p, k] * move[k, c]
 
 
 @compiled
@@ -282,24 +316,24 @@ def _refutes(known, held, count, new, row, r):
 
 
 @compiled
-def _bound(known, q, held, count):
+def _bound(known, q, held, count, slope):
     """Return a lower bound on f(z) + sum_i u_i (b_i - a_i . z), |z_k| <= 1, about the iterate."""
     steps, n = q.shape
     z, value, magnitude, stray = held.values[:steps], 0.0, 0.0, 0.0
     for i in range(count):
         value += held.u[i] * held.offsets[i]
         magnitude += abs(held.u[i] * held.offsets[i])
+    _set_slope(known, q, held, count, slope)
     for k in range(steps):
         size = left = 0.0
         for c in range(n):
-            bent, pulled = 0.0, q[k, c]
+            bent = 0.0
             for j in range(steps):
                 bent += known.hessian[k, j] * z[j, c]
-            for i in range(count):
-                pulled -= held.u[i] * known.maps[held.at[i], k] * held.normals[i, c]
+            pulled = slope[k, c] - bent
             value += z[k, c] * (0.5 * bent + pulled)
             magnitude += abs(z[k, c]) * (abs(bent) + abs(pulled))
-            left += (bent + pulled) ** 2
+            left += slope[k, c] ** 2
             size += z[k, c] ** 2
         stray += np.sqrt(left) * (1.0 + np.sqrt(size))
     return value - stray - ROUNDING * magnitude
@@ -322,26 +356,28 @@ def minimise(known, asked, held, count, work):
     """
     row, size = np.zeros(asked.q.shape[1]), len(held.u)
     r, inner = np.empty(size), np.empty(size)
+    slope, move = np.empty_like(asked.q), np.empty_like(asked.q)
     each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * len(row))
     _set_values(known.gram, asked.free, held, count)
     for _ in range(ITERATIONS):
         new = _most_violated(known, asked, held.values, row)
         if new[0] < 0:
-            return SOLVED, _bound(known, asked.q, held, count), count
+            _refine(known, asked.q, held, count, slope, move)
+            return SOLVED, _bound(known, asked.q, held, count, slope), count
         if work <= 0.0:
-            return INTERRUPTED, _bound(known, asked.q, held, count), count
+            return INTERRUPTED, _bound(known, asked.q, held, count, slope), count
         became, count = _add(known, held, count, new, row, r, inner)
         if became == BROKEN:
             return STALLED, -np.inf, 0
         if became == BLOCKED:
             _set_values(known.gram, asked.free, held, count)
-            bound = _bound(known, asked.q, held, count)
+            bound = _bound(known, asked.q, held, count, slope)
             if _refutes(known, held, count, new, row, r):
                 return REFUTED, bound, count + 1
             return STALLED, bound, count
         work -= each + count * (2.0 * count + len(asked.free) * len(row))
         _set_values(known.gram, asked.free, held, count)
-    return STALLED, _bound(known, asked.q, held, count), count
+    return STALLED, _bound(known, asked.q, held, count, slope), count
 
 
 class PlaceProgram:
@@ -369,7 +405,7 @@ class PlaceProgram:
         last = len(maps) - len(turned)
         balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T
-        self._known = Places(hessian, maps, 0.5 * (gram + gram.T), balls)
+        self._known = Places(hessian, self._inverse, maps, 0.5 * (gram + gram.T), balls)
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._general: Relaxed | None = None
