@@ -101,7 +101,7 @@ def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
     return np.asarray(nearest - np.array([[each.radius] for each in balls]))
 
 
-def _beyond_a_face(each: Array, first: Array) -> Array:
+def _beyond_a_face(each: Array, first: np.ndarray) -> Array:
     """Return how far beyond one and the same face all of each step is, shape (N,) [m].
 
     Args:
