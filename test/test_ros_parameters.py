@@ -16,7 +16,7 @@ from test_ros_outputs import LANDER
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.scaling import weighed
-from orbimpc_ros.ros.parameters.dynamic import given, unused_sections
+from orbimpc_ros.ros.parameters.dynamic import unused_sections
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
@@ -189,24 +189,6 @@ def test_sections_that_no_node_takes_are_told(tmp_path, name, unused):
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0']
     assert unused_sections(node, words) == [f'{section} in {file}' for section in unused]
     assert unused_sections(node, ['planner']) == []
-
-
-@pytest.mark.parametrize(
-    ('node', 'parameter', 'value'),
-    [
-        ('/planner', 'horizon', 5),
-        ('/planner', 'step', 1.0),
-        ('/planner', 'mass', None),
-        ('/uav1/planner', 'horizon', 7),
-        ('/uav1/planner', 'mass', 2.0),
-        ('/uav2/sim', 'mass', 3.0),
-        ('/uav3/sim', 'seed', 1),
-    ],
-)
-def test_of_several_sections_the_last_one_counts(tmp_path, node, parameter, value):
-    file = tmp_path / 'params.yaml'
-    file.write_text(SECTIONS)
-    assert given(str(file), node, parameter) == value
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

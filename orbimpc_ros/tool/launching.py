@@ -26,11 +26,9 @@ from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch.substitutions import EnvironmentVariable
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.firmware import TOPICS
-from orbimpc_ros.ros.parameters.dynamic import given
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.sim.fleet import vehicles
 
@@ -82,20 +80,13 @@ def vehicle() -> LaunchDescription:
 
 
 def _flight(context: LaunchContext) -> list[Action]:
-    """Return the nodes of a flight.
-
-    Raises:
-        BadInput: a planner on a timer in lock-step: that waits for time, which waits for answers.
-    """
     asked = context.launch_configurations
-    file, where, clock = _settled(asked, asked['scenario']), _outer(asked), asked['clock']
-    trigger = given(file, f'{where}/planner', 'trigger') or 'timer'
-    if clock == 'lockstep' and trigger != 'odom':
-        culprit = f'trigger of {where}/planner in {file}'
-        raise BadInput(culprit, trigger, 'odom, as clock is lockstep (or clock:=wall)')
-    told = asked['use_sim_time'].lower()
-    simulated = clock == 'lockstep' if told == AUTO else told == 'true'
-    return _flown(asked, {where: {'clock': clock}}, simulated)
+    _settled(asked, asked['scenario'])
+    told, lockstep = asked['use_sim_time'].lower(), asked['clock'] == 'lockstep'
+    planner: Values = {'use_sim_time': lockstep if told == AUTO else told == 'true'}
+    if lockstep:  # on a timer it would wait for time, which waits for its answers
+        planner = {**planner, 'trigger': 'odom'}
+    return _flown(asked, {_outer(asked): {'clock': asked['clock']}}, planner)
 
 
 def _fleet(context: LaunchContext) -> list[Action]:
@@ -109,20 +100,18 @@ def _fleet(context: LaunchContext) -> list[Action]:
         }
         for namespace, each in drawn.items()
     }
-    return _flown(asked, own, simulated=False)
+    return _flown(asked, own, {'use_sim_time': False})
 
 
-def _flown(asked: dict[str, str], own: Mapping[str, Values], simulated: bool) -> list[Action]:
+def _flown(asked: dict[str, str], own: Mapping[str, Values], planner: Values) -> list[Action]:
     """Return planners, simulators with values of their own by namespace, and a recorder."""
-    recorded, planners, sims = asked['record'] == 'true', [], []
+    recorded = asked['record'] == 'true'
+    settings: Values = {'exit_when_done': asked['exit_when_done'] == 'true'}
+    if recorded:  # who records waits for the flight
+        settings = {**settings, 'wait_for': RECORDED}
+    planners, sims = [], []
     for where, values in own.items():
-        planners.append(_node(asked, 'planner', where, {'use_sim_time': simulated}))
-        awaited = given(asked['params_file'], f'{where}/sim', 'wait_for')
-        awaited = awaited or (RECORDED if recorded else '')  # who records waits for the flight
-        settings = {
-            'exit_when_done': asked['exit_when_done'] == 'true',
-            'wait_for': ParameterValue(str(awaited), value_type=str),
-        }
+        planners.append(_node(asked, 'planner', where, planner))
         sims.append(_node(asked, 'sim', where, {**settings, **values}))
     words = ['ros2', 'bag', 'record', '--storage', 'mcap', '--all']
     recorders = [ExecuteProcess(cmd=words, output='screen')] if recorded else []
@@ -137,12 +126,11 @@ def _pilot(context: LaunchContext) -> list[Action]:
     return [planner, *_ending([], [planner])]
 
 
-def _settled(asked: dict[str, str], default: str) -> str:
-    """Return the parameter file, and refuse one that is not there: launch itself would go on."""
+def _settled(asked: dict[str, str], default: str) -> None:
+    """Settle the parameter file, and refuse one that is not there: launch itself would go on."""
     file = asked['params_file'] = asked['params_file'] or str(_configs() / f'{default}.yaml')
     if not Path(file).is_file():
         raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
-    return file
 
 
 def _outer(asked: Mapping[str, str]) -> str:

@@ -8,7 +8,6 @@ leaves the node with its defaults.
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable, Iterator, Sequence, Sized
 from dataclasses import replace
@@ -177,21 +176,6 @@ def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[s
     ]
 
 
-def given(file: str, node: str, parameter: str) -> Any:
-    """Return the value that a parameter file has for a node, of several the last; None without.
-
-    Args:
-        file: its path.
-        node: its name with its namespace.
-        parameter: not nested.
-    """
-    value = None
-    for name, values in _sections(file):
-        if _matches(name, node):
-            value = values.get(parameter, value)
-    return value
-
-
 def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
     """Return the sections of a file; none if only rcl can say what is wrong with it."""
     try:
@@ -207,9 +191,3 @@ def _below(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
             yield above, below if isinstance(below, dict) else {}
         else:
             yield from _below(below, f'{above}/{str(name).strip("/")}')
-
-
-def _matches(section: str, node: str) -> bool:
-    """Return whether rcl gives a section to a node: ``*`` is one name, ``**`` any number."""
-    pattern = re.escape(section).replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'/\w+')
-    return re.fullmatch(pattern, node) is not None
