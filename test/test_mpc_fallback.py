@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.vehicle import advance, launched, measured
+from orbimpc_ros.sim.vehicle import launched, measured
 
 
 def failing(monkeypatch, error):
@@ -255,7 +255,8 @@ def test_every_model_flies_to_its_goal_in_closed_loop(orders):
         # At the goal an interior point is too inaccurate for its bound to be worth much.
         there = not COMPILED and tick.plan.objective < 1e-6
         assert tick.status == 'optimal' or there, tick.reason
-        vehicle = advance(model, vehicle, tick.command.speed_fraction, tick.command.body_rate)
+        given = tick.command.speed_fraction, tick.command.body_rate
+        (vehicle,) = model.flown(vehicle, model.step, *given, 0.0)
     assert np.linalg.norm(vehicle.position - goal) < 0.1
 
 
@@ -286,7 +287,8 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
         assert len(controller.ends(float(k))) == 6 - k
         tick = controller.tick(measured(vehicle), np.tile(goal, (6 - k, 1)))
         assert tick.plan is not None, tick.reason
-        vehicle = advance(model, vehicle, tick.command.speed_fraction, tick.command.body_rate)
+        given = tick.command.speed_fraction, tick.command.body_rate
+        (vehicle,) = model.flown(vehicle, model.step, *given, 0.0)
     assert np.linalg.norm(vehicle.position - goal) < 1e-6
     after = controller.tick(measured(vehicle), np.zeros((0, 2)))
     assert after.command.speed_fraction == 0.0

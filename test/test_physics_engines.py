@@ -18,7 +18,7 @@ from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant, Kind, class_of
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.vehicle import launched
-from orbimpc_ros.sim.world import Rope, Scenario, departure, fixed, outcome
+from orbimpc_ros.sim.world import Rope, Scenario, departure, outcome
 from orbimpc_ros.tool import flights as study
 from orbimpc_ros.tool.study import draws_of
 
@@ -47,7 +47,7 @@ WIND, STILL, AFAR = np.array([-4.0, 6.0]), np.zeros(2), np.array([1e5, 0.0])
 def aircraft(heading=0.0, wind=WIND, goal=AFAR, **others):
     model = EnginePlant(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
     start = launched(model, STILL, exp(np.array([heading])), fraction=0.9)
-    return departure(Scenario(model, start, fixed(goal), 5.0, 1000, rope_length=40.0))
+    return departure(Scenario(model, start, Rope(goal), 5.0, 1000, rope_length=40.0))
 
 
 def flown(flight, seconds, fraction=None, turn=0.0):
@@ -62,10 +62,7 @@ def flown(flight, seconds, fraction=None, turn=0.0):
 # --- engines of any kind
 
 BLAME = {
-    'Straight': 'broken: went from t = 2.000 s to 2.000 s',
-    'Slow': 'broken: its clock is at 2.500 s, and not at 3.000 s',
-    'Reset': 'broken: went from t = 2.000 s to 1.000 s',
-    'Poisoned': 'broken: numbers that are not finite, after t = 2.000 s',
+    'Poisoned': 'broken: numbers that are not finite at t = 3.000 s',
     'Stopping': 'broken: stopped at t = 2.000 s',
 }
 
@@ -151,7 +148,7 @@ def test_a_point_is_missed_by_height_and_a_line_is_not(cessna):
 def test_a_start_that_cannot_be_flown_is_refused(cessna):
     model = EnginePlant(forward=50.0)
     start = launched(model, STILL, np.eye(2), fraction=0.2)
-    with pytest.raises(BadInput, match=r'start.speed_fraction is 0.2; .*no level flight'):
+    with pytest.raises(BadInput, match=r'vehicle is cessna; .*no level flight'):
         model.begun(start)
 
 
@@ -230,7 +227,7 @@ def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):
 
 
 def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
-    with pytest.raises(BadInput, match=r'rope.amplitude is \[1.0, 1.0\]; .*at most 1.2 m aside'):
+    with pytest.raises(BadInput, match=r'vehicle is hummingbird; .*at most 1.2 m aside'):
         multirotor(aside=[1.0, 1.0])
 
 
@@ -249,12 +246,12 @@ def spacecraft(goal=AWAY, velocity=REST, rate=REST, push=REST, **others):
         forward=FULL,
         mass=60.0,
         engine='servicer',
-        rope=fixed(goal),
+        rope=Rope(goal),
         disturbance=tuple(map(float, push)),
         **others,
     )
     start = launched(model, REST, TURNED, fraction=0.0, velocity=velocity, body_rate=rate)
-    return departure(Scenario(model, start, fixed(goal), 0.1, 1000, finish='arrival'))
+    return departure(Scenario(model, start, Rope(goal), 0.1, 1000, finish='arrival'))
 
 
 def falling(_time, state):
@@ -311,8 +308,8 @@ ENGINES = {'cessna': aircraft, 'hummingbird': multirotor, 'servicer': spacecraft
 @pytest.mark.parametrize(
     ('name', 'own', 'seconds'),
     [
-        ('cessna', {'turbulence': 1.0}, 10.0),
-        ('hummingbird', {'turbulence': 0.8}, 0.5),
+        ('cessna', {'gust': 1.0}, 10.0),
+        ('hummingbird', {'gust': 0.8}, 0.5),
         ('servicer', {}, 20.0),
     ],
 )

@@ -186,5 +186,4 @@ def multirotor(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehic
     aside, place = rng.uniform(-1.0, 1.0, size=(2, 3))
     hovering = -GRAVITY[2] / problem.forward
     start = launched(plant, np.append(0.0, aside[1:]), UP, fraction=hovering)
-    still = np.zeros(3)
-    return plant, start, Rope(np.append(10.0, place[1:]), still, 0.0, still)
+    return plant, start, Rope(np.append(10.0, place[1:]))

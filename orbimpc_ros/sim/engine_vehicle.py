@@ -14,9 +14,9 @@ import numpy as np
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.engines import Engine, Motion, NoStart, Start, checked
-from orbimpc_ros.sim.vehicle import Continuous, Vehicle
-from orbimpc_ros.sim.world import Rope, fixed
+from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion, Start
+from orbimpc_ros.sim.vehicle import Model, Vehicle
+from orbimpc_ros.sim.world import Rope
 
 
 class Kind(NamedTuple):
@@ -37,14 +37,14 @@ ENGINES = {
 
 
 @dataclass(frozen=True)
-class EnginePlant(Continuous):
+class EnginePlant(Model):
     """A vehicle in an engine, on its own inner loop; in the plane it is that of one altitude.
 
     Its wind is the steady one of the model, with turbulence on top.
     """
 
     engine: str = 'cessna'  # of :data:`ENGINES`
-    turbulence: float = 0.0  # standard deviation of the air's velocity along each axis [m/s]
+    gust: float = 0.0  # standard deviation of the air's velocity along each axis [m/s]
     seed: int = 0  # of the turbulence, and of what else the engine draws
     rope: Rope | None = None  # the goal, for engines that move it themselves
 
@@ -61,23 +61,22 @@ class EnginePlant(Continuous):
         Raises:
             BadInput: the engine is not installed, or cannot start so.
         """
-        goal = self.rope or fixed(vehicle.position)
+        goal = self.rope or Rope(vehicle.position)
         start = Start(
             *(vehicle.position, vehicle.velocity, vehicle.attitude, vehicle.body_rate),
             self.forward * vehicle.fraction,
-            *(self.blown, self.turbulence, self.seed),
+            *(self.blown, self.gust, self.seed),
             *(goal.center, goal.at(0.0)),
         )
-        given = {
-            'start.speed_fraction': vehicle.fraction,
-            'rope.amplitude': goal.amplitude.tolist(),
-        }
         try:
             engine = class_of(self.engine)(start)
-        except NoStart as error:
-            allowed = f'a start ({error})'
-            raise BadInput(error.culprit, given[error.culprit], allowed) from None
+        except EngineFailure as error:
+            raise BadInput('vehicle', self.engine, f'a start that it has ({error})') from None
         return self._read(engine, engine.motion(), vehicle.time)
+
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle once no command is in force: nothing changes at once."""
+        return vehicle
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
@@ -89,7 +88,7 @@ class EnginePlant(Continuous):
         """
         assert vehicle.engine is not None
         push, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
-        motions = checked(engine, elapsed, engine.run(span, push, body_rate), span)
+        motions = engine.run(span, push, body_rate)
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
     def _read(self, engine: Engine, motion: Motion, begun: float) -> Vehicle:

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros.parameters.spec import TINY, parameter
-from orbimpc_ros.sim.vehicle import Continuous, Vehicle, between, measured
+from orbimpc_ros.sim.vehicle import Vehicle, between, measured
 from orbimpc_ros.sim.world import Flight
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
@@ -74,50 +74,27 @@ class Faults:
 NO_FAULTS = Faults()
 
 
-class Delivery(NamedTuple):
-    """A message that reaches the planner."""
-
-    content: Odometry | GoalObservation  # at the true time of the measurement
-    ticks: int  # steps flown when it was sent
-    age: float = 0.0  # time from the measurement to the tick that sent it [s]
-    late: bool = False  # whether it comes a tick after that
-
-    @property
-    def is_odometry(self) -> bool:
-        """Return whether it is odometry, not a sighting."""
-        return isinstance(self.content, Odometry)
-
-    @property
-    def finite(self) -> bool:
-        """Return whether all its numbers are finite."""
-        numbers = [self.content.position]
-        if isinstance(self.content, Odometry):
-            numbers.append(self.content.body_velocity)
-        return all(bool(np.isfinite(each).all()) for each in numbers)
+Seen = Odometry | GoalObservation  # what reaches a planner, at the true time of the measurement
 
 
 class View:
-    """The messages that reach a planner, tick by tick, a ``step`` [s] apart."""
+    """What reaches a planner, tick by tick, a ``step`` [s] apart."""
 
     def __init__(self, faults: Faults, seed: int, step: float) -> None:
         self.faults, self._seed = faults, seed
         self._past: deque[tuple[Vehicle, ...]] = deque(maxlen=2 + math.ceil(faults.delay / step))
-        self._held_back: list[Delivery] = []
+        self._held_back: list[Seen] = []
 
-    def of(self, flight: Flight) -> list[Delivery]:
-        """Return the messages of this tick, in order; to be called once a tick."""
-        finely = isinstance(flight.scenario.model, Continuous) and flight.trail
-        self._past.append(flight.trail if finely else (flight.vehicle,))
+    def of(self, flight: Flight) -> list[Seen]:
+        """Return what comes at this tick, in order; to be called once a tick."""
+        self._past.append(flight.trail or (flight.vehicle,))
         arriving, self._held_back = self._held_back, []
         draws = _Draws.of(self._seed, flight.ticks)
         if not self._hidden(flight.elapsed):
-            goal = GoalObservation(
-                flight.vehicle.time, flight.goal + self._shift(draws, GOAL, flight.goal)
-            )
-            arriving += self._through(draws, GOAL, Delivery(goal, flight.ticks))
+            place = flight.goal + self._shift(draws, GOAL, flight.goal)
+            arriving += self._through(draws, GOAL, GoalObservation(flight.vehicle.time, place))
         seen = measured(self._delayed(), flight.scenario.model.velocity_source)
-        odometry = Delivery(self._noisy(draws, seen), flight.ticks, self.faults.delay)
-        return arriving + self._through(draws, ODOMETRY, odometry)
+        return arriving + self._through(draws, ODOMETRY, self._noisy(draws, seen))
 
     def command_lost(self, ticks: int) -> bool:
         """Return whether the command that answers a tick gets lost."""
@@ -138,16 +115,15 @@ class View:
                 return between(earlier, later, at)
         return past[-1] if at >= past[-1].time else replace(past[0], time=at)
 
-    def _through(self, draws: _Draws, kind: int, sent: Delivery) -> list[Delivery]:
+    def _through(self, draws: _Draws, kind: int, sent: Seen) -> list[Seen]:
         """Return the copies of a message that arrive now: none, one or two."""
         if self._happens(draws, kind, 'dropout'):
             return []
         if self._happens(draws, kind, 'nan'):
-            nowhere = np.full_like(sent.content.position, np.nan)
-            sent = sent._replace(content=replace(sent.content, position=nowhere))
+            sent = replace(sent, position=np.full_like(sent.position, np.nan))
         copies = [sent] * (2 if self._happens(draws, kind, 'duplicate') else 1)
         if self._happens(draws, kind, 'reorder'):
-            self._held_back += [each._replace(late=True) for each in copies]
+            self._held_back += copies
             return []
         return copies
 

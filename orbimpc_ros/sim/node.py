@@ -14,10 +14,11 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, Managed, qos, run
-from orbimpc_ros.sim.faults import Delivery
+from orbimpc_ros.sim.faults import Seen
 from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
@@ -65,8 +66,8 @@ class LockStep(FlightSimulation):
         self._goal_sent = False
         self._order: Order | None = None
         self._heard = -np.inf  # when the last command came, in simulated time [s]
-        self._sent: list[Delivery] = []
-        self._held_back: list[Delivery] = []  # odometry that follows
+        self._sent: list[Seen] = []
+        self._held_back: list[Seen] = []  # odometry that follows
         self._progress = self._asked_at = self.node.steady_now()
         self._wait()
 
@@ -135,18 +136,21 @@ class LockStep(FlightSimulation):
     def _to_be_answered(self) -> int | None:
         """Return the stamp of the odometry that a planner answers, which may not be there."""
         fresh = None
-        for sent in self._sent:
-            self._goal_sent |= sent.finite and not sent.is_odometry
-            if sent.is_odometry and sent.finite and sent.content.time > self._newest:
-                self._newest = sent.content.time
-                fresh = self.stamp_of(sent, self.now)
+        for seen in self._sent:
+            if not np.isfinite(seen.position).all():
+                continue
+            if not isinstance(seen, Odometry):
+                self._goal_sent = True
+            elif seen.time > self._newest:
+                self._newest = seen.time
+                fresh = self.stamp_of(seen, self.now)
         return fresh if self._goal_sent else None
 
     def _send(self) -> None:
         self._asked_at = self.node.steady_now()
         apart = self.settings.faults.any
-        self._held_back = [sent for sent in self._sent if apart and sent.is_odometry]
-        self.show([sent for sent in self._sent if not (apart and sent.is_odometry)])
+        self._held_back = [each for each in self._sent if apart and isinstance(each, Odometry)]
+        self.show([each for each in self._sent if not (apart and isinstance(each, Odometry))])
 
     def on_order(self, order: Order) -> None:
         """Fly a step if this is the answer awaited."""

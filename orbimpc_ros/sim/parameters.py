@@ -31,7 +31,7 @@ from orbimpc_ros.ros.parameters.spec import (
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import NO_FAULTS, Faults
-from orbimpc_ros.sim.vehicle import Gusts, Model, Plant, Vehicle, launched
+from orbimpc_ros.sim.vehicle import Model, Plant, Vehicle, launched
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
 Made = TypeVar('Made')
@@ -181,13 +181,11 @@ class SimSettings(VehicleParameters):
         self._refuse_unused()
         known = self.disturbance.tolist()
         own: dict[str, Any] = {'disturbance': tuple(known) if any(known) else ()}
-        if self.vehicle == 'discrete':
-            return self._made(Model, **own)
         if self.odom_rate:
             own['step'] = 1.0 / self.odom_rate
         if self.vehicle in ENGINES:
-            return self._made(EnginePlant, engine=self.vehicle, turbulence=self.gust, **own)
-        return self._made(Plant, gusts=Gusts(self.gust, self.gust_time, self.seed), **own)
+            return self._made(EnginePlant, engine=self.vehicle, **own)
+        return self._made(Model if self.vehicle == 'discrete' else Plant, **own)
 
     @cached_property
     def start(self) -> Vehicle:

@@ -23,9 +23,9 @@ from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, Managed, full_name, q
 from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.faults import Delivery, View
+from orbimpc_ros.sim.faults import Seen, View
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Continuous, Model, measured
+from orbimpc_ros.sim.vehicle import Model, measured
 from orbimpc_ros.sim.world import departure, outcome
 
 try:
@@ -191,14 +191,11 @@ class FlightSimulation(ABC):
         """Return how far off stamps are now, by the faults [s]."""
         return self.settings.faults.jumped(self.flight.ticks)
 
-    def stamp_of(self, sent: Delivery, now: int) -> int:
-        """Return the stamp of a message that arrives ``now`` [ns], the present tick's stamp."""
-        scenario, ticks = self.settings.scenario, self.flight.ticks
-        jump = self.jump - self.settings.faults.jumped(sent.ticks)
-        age = sent.age + (ticks - sent.ticks) * scenario.model.step
-        return now - round((age + jump) * SECOND)
+    def stamp_of(self, seen: Seen, now: int) -> int:
+        """Return the stamp of what arrives ``now`` [ns], the present tick's stamp."""
+        return now - round((self.flight.vehicle.time - seen.time) * SECOND)
 
-    def show(self, seen: Sequence[Delivery]) -> None:
+    def show(self, seen: Sequence[Seen]) -> None:
         """Publish the flight as it is now: clock, markers, goals, odometry."""
         at, flight = self.now, self.flight
         stamp = Stamp(at, self.settings.frames)
@@ -218,11 +215,11 @@ class FlightSimulation(ABC):
             self._transforms.sendTransform(outputs.transform(shown))
         self.deliver(at, seen)
 
-    def deliver(self, at: int, seen: Sequence[Delivery]) -> None:
+    def deliver(self, at: int, seen: Sequence[Seen]) -> None:
         """Publish goals and odometry that arrive at ``at`` [ns]."""
-        for sent in seen:
-            stamp = Stamp(self.stamp_of(sent, at), self.settings.frames)
-            topic, message = outputs.sensed(stamp, sent.content)
+        for each in seen:
+            stamp = Stamp(self.stamp_of(each, at), self.settings.frames)
+            topic, message = outputs.sensed(stamp, each)
             self._out[topic].publish(message)
 
     def fly(self, order: Order | None, held: float) -> None:
@@ -270,7 +267,7 @@ def published(settings: SimSettings) -> list[str]:
         'obstacles': settings.scenario.traffic,
         'goal_path': settings.goal_path_steps,
         '/clock': settings.clock == 'lockstep',
-        'truth': isinstance(settings.scenario.model, Continuous),
+        'truth': settings.vehicle != 'discrete',
     }
     always = ('captured', 'odom', 'goal', 'world_markers', '/diagnostics')
     return [*always, *(topic for topic, wanted in optional.items() if wanted)]

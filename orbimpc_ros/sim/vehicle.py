@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
-from orbimpc_ros.mpc.arrays import Array, frozen, number, sealed
+from orbimpc_ros.mpc.arrays import Array, number, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
 from orbimpc_ros.sim.engines import Engine
@@ -42,10 +42,9 @@ class Model:
     disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], n numbers or none
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
     velocity_source: str = 'ground'  # of odometry, or ``air``
+    stall_speed: float = 0.0  # airspeed below which it is counted as stalled [m/s]; it flies on
 
     def __post_init__(self) -> None:
-        if self.disturbance:
-            frozen(self.disturbance, (self.dimension,), 'wind')
         fastest = np.pi / self.step
         number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
 
@@ -83,15 +82,39 @@ class Model:
     ) -> tuple[Vehicle, ...]:
         """Return the vehicle at intervals of a time under one command, the last at its end.
 
+        Here it is flown in one piece, from the old values, the command then taken over.
+
         Args:
             vehicle: where it is.
-            span: how long [s]; here a step, flown in one piece.
-            fraction: commanded share of full speed or thrust.
+            span: how long [s].
+            fraction: commanded share of full speed or thrust, clipped to [0, 1].
             body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
             elapsed: time since the start of the flight [s].
         """
         del elapsed  # nothing changes with time
-        return (advance(replace(self, step=span), vehicle, fraction, body_rate),)
+        pushed = self.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
+        turning = body_rate if self.rotation_order == 1 else vehicle.body_rate
+        attitude = nearest(vehicle.attitude @ exp(span * turning))  # nearest: no drift off SO(n)
+        fraction = float(np.clip(fraction, 0.0, 1.0))
+        new = self.forward * fraction * attitude[:, 0]
+        mean = 0.5 * (pushed + new) if self.discretisation == 'exact' else pushed
+        way: Array = span * (mean + self.blown)
+        velocity: Array = new + self.wind
+        if self.translation_order == 2:
+            way, velocity = span * vehicle.velocity, vehicle.velocity + way
+            if self.discretisation == 'exact':
+                way = way + span * span * (pushed / 3.0 + new / 6.0 + 0.5 * self.blown)
+        return (
+            replace(
+                vehicle,
+                time=vehicle.time + span,
+                position=vehicle.position + way,
+                velocity=velocity,
+                attitude=attitude,
+                body_rate=body_rate,
+                fraction=fraction,
+            ),
+        )
 
     def released(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle once no command is in force: by default it stops, there and then.
@@ -110,17 +133,6 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Continuous(Model):
-    """A vehicle in continuous time, which follows commands from the moment that they come."""
-
-    stall_speed: float = 0.0  # airspeed below which it is counted as stalled [m/s]; it flies on
-
-    def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle once no command is in force: nothing changes at once."""
-        return vehicle
-
-
-@dataclass(frozen=True)
 class Vehicle:
     """The state of a simulated vehicle; what is in an engine goes on with its last state alone."""
 
@@ -130,7 +142,7 @@ class Vehicle:
     attitude: Array  # Q, body to world, shape (n, n)
     body_rate: Array  # omega, in the body frame, shape (1,) or (3,) [rad/s]
     fraction: float  # sigma, share of full speed or thrust now applied, in [0, 1]
-    wind: Array = field(default_factory=lambda: np.zeros(0))  # shape (n,) [m/s]; still if empty
+    wind: Array  # shape (n,) [m/s]
     height: float = 0.0  # above the plane that it is to fly in [m]; 0 in space
     climb: float = 0.0  # upwards through the air, out of that plane [m/s]
     facts: Mapping[str, float] = field(default_factory=dict)  # further figures of it, by name
@@ -138,23 +150,6 @@ class Vehicle:
     caught: bool | None = None  # whether it has caught the goal; None where distance decides
     lost: bool = False  # whether it can no longer catch the goal
     engine: Engine | None = None  # that moves it
-
-    def __post_init__(self) -> None:
-        n = len(np.atleast_1d(self.position))
-        if n not in (2, 3):
-            raise BadInput('start.position', n, '2 or 3 numbers')
-        if not len(self.wind):
-            object.__setattr__(self, 'wind', np.zeros(n))
-        number(self.time, 'start.time')
-        number(self.fraction, 'start.speed_fraction', 0.0, 1.0)
-        for name, shape in (
-            ('position', (n,)),
-            ('velocity', (n,)),
-            ('attitude', (n, n)),
-            ('body_rate', (1 if n == 2 else 3,)),
-            ('wind', (n,)),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f'start.{name}'))
 
     @property
     def airspeed(self) -> float:
@@ -189,35 +184,6 @@ def launched(
     return Vehicle(0.0, position, velocity, nearest(attitude), rate, fraction, model.wind)
 
 
-def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
-    """Return the vehicle one step later: flown from the old values, the command then taken over.
-
-    The commanded share of full speed or thrust is clipped to [0, 1].
-    """
-    h = model.step
-    pushed = model.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
-    turning = body_rate if model.rotation_order == 1 else vehicle.body_rate
-    attitude = nearest(vehicle.attitude @ exp(h * turning))  # nearest: no drift off SO(n)
-    fraction = float(np.clip(fraction, 0.0, 1.0))
-    new = model.forward * fraction * attitude[:, 0]
-    mean = 0.5 * (pushed + new) if model.discretisation == 'exact' else pushed
-    way: Array = h * (mean + model.blown)
-    velocity: Array = new + model.wind
-    if model.translation_order == 2:
-        way, velocity = h * vehicle.velocity, vehicle.velocity + way
-        if model.discretisation == 'exact':
-            way = way + h * h * (pushed / 3.0 + new / 6.0 + 0.5 * model.blown)
-    return Vehicle(
-        vehicle.time + h,
-        vehicle.position + way,
-        velocity,
-        attitude,
-        np.array(body_rate),
-        fraction,
-        model.wind,
-    )
-
-
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
     """Return the vehicle on its way from one step to the next, at ``time`` [s]."""
     share = (time - earlier.time) / (later.time - earlier.time)
@@ -248,28 +214,19 @@ def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
 # --- in continuous time
 
 
-@dataclass(frozen=True)
-class Gusts:
-    """A first-order Gauss-Markov process along each axis, the same everywhere.
+def gusts(elapsed: float, dimension: int, memory: float, seed: int) -> Array:
+    """Return a first-order Gauss-Markov process of unit deviation along each axis, shape (n,).
 
-    Its correlation after t is exp(-t/memory). It depends on the time since the start alone: a seed
-    brings the same gusts to whatever flies.
+    Its correlation after t is exp(-t/memory) [s]. It depends on the time since the start [s] alone:
+    a seed brings the same gusts to whatever flies.
     """
-
-    deviation: float = 0.0  # standard, along each axis [m/s], or [m/s^2] at translation order 2
-    memory: float = 3.0  # correlation time [s]
-    seed: int = 0
-
-    def at(self, elapsed: float, dimension: int) -> Array:
-        """Return the gust, shape (n,), at a time since the start [s]."""
-        index = elapsed / SAMPLE
-        before = math.floor(index)
-        share = index - before
-        earlier, later = (
-            _block(self.seed, dimension, self.memory, k // BLOCK)[k % BLOCK]
-            for k in (before, before + 1)
-        )
-        return np.asarray(self.deviation * ((1.0 - share) * earlier + share * later))
+    index = elapsed / SAMPLE
+    before = math.floor(index)
+    share = index - before
+    earlier, later = (
+        _block(seed, dimension, memory, k // BLOCK)[k % BLOCK] for k in (before, before + 1)
+    )
+    return np.asarray((1.0 - share) * earlier + share * later)
 
 
 @lru_cache(maxsize=64)
@@ -287,11 +244,8 @@ def _block(seed: int, dimension: int, memory: float, number: int) -> Array:
     return sealed(samples)
 
 
-CALM = Gusts()
-
-
 @dataclass(frozen=True)
-class Plant(Continuous):
+class Plant(Model):
     """A vehicle in continuous time, pushed along its x axis.
 
     Commands of all orders are taken at once and followed with first-order lags: the orders of a
@@ -304,7 +258,11 @@ class Plant(Continuous):
     max_acceleration: float = 0.0  # its speed changes no faster (order 1) [m/s^2]; 0 for no limit
     gain: float = 1.0  # speed or thrust that it reaches, a share of what is commanded
     drag: float = 0.0  # deceleration by its own velocity (order 2) [1/s]
-    gusts: Gusts = CALM  # on top of the steady wind (order 1) or acceleration (2)
+    # standard deviation of gusts along each axis, on top of the steady wind (order 1) [m/s] or
+    # acceleration (2) [m/s^2]
+    gust: float = 0.0
+    gust_time: float = 3.0  # their correlation time [s]
+    seed: int = 0  # of the gusts
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -321,6 +279,10 @@ class Plant(Continuous):
             return vehicle
         return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
 
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle once no command is in force: nothing changes at once."""
+        return vehicle
+
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
@@ -335,9 +297,9 @@ class Plant(Continuous):
 
     def _wind(self, elapsed: float) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], shape (n,), at a time since the start."""
-        if not self.gusts.deviation:
+        if not self.gust:
             return self.blown
-        return self.blown + self.gusts.at(elapsed, self.dimension)
+        return self.blown + self.gust * gusts(elapsed, self.dimension, self.gust_time, self.seed)
 
     def _limited(self, body_rate: Array) -> Array:
         size = float(np.linalg.norm(body_rate))

@@ -11,11 +11,11 @@ import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.traffic import centre
-from orbimpc_ros.mpc.arrays import Array, frozen
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle
-from orbimpc_ros.sim.vehicle import Continuous, Model, Vehicle
+from orbimpc_ros.sim.vehicle import Model, Vehicle
 
 FINISHES = ('capture', 'arrival')
 ROUNDING = 1e-6  # of the stall speed
@@ -23,31 +23,21 @@ ROUNDING = 1e-6  # of the stall speed
 
 @dataclass(frozen=True)
 class Rope:
-    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis."""
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
+
+    What is one number is that along all axes: a rope of which only the center is told stays there.
+    """
 
     center: Array  # shape (n,) [m]
-    amplitude: Array  # shape (n,) [m]
-    frequency: float  # f [Hz]
-    phase: Array  # shape (n,) [rad]
-    velocity: Array = field(default_factory=lambda: np.zeros(0))  # shape (n,) [m/s]; zero if empty
-
-    def __post_init__(self) -> None:
-        n = len(np.atleast_1d(self.center))
-        if not len(self.velocity):
-            object.__setattr__(self, 'velocity', np.zeros(n))
-        for name in ('center', 'amplitude', 'phase', 'velocity'):
-            object.__setattr__(self, name, frozen(getattr(self, name), (n,), f'rope.{name}'))
+    amplitude: Array | float = 0.0  # shape (n,) [m]
+    frequency: float = 0.0  # f [Hz]
+    phase: Array | float = 0.0  # shape (n,) [rad]
+    velocity: Array | float = 0.0  # shape (n,) [m/s]
 
     def at(self, time: float) -> Array:
         """Return g(t), shape (n,) [m]."""
         angle = 2.0 * np.pi * self.frequency * time + self.phase
         return self.center + self.velocity * time + self.amplitude * np.sin(angle)
-
-
-def fixed(point: Array) -> Rope:
-    """Return a goal that stays at a point, shape (n,) [m]."""
-    still = np.zeros(len(point))
-    return Rope(point, still, 0.0, still)
 
 
 @dataclass(frozen=True)
@@ -181,24 +171,19 @@ class Flight:
             held: how long into the step the command is in force [s]; after that the model's
                 failsafe is.
         """
-        model, later, parts = self.scenario.model, self, list[Flight]()
+        model, trail = self.scenario.model, tuple[Vehicle, ...]()
         if held > 0.0:
-            later = self._flown(min(held, model.step), fraction, body_rate)
-            parts.append(later)
+            span = min(held, model.step)
+            trail = model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
         if held < model.step:
-            safe = replace(later, vehicle=model.released(later.vehicle))
-            left = model.step - max(0.0, held)
-            later = safe._flown(left, model.failsafe_fraction, model.failsafe_turn)
-            parts.append(later)
-        nearest = min(parts, key=lambda flight: flight.miss)
-        kept = {name: getattr(nearest, name) for name in ('miss', 'missed_at', 'headed')}
-        trail = tuple(vehicle for part in parts for vehicle in part.trail)
-        seen = self.airspeeds.seeing(trail)
-        return replace(later, ticks=self.ticks + 1, trail=trail, airspeeds=seen, **kept)
+            released = model.released(trail[-1] if trail else self.vehicle)
+            left, elapsed = model.step - max(0.0, held), released.time - self.scenario.start.time
+            safe = model.failsafe_fraction, model.failsafe_turn
+            trail += model.flown(released, left, *safe, elapsed)
+        return self._along(trail)
 
-    def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
-        """Return the flight after a time [s] under one command, its goal swinging on."""
-        trail = self.scenario.model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
+    def _along(self, trail: Sequence[Vehicle]) -> Flight:
+        """Return the flight after a step along a trail, its goal swinging on."""
         miss, missed_at, headed = np.inf, np.nan, False
         before = self
         for vehicle in trail:
@@ -211,7 +196,15 @@ class Flight:
                 ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
                 headed = is_headed(self.scenario.approach, ends, share)
             before = replace(now, touched=now.touched | before._touched(now))
-        return replace(before, miss=miss, missed_at=missed_at, headed=headed, trail=trail)
+        return replace(
+            before,
+            ticks=self.ticks + 1,
+            miss=miss,
+            missed_at=missed_at,
+            headed=headed,
+            trail=tuple(trail),
+            airspeeds=self.airspeeds.seeing(trail),
+        )
 
     def _touched(self, now: Flight) -> frozenset[int]:
         boxes, way = self.scenario.obstacles, (self.vehicle.position, now.vehicle.position)
@@ -222,12 +215,10 @@ class Flight:
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:
     """Return the flight before its first step; ``time`` [s] moves the start on the clock."""
-    model = scenario.model
-    start = model.begun(scenario.start)
+    start = scenario.model.begun(scenario.start)
     if time is not None:
         start = replace(start, time=time)
-    stall_speed = model.stall_speed if isinstance(model, Continuous) else 0.0
-    seen = Airspeeds(stall_speed).seeing([start])
+    seen = Airspeeds(scenario.model.stall_speed).seeing([start])
     return Flight(replace(scenario, start=start), start, airspeeds=seen)
 
 

@@ -196,13 +196,14 @@ def closed_loop(
         planner.planner.expect_hazards()
     while not (flight.over or flight.touched):
         now, decision, spent = flight.vehicle.time, None, 0.0
-        shown = now + view.faults.jumped(flight.ticks)
+        jump = view.faults.jumped(flight.ticks)
+        shown = now + jump
         if flight.scenario.traffic:
             planner.hear('obstacles', traffic_markers(planner.at(shown), flight, margin), shown)
         if ahead:
             planner.hear('goal_path', future(planner.at(shown), flight, ahead), shown)
-        for sent in view.of(flight):
-            planner.sense(shown, sent.content, sent.content.time + view.faults.jumped(sent.ticks))
+        for seen in view.of(flight):
+            planner.sense(shown, seen, seen.time + jump)
         if planner.stamp != answered:
             answered, begun = planner.stamp, time.thread_time()
             decision = planner.report(shown)

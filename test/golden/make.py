@@ -133,8 +133,8 @@ class Loop:
     def _tell(self, arriving: Iterable) -> None:
         """Let the planner know what is seen, each under the stamp of its measurement."""
         for sent in arriving:
-            stamp = Stamp(round(sent.content.time * SECOND), self._sim.frames)
-            topic, message = sensed(stamp, sent.content)
+            stamp = Stamp(round(sent.time * SECOND), self._sim.frames)
+            topic, message = sensed(stamp, sent)
             if self._hostile and self._draw.uniform() < 0.1:
                 self._hear(topic, self._malformed(message))
             self._hear(topic, message)

@@ -23,15 +23,7 @@ os.environ.setdefault('MUJOCO_GL', 'disable')  # read when MuJoCo is imported: n
 
 
 class EngineFailure(Exception):
-    """An engine stopped, went back in time, or returned numbers that are not finite."""
-
-
-class NoStart(Exception):
-    """An engine cannot begin in the state that was asked for; ``culprit`` is the parameter."""
-
-    def __init__(self, culprit: str, why: str) -> None:
-        super().__init__(why)
-        self.culprit = culprit
+    """An engine cannot begin as it is asked to, stopped, or returned what is not finite."""
 
 
 class Start(NamedTuple):
@@ -97,34 +89,18 @@ class Engine(ABC):
             rate: commanded, in the body frame: to the left, shape (1,), or shape (3,) [rad/s].
 
         Raises:
-            EngineFailure: the engine has stopped.
+            EngineFailure: the engine has stopped, or its numbers are not finite.
         """
         motions, count = [], max(1, round(span / self.tick))
         for k in range(1, count + 1):
             self.fly(push, rate)
             if k % self.every == 0 or k == count:
-                motions.append(self.motion())
+                motion = self.motion()
+                if not motion.finite:
+                    wrong = f'numbers that are not finite at t = {motion.time:.3f} s'
+                    raise EngineFailure(f'{self.name}: {wrong}')
+                motions.append(motion)
         return motions
-
-
-def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:
-    """Return motions that follow on a time ``before`` [s] and last a span [s].
-
-    Raises:
-        EngineFailure: they do not, or have numbers that are not finite.
-    """
-    time = before
-    for motion in motions:
-        if not motion.finite:
-            wrong = f'numbers that are not finite, after t = {time:.3f} s'
-            raise EngineFailure(f'{engine.name}: {wrong}')
-        if motion.time <= time:
-            raise EngineFailure(f'{engine.name}: went from t = {time:.3f} s to {motion.time:.3f} s')
-        time = motion.time
-    if not math.isclose(time, before + span, abs_tol=engine.tick):
-        wrong = f'its clock is at {time:.3f} s, and not at {before + span:.3f} s'
-        raise EngineFailure(f'{engine.name}: {wrong}')
-    return motions
 
 
 def about(axis: int, angle: float) -> Array:

@@ -17,7 +17,7 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, NoStart, Start, about
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start, about
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
@@ -70,7 +70,7 @@ class Cessna(Engine):
         start: in the plane, east and north; its gust is the strength of the turbulence.
 
     Raises:
-        NoStart: there is no level flight at that speed.
+        EngineFailure: there is no level flight at that speed.
     """
 
     name = 'jsbsim'
@@ -90,7 +90,7 @@ class Cessna(Engine):
             self._set({'simulation/do_simple_trim': 1.0})
         except jsbsim.TrimFailureError as error:
             why = f'{self.name}: no level flight at {start.push:g} m/s'
-            raise NoStart('start.speed_fraction', why) from error
+            raise EngineFailure(why) from error
         self._set(_engaged(start.gust))
 
     def _set(self, values: dict[str, float]) -> None:

@@ -25,7 +25,7 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, NoStart, Start, about
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start, about
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next
@@ -70,7 +70,7 @@ class Hummingbird(Engine):
         start: in the plane; the position is that of the hook, and so is that of all motions.
 
     Raises:
-        NoStart: the rope is to be let go too far aside.
+        EngineFailure: the rope is to be let go too far aside.
     """
 
     name = 'mujoco'
@@ -80,8 +80,7 @@ class Hummingbird(Engine):
     def __init__(self, start: Start) -> None:
         aside = start.goal - start.rest
         if math.hypot(*aside) > FARTHEST:
-            why = f'{self.name}: a rope is let go at most {FARTHEST:g} m aside'
-            raise NoStart('rope.amplitude', why)
+            raise EngineFailure(f'{self.name}: a rope is let go at most {FARTHEST:g} m aside')
         # What is wrong is raised, and not put in a file.
         mujoco.set_mju_user_warning(lambda _: None)
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
