@@ -121,8 +121,6 @@ def test_who_is_headed_elsewhere_has_not_caught_the_goal():
         flown = departure(coned).after(1.0, np.zeros(1))
         assert flown.near
         assert flown.captured == done
-    with pytest.raises(BadInput, match=r'approach\.direction is \[\]'):
-        replace(ahead, approach=Approach(0.5))
 
 
 def test_headings_at_the_closest_approach_are_those_between_the_ends():

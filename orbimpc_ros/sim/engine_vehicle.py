@@ -25,14 +25,16 @@ class Kind(NamedTuple):
     libraries: tuple[str, ...]  # that it takes, by the names of their modules
     dimension: int  # in which it is flown
     translation_order: int  # 1, it takes speeds; 2, thrusts
-    moves_goal: bool = False  # whether the goal is a body of the engine, too
+    lacks: tuple[str, ...]  # parameters that mean nothing to it, or that it decides itself
     extra: str = 'physics'  # of this package, that has the libraries
 
 
+PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # of no engine
+ROPE = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # of a goal that is no body
 ENGINES = {
-    'cessna': Kind(('jsbsim',), 2, 1),
-    'hummingbird': Kind(('mujoco', 'rotorpy'), 2, 1, moves_goal=True),
-    'servicer': Kind(('Basilisk',), 3, 2, extra='basilisk'),
+    'cessna': Kind(('jsbsim',), 2, 1, PLAIN),
+    'hummingbird': Kind(('mujoco', 'rotorpy'), 2, 1, (*PLAIN, *ROPE)),
+    'servicer': Kind(('Basilisk',), 3, 2, (*PLAIN, 'gust', 'stall_speed'), extra='basilisk'),
 }
 
 

@@ -29,7 +29,7 @@ from orbimpc_ros.ros.parameters.spec import (
     vector,
 )
 from orbimpc_ros.ros.process import LIFE
-from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
+from orbimpc_ros.sim.engine_vehicle import ENGINES, PLAIN, EnginePlant
 from orbimpc_ros.sim.faults import NO_FAULTS, Faults
 from orbimpc_ros.sim.vehicle import Model, Plant, Vehicle, launched
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
@@ -37,14 +37,9 @@ from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 Made = TypeVar('Made')
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for reporting it
 ALONG_AXES = (0.0, 0.0, 0.0)
-# What only a vehicle in continuous time has; of that, what one in an engine has, by its order of
-# translation; and what is unknown of a goal that an engine moves.
-CONTINUOUS = (
-    *('response.speed', 'response.rate', 'gust', 'gust_time', 'drag', 'gain', 'stall_speed'),
-    'odom_rate',
-)
-OF_ENGINES = {1: ('gust', 'stall_speed', 'odom_rate'), 2: ('odom_rate',)}
-OF_GOAL = ('goal_path_steps', 'rope.frequency', 'rope.velocity')
+# What means nothing, by the vehicle.
+LACKING = {'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'), 'continuous': ()}
+LACKING |= {name: kind.lacks for name, kind in ENGINES.items()}
 
 
 @dataclass(frozen=True)
@@ -216,21 +211,12 @@ class SimSettings(VehicleParameters):
         return vector(numbers, name, self.dimension)
 
     def _refuse_unused(self) -> None:
-        """Refuse what the vehicle does not have, and what its engine decides itself."""
-        kind, unused, zero = self.vehicle, {*CONTINUOUS}, tuple[str, ...]()
-        if kind == 'continuous':
-            return
-        if kind in ENGINES:
-            unused -= {*OF_ENGINES[ENGINES[kind].translation_order]}
-            zero = OF_GOAL if ENGINES[kind].moves_goal else ()
+        """Refuse what means nothing to the vehicle, unless it is zero or has its default."""
         for each in fields(self):
             spec, value = each.metadata.get('parameter'), getattr(self, each.name)
             name = spec.name if spec else ''
-            if name in unused and value != each.default:
-                raise BadInput(name, value, f'{each.default} with vehicle: {kind}')
-            if name in zero and np.any(value):
-                shown = list(value) if isinstance(value, tuple) else value
-                raise BadInput(name, shown, f'0 with vehicle: {kind}')
+            if name in LACKING[self.vehicle] and value != each.default and np.any(value):
+                raise BadInput(name, value, f'{each.default} with vehicle: {self.vehicle}')
 
     def _traffic(self) -> tuple[MovingObstacle, ...]:
         numbers, n = self.given_traffic, self.dimension

@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -311,39 +310,36 @@ class Plant(Model):
         self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array, elapsed: float
     ) -> Vehicle:
         """Return the vehicle after a short time [s], by Simpson's rule."""
-        now = _Actuated(vehicle.attitude, vehicle.body_rate, vehicle.fraction)
-        pushes, wind, end = list[Array](), vehicle.wind, now
+        pushes, wind, end = list[Array](), vehicle.wind, vehicle
         for after in (0.0, 0.5 * dt, dt):
-            end, wind = self._actuated(now, after, fraction, body_rate), self._wind(elapsed + after)
+            end = self._actuated(vehicle, after, fraction, body_rate)
+            wind = self._wind(elapsed + after)
             pushes.append(self._pushed(end) + wind)
         if self.translation_order == 1:
             way, velocity = dt / 6.0 * (pushes[0] + 4.0 * pushes[1] + pushes[2]), pushes[2]
         else:
             way, velocity = self._accelerated(vehicle.velocity, pushes, dt)
             wind = vehicle.wind
-        return Vehicle(
-            vehicle.time + dt,
-            vehicle.position + way,
-            velocity,
-            nearest(end.attitude),  # nearest: no drift off SO(n)
-            end.body_rate,
-            end.fraction,
-            wind,
+        attitude = nearest(end.attitude)  # nearest: no drift off SO(n)
+        time, position = vehicle.time + dt, vehicle.position + way
+        return replace(
+            end, time=time, position=position, velocity=velocity, attitude=attitude, wind=wind
         )
 
-    def _actuated(self, now: _Actuated, dt: float, fraction: float, body_rate: Array) -> _Actuated:
-        """Return attitude and actuators after a time [s]; the attitude by the mean rate."""
+    def _actuated(self, now: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
+        """Return a vehicle with its attitude, by the mean rate, and actuators after a time [s]."""
         lag, apart = self.rate_lag, now.body_rate - body_rate
         left = math.exp(-dt / lag) if lag else 0.0
         turned = dt * body_rate + lag * (1.0 - left) * apart
         limit = self.max_acceleration / (self.forward * self.gain) or math.inf
-        return _Actuated(
-            now.attitude @ exp(turned),
-            body_rate + left * apart,
-            lagged(now.fraction, fraction, self.speed_lag, dt, limit),
+        return replace(
+            now,
+            attitude=now.attitude @ exp(turned),
+            body_rate=body_rate + left * apart,
+            fraction=lagged(now.fraction, fraction, self.speed_lag, dt, limit),
         )
 
-    def _pushed(self, now: _Actuated | Vehicle) -> Array:
+    def _pushed(self, now: Vehicle) -> Array:
         """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
         return np.asarray(self.gain * self.forward * now.fraction * now.attitude[:, 0])
 
@@ -361,14 +357,6 @@ class Plant(Model):
         d = third - self.drag * (velocity + dt * c)
         way = dt * velocity + dt * dt / 6.0 * (a + b + c)
         return way, velocity + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-
-
-class _Actuated(NamedTuple):
-    """Where a vehicle points and what its actuators do: fields of a :class:`Vehicle`."""
-
-    attitude: Array
-    body_rate: Array
-    fraction: float
 
 
 def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle
 from orbimpc_ros.sim.vehicle import Model, Vehicle
 
@@ -61,11 +61,6 @@ class Scenario:
     approach: Approach = field(default_factory=Approach)  # headings that count at a capture
     rope_length: float = 0.0  # the rope hangs so far, half of it above the plane of flight [m]
 
-    def __post_init__(self) -> None:
-        self.approach.validate(self.model.dimension)
-        if self.approach.is_the_goals:
-            raise BadInput('approach.direction', [], f'{self.model.dimension} numbers')
-
 
 @dataclass(frozen=True)
 class Airspeeds:
@@ -78,13 +73,10 @@ class Airspeeds:
 
     def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
         """Return the record with these vehicles, in order of time, added."""
-        seen = self
-        for vehicle in vehicles:
-            speed = vehicle.airspeed
-            stalled = speed < self.stall_speed * (1.0 - ROUNDING)
-            stalls = seen.stalls + (stalled and not seen.stalled)
-            seen = replace(seen, least=min(seen.least, speed), stalls=stalls, stalled=stalled)
-        return seen
+        speeds = [vehicle.airspeed for vehicle in vehicles]
+        slow = [self.stalled, *(each < self.stall_speed * (1.0 - ROUNDING) for each in speeds)]
+        stalls = self.stalls + sum(now and not before for before, now in pairwise(slow))
+        return replace(self, least=min(self.least, *speeds), stalls=stalls, stalled=slow[-1])
 
 
 @dataclass(frozen=True)
