@@ -73,11 +73,6 @@ def test_an_odd_speed_is_one_through_the_air():
     assert 'of 1.5 m/s' in known(Problem(), along, 'air').odd_speed(seen)
 
 
-def test_a_wind_of_another_dimension_is_refused():
-    with pytest.raises(BadInput, match='wind'):
-        Model(3, disturbance=(1.0, 2.0))
-
-
 # --- delays
 
 
