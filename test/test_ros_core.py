@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.proof.document import WORD, parsed, verified
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, RosTime, Stamp
+from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.planner.outputs import (
@@ -126,7 +126,7 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
         message = messages.odometry_message(
             Stamp(round(seconds * SECOND), FRAMES), measured(vehicle)
         )
-        driven.inputs.update('odom', message, seconds, RosTime(stamp(seconds)))
+        driven.inputs.update('odom', message, seconds, stamp(seconds))
         driven.goal(seconds, seconds)
         assert driven.report(seconds + 0.05).advanced == 0.0
 
@@ -216,7 +216,7 @@ def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
     driven = Driven(safe_command='hold_rate_zero')
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
-    planned = driven.decide(0.0, RosTime(stamp(0.0)))
+    planned = driven.decide(0.0, stamp(0.0))
     assert planned.command.speed_fraction > 0.5
     assert driven.safe().command.speed_fraction == 0.0
     driven.planner.sent(planned.command, stamp(0.0) / SECOND)
@@ -468,7 +468,7 @@ def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected(monkeyp
     monkeypatch.setattr(driven.planner, 'step', lambda *_: decided)
     for now in range(5):
         driven.odometry(now, now)
-        driven.decide(now, RosTime(stamp(now)))
+        driven.decide(now, stamp(now))
     assert driven.counts == {'deadline misses': 2, 'overruns': 1}
     assert driven.expected == pytest.approx(0.01)
 

@@ -15,7 +15,7 @@ from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, RosTime, Stamp, header, read_obstacle, shown
+from orbimpc_ros.ros.messages import Frames, Stamp, header, read_obstacle, shown
 from orbimpc_ros.ros.planner.core import Inputs, others
 
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
@@ -129,7 +129,7 @@ def test_what_is_shown_of_a_body_is_read_as_that_body(dimension):
 def test_a_bad_marker_is_refused_counted_and_the_rest_goes_on(inputs, change, culprit):
     inputs.update('odom', odometry(1.0), 0.0)
     bad = marker(**{'number': 1, **change})
-    refusal = inputs.update('obstacles', array(bad, marker(), bad), 0.0, RosTime(10**9))
+    refusal = inputs.update('obstacles', array(bad, marker(), bad), 0.0, 10**9)
     assert refusal.startswith(f'obstacles refused: 2 times: {culprit} is ')
     assert '\n' not in refusal
     assert inputs.refused == {f'obstacles: {culprit}': 2}
@@ -228,7 +228,7 @@ def test_a_plan_is_kept_clear_of_by_the_radius(inputs):
 )
 def test_a_bad_plan_is_refused_and_the_last_one_flown_on(inputs, change, culprit):
     inputs.update(OTHER, plan(1.0), 0.0)
-    refusal = inputs.update(OTHER, plan(**{'seconds': 1.1, **change}), 0.0, RosTime(10**9))
+    refusal = inputs.update(OTHER, plan(**{'seconds': 1.1, **change}), 0.0, 10**9)
     assert refusal.startswith(f'{OTHER} refused: {culprit}')
     assert inputs.refused == Counter({f'{OTHER}: {culprit}': 1})
     assert len(hazards(inputs)) == 1

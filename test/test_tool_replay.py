@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Frames, RosTime, Stamp, shown
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, shown
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, launched, measured
@@ -456,7 +456,7 @@ def flown(late):
     told, answers, pending, clearances = [], [], [], []
 
     def hear(each):
-        planner.inputs.update(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
+        planner.inputs.update(each.topic, each.message, each.sent / SECOND, each.sent)
 
     for second in range(1, 4):
         for each in inputs(second):

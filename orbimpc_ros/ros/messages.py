@@ -113,22 +113,6 @@ class Stamp:
     frames: Frames = field(default_factory=Frames)
 
 
-@dataclass(frozen=True)
-class RosTime:
-    """What the node's ROS clock shows.
-
-    Attributes:
-        nanoseconds: the time [ns]; None if it is not known, as before simulated time starts.
-        lag: how far it may trail: simulated time moves only when a message says so [s].
-    """
-
-    nanoseconds: int | None = None
-    lag: float = 0.0
-
-
-UNKNOWN = RosTime()
-
-
 # --- reading
 
 

@@ -287,13 +287,11 @@ class NodeClock:
 
     Attributes:
         simulated: whether time comes from ``/clock``; that cannot change while the node runs.
-        lag: how far it may trail [s].
     """
 
     def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
         self._clock, self._on_jump = node.get_clock(), on_jump
         self.simulated = bool(node.get_parameter('use_sim_time').value)
-        self.lag = step if self.simulated else 0.0
         self._offset: float | None = None  # from the steady clock to this one [s]
         self._stood: tuple[int, float] | None = None  # what was shown, and since when [ns], [s]
         threshold = JumpThreshold(

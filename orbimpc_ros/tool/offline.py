@@ -16,7 +16,7 @@ from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
-from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import PLAN, Core, others, planner_of
@@ -86,7 +86,7 @@ class OfflinePlanner(Core):
         """
         known = self.inputs.odometry
         assert known is not None
-        at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
+        at = known.stamp.nanoseconds + round(advanced * SECOND)
         decision = self.decide(now, at, fresh=True)
         if decision.solve_time_ms and solve_time_ms is not None:
             decision = replace(decision, solve_time_ms=solve_time_ms)
@@ -96,7 +96,7 @@ class OfflinePlanner(Core):
         """Answer with the safe command, for a reason that is no solver's."""
         known = self.inputs.odometry
         frames = self.settings.frames if known is None else known.stamp.frames
-        return self._messages(Stamp(stamp, frames), self.decide(0.0, UNKNOWN, reason))
+        return self._messages(Stamp(stamp, frames), self.decide(0.0, None, reason))
 
     def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
         """Note the command that was published; by default the last answer's.
@@ -127,7 +127,7 @@ class OfflinePlanner(Core):
 
     def hear(self, topic: str, message: Any, now: float) -> None:
         """Take in a message at a time [s]."""
-        self.inputs.update(topic, message, now, RosTime(_nanoseconds(now)))
+        self.inputs.update(topic, message, now, _nanoseconds(now))
 
     def sense(
         self, now: float, content: Odometry | GoalObservation, measured: float | None = None
@@ -139,7 +139,7 @@ class OfflinePlanner(Core):
     def report(self, now: float) -> Decision:
         """Plan at a time [s]; return what was decided and has been sent."""
         at = _nanoseconds(now)
-        decision = self.decide(now, RosTime(at))
+        decision = self.decide(now, at)
         self.planner.sent(decision.command, at / SECOND)
         return decision
 

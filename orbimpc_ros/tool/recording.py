@@ -22,7 +22,7 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
-from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, RosTime, pushed
+from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, pushed
 from orbimpc_ros.ros.messages import stamp_of as stamp_of_markers
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, read, require_attitude
@@ -275,6 +275,7 @@ class Feed:
     def __init__(self, planner: OfflinePlanner, recording: Recording, simulated: bool) -> None:
         self._planner, self._inputs = planner, list(recording.inputs)
         self._simulated = simulated
+        planner.inputs.lag = planner.settings.step if simulated else 0.0
         self._clock: int | None = None
         self._counts: Counter[str] = Counter()
 
@@ -308,8 +309,7 @@ class Feed:
         if each.topic == CLOCK:
             self._clock = each.stamp
             return ''
-        step = self._planner.settings.problem.step
-        shown = RosTime(self._clock, step) if self._simulated else RosTime(each.sent)
+        shown = self._clock if self._simulated else each.sent
         return self._planner.inputs.update(each.topic, each.message, each.sent / SECOND, shown)
 
 

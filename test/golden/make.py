@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, RosTime, Stamp
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.core import DISABLED
 from orbimpc_ros.ros.topics import TYPES, topics_of
@@ -106,6 +106,7 @@ class Loop:
         self._planner = planner_settings(values)
         self._sim = sim_settings(settings.of_sim(values))
         self._pilot, self._bag, self._hostile = OfflinePlanner(self._planner), bag, hostile
+        self._pilot.inputs.lag = self._planner.step
         self._view = View(self._sim.faults, self._sim.seed, self._sim.scenario.model.step)
         self._order = (0.0, np.zeros(self._sim.scenario.model.rates))
         self._draw = np.random.default_rng(self._sim.seed)
@@ -141,8 +142,7 @@ class Loop:
 
     def _hear(self, topic: str, message: object) -> None:
         self._say(topic, message)
-        clock = RosTime(self._at, self._planner.problem.step)
-        self._pilot.inputs.update(topic, message, self._said / SECOND, clock)
+        self._pilot.inputs.update(topic, message, self._said / SECOND, self._at)
 
     def _malformed(self, message):
         """Return a message that must be refused: of a kind that validators look for."""

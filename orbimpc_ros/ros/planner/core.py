@@ -2,7 +2,7 @@
 """The planner without its node: messages taken in or refused, and decisions on what they brought.
 
 The node, replays and flights in one process share it. Times named ``now`` are of the steady clock
-[s], those named ``ros`` of the node's ROS clock.
+[s], those named ``ros`` of the node's ROS clock [ns], None while that is not known.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, UNKNOWN, RosTime, Stamp, read_obstacle, stamp_of
+from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
@@ -89,11 +89,11 @@ class Received(Generic[T]):
     run: int = 1
     moved: Any = None
 
-    def age(self, now: float, ros: RosTime = UNKNOWN) -> float:
+    def age(self, now: float, ros: int | None = None) -> float:
         """Return how old it is [s]: by its arrival or its stamp, whichever makes it older."""
         return max(now - self.at, self.delay(ros))
 
-    def delay(self, ros: RosTime) -> float:
+    def delay(self, ros: int | None) -> float:
         """Return how old it is by its stamp [s]; 0 where that is unknown."""
         return max(0.0, _since(self.stamp.nanoseconds, ros)) if self.timed else 0.0
 
@@ -110,6 +110,7 @@ class Inputs:
         others: topics of other vehicles' plans, as they are resolved.
 
     Attributes:
+        lag: how far the ROS clock may trail: simulated time moves when a message says so [s].
         latest: message of each topic that has one.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
@@ -130,7 +131,7 @@ class Inputs:
         names: Mapping[str, str] | None = None,
         others: Iterable[str] = (),
     ) -> None:
-        self.settings, self.others = settings, tuple(others)
+        self.settings, self.others, self.lag = settings, tuple(others), 0.0
         self.names = {each: each for each in NAMED} | dict(names or {})
         self.latest: dict[str, Received[Any]] = {}
         self.forecast = FORECASTS[settings.goal_prediction]()
@@ -174,7 +175,7 @@ class Inputs:
 
     # --- messages
 
-    def update(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
+    def update(self, topic: str, message: Any, now: float, ros: int | None = None) -> str:
         """Take in a message; return why it was refused, or an empty string."""
         odd = ''
         try:
@@ -197,7 +198,7 @@ class Inputs:
         self._shares.update(t for t, stamp in self._stamps.items() if stamp == time)
         return odd
 
-    def _take(self, topic: str, message: Any, now: float, ros: RosTime) -> None:
+    def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
         """Take in odometry, a goal or a wind.
 
         Raises:
@@ -208,7 +209,7 @@ class Inputs:
         if is_goal and message.header.frame_id:
             message = self._placed(message)
         stamp, value = read(topic, message, settings)
-        apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance))
+        apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance + self.lag))
         by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: of its arrival
         timeout = settings.goal_timeout if topic != 'odom' else settings.odom_timeout
         fresh = last is not None and now - last.at <= timeout
@@ -334,7 +335,7 @@ class Inputs:
 
     # --- what moves around the vehicle
 
-    def _take_plan(self, topic: str, message: Any, ros: RosTime) -> None:
+    def _take_plan(self, topic: str, message: Any, ros: int | None) -> None:
         """Take in the plan of another vehicle.
 
         Raises:
@@ -350,9 +351,9 @@ class Inputs:
             self._periods[topic] = stamp.nanoseconds - last
         self.agents[topic], self.traffic_stamps[topic] = agent, stamp.nanoseconds
 
-    def _require_current(self, stamp: int, lifetime: float, ros: RosTime) -> None:
+    def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
         """Refuse a stamp [ns] of the future, or older than a lifetime [s] when odometry came."""
-        _past(stamp, ros, self.settings.future_tolerance)
+        _past(stamp, ros, self.settings.future_tolerance + self.lag)
         limit = min(lifetime, COMPARABLE)
         if self.odometry is None or (age := (self._time - stamp) / SECOND) <= limit:
             return
@@ -360,7 +361,7 @@ class Inputs:
             raise BadInput.stating('unset stamp', '0', NOT_SET)
         raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
 
-    def _take_obstacles(self, message: Any, ros: RosTime) -> str:
+    def _take_obstacles(self, message: Any, ros: int | None) -> str:
         """Take in markers, each by itself; return in a line what is refused or odd."""
         found: dict[str, list[str]] = {}  # by what is to blame
         count = len(message.markers)
@@ -382,7 +383,7 @@ class Inputs:
         refused = f'{name} refused: {"; ".join(parts.values())}' if parts else ''
         return '; '.join(filter(None, (refused, f'{name}: {jumps}' if jumps else '')))
 
-    def _take_marker(self, marker: Any, ros: RosTime) -> tuple[str, str]:
+    def _take_marker(self, marker: Any, ros: int | None) -> tuple[str, str]:
         """Take in a marker; return what is to blame, and how, where it is refused or odd."""
         settings = self.settings
         try:
@@ -534,7 +535,7 @@ class Inputs:
         }
 
     def snapshot(
-        self, now: float, ros: RosTime = UNKNOWN, *, stop: Reason | None = None, taking: float = 0.0
+        self, now: float, ros: int | None = None, *, stop: Reason | None = None, taking: float = 0.0
     ) -> Snapshot:
         """Return all that a decision is made of.
 
@@ -558,7 +559,7 @@ class Inputs:
         if known is None:
             return Snapshot(None, motion, wanted, goal_age=age, stop=stop)
         wind = self.latest.get('wind')
-        compensated = self.settings.delay_compensation and known.timed and ros.nanoseconds
+        compensated = self.settings.delay_compensation and known.timed and ros
         return Snapshot(
             odometry=known.value,
             goal=motion,
@@ -571,7 +572,7 @@ class Inputs:
             stop=stop,
         )
 
-    def goal_at(self, now: float, ros: RosTime = UNKNOWN) -> tuple[Array, Array | None] | None:
+    def goal_at(self, now: float, ros: int | None = None) -> tuple[Array, Array | None] | None:
         """Return where the goal is at the latest odometry's time, and its attitude, if known.
 
         None unless it is fresh and nothing is missing.
@@ -585,7 +586,7 @@ class Inputs:
             return motion.place(np.array([motion.nearest(measured.position)]))[0], None
         return motion.at(np.array([measured.time]))[0], snapshot.wanted
 
-    def _goal_age(self, topic: str, now: float, ros: RosTime) -> float:
+    def _goal_age(self, topic: str, now: float, ros: int | None) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
         given, goal = self.settings.given_goal_timeout, self.latest[topic]
         route = isinstance(goal.value, Route)
@@ -595,18 +596,18 @@ class Inputs:
         return goal.age(now, ros) if ages else 0.0
 
 
-def _since(stamp: int, ros: RosTime) -> float:
+def _since(stamp: int, ros: int | None) -> float:
     """Return the time since a stamp [ns], negative before it [s]; NaN if it is not known."""
-    return math.nan if ros.nanoseconds is None else (ros.nanoseconds - stamp) / SECOND
+    return math.nan if ros is None else (ros - stamp) / SECOND
 
 
-def _past(stamp: int, ros: RosTime, tolerance: float) -> float:
-    """Return the time since a stamp [ns], which is not ahead by more than a tolerance [s].
+def _past(stamp: int, ros: int | None, allowed: float) -> float:
+    """Return the time since a stamp [ns], which is not ahead by more than is allowed [s].
 
     Raises:
         BadInput: it is.
     """
-    since, allowed = _since(stamp, ros), tolerance + ros.lag
+    since = _since(stamp, ros)
     if -since > allowed:
         ahead_of = f"{allowed:g} s ahead of this node's clock"
         raise BadInput('future stamp', f'{-since:.3g} s ahead', f'at most {ahead_of}')
@@ -729,7 +730,7 @@ class Core:
         self.answered = -1
 
     def unsafe(
-        self, now: float, ros: RosTime = UNKNOWN, stop: Reason | None = None
+        self, now: float, ros: int | None = None, stop: Reason | None = None
     ) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
         known = self.inputs.odometry  # a whole snapshot would forget bodies, which replays do not
@@ -743,7 +744,7 @@ class Core:
         topic: str,
         message: Any,
         now: float,
-        ros: RosTime,
+        ros: int | None,
         stop: Reason | None = None,
         *,
         answering: bool = True,
@@ -777,7 +778,7 @@ class Core:
     def decide(
         self,
         now: float,
-        ros: RosTime = UNKNOWN,
+        ros: int | None = None,
         stop: Reason | None = None,
         *,
         fresh: bool = False,
@@ -802,16 +803,14 @@ class Core:
             # what it limits is the same on every machine, however busy.
             looked = (LOOK * looks for looks in itertools.count(1)).__next__
             self._deadline = Deadline(looked, min(given, LONGEST))
-        at = None if ros.nanoseconds is None else ros.nanoseconds / SECOND + taking
+        at = None if ros is None else ros / SECOND + taking
         decision = self.planner.step(snapshot, at, self._deadline)
         took = self._clock() - begun
         if decision.state is None:
             return decision
         self.outdated = None
         if snapshot.odometry_age + took > self.settings.odom_timeout:
-            later = ros
-            if ros.nanoseconds is not None and not self._simulated:
-                later = replace(ros, nanoseconds=ros.nanoseconds + round(took * SECOND))
+            later = ros if ros is None or self._simulated else ros + round(took * SECOND)
             self.outdated = self.unsafe(now + took, later)
         self._recent.append(took)
         self.counts['deadline misses'] += took > self.settings.deadline

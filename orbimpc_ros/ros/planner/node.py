@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.entry import report_compilation, without_compiler
-from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, RosTime, Stamp, health_message
+from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, Stamp, health_message
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner import core, outputs
@@ -176,6 +176,7 @@ class PlannerNode(Managed):
             names=names,
             others=core.others(settings.avoid, names[core.PLAN], self.resolve_topic_name),
         )
+        self._core.inputs.lag = settings.step if self._time.simulated else 0.0
         self._create_subscriptions(settings)
         self._create_timers(settings)
         self._live.keep(planner_of, self._install)
@@ -286,9 +287,9 @@ class PlannerNode(Managed):
         self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
 
     @property
-    def ros_now(self) -> RosTime:
-        """Return the time of the ROS clock; simulated time is unknown until it starts."""
-        return RosTime(self.get_clock().now().nanoseconds or None, self._time.lag)
+    def ros_now(self) -> int | None:
+        """Return the time of the ROS clock [ns]; simulated time is unknown until it starts."""
+        return self.get_clock().now().nanoseconds or None
 
     # --- inputs
 
