@@ -125,7 +125,7 @@ def test_a_vehicle_under_an_autopilot_arrives(name, launch, observer):
     assert {command.header.frame_id for command in rover.commands} == {'base_link'}
     assert told(rover.ticks[-1])['status'] in ('optimal', 'feasible')
     assert rover.planner.stop() == 0
-    assert 'velocity_frame' not in rover.planner.output
+    assert 'see velocity_frame' not in rover.planner.output
 
 
 def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):

@@ -130,7 +130,8 @@ def test_a_bad_marker_is_refused_counted_and_the_rest_goes_on(inputs, change, cu
     inputs.update('odom', odometry(1.0), 0.0)
     bad = marker(**{'number': 1, **change})
     refusal = inputs.update('obstacles', array(bad, marker(), bad), 0.0, 10**9)
-    assert refusal.startswith(f'obstacles refused: 2 times: {culprit} is ')
+    assert refusal.startswith(f'obstacles refused: {culprit} is ')
+    assert refusal.endswith(' (the first of 2)')
     assert '\n' not in refusal
     assert inputs.refused == {f'obstacles: {culprit}': 2}
     assert len(hazards(inputs)) == 1
@@ -165,7 +166,7 @@ def test_a_jump_is_told_and_counted(inputs):
 def test_ten_thousand_markers_are_too_many_and_those_known_stay(inputs):
     crowd = array(*(marker(place=(0.01 * k, 5.0, 0.0), number=k) for k in range(10_000)))
     refusal = inputs.update('obstacles', crowd, 0.0)
-    assert refusal.startswith('obstacles refused: count is 10000 markers; allowed: 1000')
+    assert refusal.startswith('obstacles refused: count is 10000; allowed: 1000')
     assert len(hazards(inputs)) == 1000
     assert 'count is b/0' in inputs.update('obstacles', array(marker(ns='b')), 0.0)
     assert inputs.refused == {'obstacles: count': 2}

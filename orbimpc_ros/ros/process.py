@@ -74,12 +74,7 @@ class Managed(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        try:
-            Node.__init__(self, name, parameter_overrides=list(parameters))
-        except InvalidParameterTypeException as error:  # of a parameter that every node has
-            wrong = next(each for each in self._parameter_overrides if each in str(error))
-            given = self._parameter_overrides[wrong].value
-            raise BadInput(wrong, given, 'true | false') from None
+        Node.__init__(self, name, parameter_overrides=list(parameters))
         self.kind = name
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -465,7 +460,8 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
                 return _ended(error, BAD_INPUT)
             _require_ros_words(words)
             return _live(_begun(make))
-    except BadInput as error:
+    # The latter is of a parameter that every node has.
+    except (BadInput, InvalidParameterTypeException) as error:
         return _ended(error, BAD_INPUT)
     except rclpy_implementation.RCLError as error:  # as where security is asked for and missing
         return _ended(f'the node cannot be created: {error}', FAILED)

@@ -362,44 +362,35 @@ class Inputs:
         raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
 
     def _take_obstacles(self, message: Any, ros: int | None) -> str:
-        """Take in markers, each by itself; return in a line what is refused or odd."""
-        found: dict[str, list[str]] = {}  # by what is to blame
-        count = len(message.markers)
+        """Take in markers, each by itself; return in a line the first that is refused or odd."""
+        odd, count = list[tuple[str, str]](), len(message.markers)  # what is to blame, and how
         if count > MOST:  # to read them all would take long
-            first = BadInput('count', f'{count} markers', f'{MOST}: the first are taken')
-            found[first.culprit] = [str(first)]
-        for marker in message.markers[:MOST]:
-            culprit, said = self._take_marker(marker, ros)
-            if culprit:
-                found.setdefault(culprit, []).append(said)
+            odd.append(
+                ('count', f' refused: count is {count}; allowed: {MOST}: the first are taken')
+            )
+        odd += filter(None, (self._take_marker(marker, ros) for marker in message.markers[:MOST]))
         self.traffic_stamps[OBSTACLES] = stamp_of(message)
-        for culprit, words in found.items():
-            self.refused[f'{OBSTACLES}: {culprit}'] += len(words)
-        parts = {
-            culprit: f'{"" if len(words) == 1 else f"{len(words)} times: "}{words[0]}'
-            for culprit, words in found.items()
-        }
-        jumps, name = parts.pop('jump', ''), self.names[OBSTACLES]
-        refused = f'{name} refused: {"; ".join(parts.values())}' if parts else ''
-        return '; '.join(filter(None, (refused, f'{name}: {jumps}' if jumps else '')))
+        self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
+        more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
+        return f'{self.names[OBSTACLES]}{odd[0][1]}{more}' if odd else ''
 
-    def _take_marker(self, marker: Any, ros: int | None) -> tuple[str, str]:
+    def _take_marker(self, marker: Any, ros: int | None) -> tuple[str, str] | None:
         """Take in a marker; return what is to blame, and how, where it is refused or odd."""
         settings = self.settings
         try:
             seen = read_obstacle(marker, settings.problem.dimension, settings.frames, self._placed)
-            if isinstance(seen, str):
-                self.bodies.remove(seen)
-            elif seen is None:
+            if seen is None:
                 self.bodies.clear()
+            elif isinstance(seen, str):
+                self.bodies.remove(seen)
             else:
                 stamp, body = seen
                 self._require_current(stamp.nanoseconds, body.lifetime, ros)
-                jump = self.bodies.see(body, settings.obstacle_speed_limit)
-                return 'jump' if jump else '', jump
+                if jump := self.bodies.see(body, settings.obstacle_speed_limit):
+                    return 'jump', f': {jump}'
         except BadInput as error:
-            return error.culprit, str(error)
-        return '', ''
+            return error.culprit, f' refused: {error}'
+        return None
 
     def traffic(self, at: float) -> Traffic | None:
         """Return what is known at a time [s]; None where nothing was ever heard."""

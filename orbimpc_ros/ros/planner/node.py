@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
@@ -129,7 +128,6 @@ CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh st
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
 SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
 LULL = 10.0  # [s] the same, once it has come: lock-step waits for slow planners
-RESTLESS = 4  # changes of the mode within a second that are not a pilot's
 QUIET = 10.0  # [s] for which the same line is not logged again
 NUMBER = re.compile(r'(?<![\w/])[-+]?\d+(\.\d+)?(e[-+]?\d+)?')
 
@@ -140,7 +138,6 @@ class PlannerNode(Managed):
     def __init__(self) -> None:
         super().__init__('planner')
         self._logged: dict[str, float] = {}  # when each line was logged last [s]
-        self._introduced = ''  # the vehicle, as it was described last
         report_compilation(self.get_logger().info)
         if not COMPILED:
             self._log(without_compiler(), warn=True)
@@ -155,7 +152,7 @@ class PlannerNode(Managed):
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # when it was last looked around [s]
         self._ticked, self._late_ticks = math.inf, 0  # when the timer ticked last [s]
-        self._mode_changes, self._changes = 0, deque[float](maxlen=RESTLESS)
+        self._mode_changes = 0
         settings = self._live.settings()
         self._gate = not settings.gated
         # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
@@ -180,7 +177,7 @@ class PlannerNode(Managed):
         self._create_subscriptions(settings)
         self._create_timers(settings)
         self._live.keep(planner_of, self._install)
-        self._introduce(settings)
+        self.get_logger().info(summary(settings, self._time.simulated))
         given = {name: each.value for name, each in self._parameter_overrides.items()}
         for doubt in doubts(settings, given):
             self.get_logger().warning(doubt)
@@ -202,14 +199,7 @@ class PlannerNode(Managed):
 
     def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
         self._core.install(*prepared)
-        self._introduce(self._core.settings)
-
-    def _introduce(self, settings: PlannerSettings) -> None:
-        """Log what vehicle the parameters describe, at the start and when that has changed."""
-        described = summary(settings, self._time.simulated)
-        if described != self._introduced:
-            self.get_logger().info(f'{"from now on " if self._introduced else ""}{described}')
-        self._introduced = described
+        self.get_logger().info(f'from now on {summary(prepared[0], self._time.simulated)}')
 
     # --- wiring
 
@@ -341,7 +331,6 @@ class PlannerNode(Managed):
         if self._engaged:
             self._core.planner.start_afresh()
         self._mode_changes += 1
-        self._changes.append(self.steady_now())
         self._log(words)
         self._show_changes()
 
@@ -529,13 +518,11 @@ class PlannerNode(Managed):
         inputs, now = self._core.inputs, self.steady_now()
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         other = f"stamps of {inputs.untimed} are not of this node's clock" if inputs.untimed else ''
-        restless = left_out = ''
-        if len(self._changes) == RESTLESS and now - self._changes[0] <= 1.0:
-            restless = f'the mode has changed {RESTLESS} times within 1 s, each time afresh'
+        left_out = ''
         if self._decision is not None and (count := self._decision.left_out):
             left_out = f'{count} obstacles within reach are left out: too many'
         refused = self._refusal if now - self._refused_at < REFUSED else ''
-        ends = self._monitor.rivals, still, other, self._frame_check.doubt, restless
+        ends = self._monitor.rivals, still, other, self._frame_check.doubt
         return [*ends, *inputs.silences(), left_out, inputs.displaced, refused]
 
     def _condition(self) -> tuple[bytes, list[str]]:

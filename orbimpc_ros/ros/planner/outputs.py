@@ -302,14 +302,13 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
             f'{math.degrees(turned):.4g} deg at most: past a goal behind it the vehicle may not '
             f'turn round; half a turn takes a horizon of {needed}'
         )
-    if given.get('approach.cone', 0.0) and not settings.approach.exists:
-        asked = f'approach.cone is {given["approach.cone"]:g} and objective track'
-        found.append(f'{asked}: it has no effect')
-    for name in ('floor.fraction', 'floor.faces'):
-        unused = name.removeprefix('floor.') not in floor.parameters
-        if unused and given.get(name, DEFAULTS[name]) != DEFAULTS[name]:
-            asked = f'{name} is {given[name]:g} and floor.shape {floor.shape}'
-            found.append(f'{asked}: it has no effect')
+    for name, used, beside in (
+        ('approach.cone', settings.approach.exists, f'objective {settings.objective}'),
+        ('floor.fraction', 'fraction' in floor.parameters, f'floor.shape {floor.shape}'),
+        ('floor.faces', 'faces' in floor.parameters, f'floor.shape {floor.shape}'),
+    ):
+        if not used and given.get(name, DEFAULTS[name]) != DEFAULTS[name]:
+            found.append(f'{name} is {given[name]:g} and {beside}: it has no effect')
     return found
 
 
