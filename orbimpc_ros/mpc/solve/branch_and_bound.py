@@ -274,7 +274,7 @@ class _Run:
         if posed.request.late:  # to branch may take as long as to solve
             self._close(node.bound)
             return
-        self._branch(node, missed, relaxed.dual_value, trajectory.headings[1:])
+        self._branch(node, missed, relaxed.bound, trajectory.headings[1:])
 
     def _rows(self, node: Node) -> dict[int, Held]:
         """Return the half-spaces of a node, by choice."""

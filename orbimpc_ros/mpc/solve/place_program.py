@@ -141,8 +141,12 @@ def _set_values(gram, free, held, count):
 
 
 @compiled
-def _set_slope(known, q, held, count, slope):
-    """Set the gradient of the Lagrangian at the iterate, shape (N, n); zero but for rounding."""
+def _refine(known, q, held, count, slope):
+    """Bring the places of the minimiser to where the gradient vanishes, as far as can be told.
+
+    The inverse of an ill-conditioned Hessian leaves more of it than the bound of a small cost can
+    do without. One step of iterative refinement is enough.
+    """
     steps, n = q.shape
     for k in range(steps):
         for c in range(n):
@@ -151,25 +155,13 @@ def _set_slope(known, q, held, count, slope):
                 slope[k, c] += known.hessian[k, j] * held.values[j, c]
             for i in range(count):
                 slope[k, c] -= held.u[i] * known.maps[held.at[i], k] * held.normals[i, c]
-
-
-@compiled
-def _refine(known, q, held, count, slope, move):
-    """Bring the places of the minimiser to where the gradient vanishes, as far as can be told.
-
-    The inverse of an ill-conditioned Hessian leaves more of it than a bound of a small cost, which
-    gives up what is left, can do with. One step of iterative refinement is enough.
-    """
-    _set_slope(known, q, held, count, slope)
-    steps, n = q.shape
     for c in range(n):
         for k in range(steps):
-            move[k, c] = 0.0
+            move = 0.0
             for j in range(steps):
-                move[k, c] -= known.inverse[k, j] * slope[j, c]
-        for p in range(len(held.values)):
-            for k in range(steps):
-                held.values[p, c] += known.maps[p, k] * move[k, c]
+                move -= known.inverse[k, j] * slope[j, c]
+            for p in range(len(held.values)):
+                held.values[p, c] += known.maps[p, k] * move
 
 
 @compiled
@@ -316,27 +308,21 @@ def _refutes(known, held, count, new, row, r):
 
 
 @compiled
-def _bound(known, q, held, count, slope):
-    """Return a lower bound on f(z) + sum_i u_i (b_i - a_i . z), |z_k| <= 1, about the iterate."""
+def _dual_value(known, q, held, count):
+    """Return the Lagrangian f(z) + sum_i u_i (b_i - a_i . z) at its minimiser."""
     steps, n = q.shape
-    z, value, magnitude, stray = held.values[:steps], 0.0, 0.0, 0.0
+    value = 0.0
     for i in range(count):
         value += held.u[i] * held.offsets[i]
-        magnitude += abs(held.u[i] * held.offsets[i])
-    _set_slope(known, q, held, count, slope)
+        for c in range(n):
+            value -= held.u[i] * held.normals[i, c] * held.values[held.at[i], c]
     for k in range(steps):
-        size = left = 0.0
         for c in range(n):
             bent = 0.0
             for j in range(steps):
-                bent += known.hessian[k, j] * z[j, c]
-            pulled = slope[k, c] - bent
-            value += z[k, c] * (0.5 * bent + pulled)
-            magnitude += abs(z[k, c]) * (abs(bent) + abs(pulled))
-            left += slope[k, c] ** 2
-            size += z[k, c] ** 2
-        stray += np.sqrt(left) * (1.0 + np.sqrt(size))
-    return value - stray - ROUNDING * magnitude
+                bent += known.hessian[k, j] * held.values[j, c]
+            value += held.values[k, c] * (0.5 * bent + q[k, c])
+    return value
 
 
 @entry_point
@@ -351,33 +337,33 @@ def minimise(known, asked, held, count, work):
         work: multiplications to do at most, though no less than one row takes.
 
     Returns:
-        What became of it, a lower bound, and the count of rows, whose multipliers are what proves
-        it; where nothing is feasible, what proves that.
+        What became of it, the dual value, and the count of rows, whose multipliers are its point;
+        where nothing is feasible, what proves that.
     """
     row, size = np.zeros(asked.q.shape[1]), len(held.u)
     r, inner = np.empty(size), np.empty(size)
-    slope, move = np.empty_like(asked.q), np.empty_like(asked.q)
+    slope = np.empty_like(asked.q)
     each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * len(row))
     _set_values(known.gram, asked.free, held, count)
     for _ in range(ITERATIONS):
         new = _most_violated(known, asked, held.values, row)
         if new[0] < 0:
-            _refine(known, asked.q, held, count, slope, move)
-            return SOLVED, _bound(known, asked.q, held, count, slope), count
+            _refine(known, asked.q, held, count, slope)
+            return SOLVED, _dual_value(known, asked.q, held, count), count
         if work <= 0.0:
-            return INTERRUPTED, _bound(known, asked.q, held, count, slope), count
+            return INTERRUPTED, _dual_value(known, asked.q, held, count), count
         became, count = _add(known, held, count, new, row, r, inner)
         if became == BROKEN:
             return STALLED, -np.inf, 0
         if became == BLOCKED:
             _set_values(known.gram, asked.free, held, count)
-            bound = _bound(known, asked.q, held, count, slope)
+            bound = _dual_value(known, asked.q, held, count)
             if _refutes(known, held, count, new, row, r):
                 return REFUTED, bound, count + 1
             return STALLED, bound, count
         work -= each + count * (2.0 * count + len(asked.free) * len(row))
         _set_values(known.gram, asked.free, held, count)
-    return STALLED, _bound(known, asked.q, held, count, slope), count
+    return STALLED, _dual_value(known, asked.q, held, count), count
 
 
 class PlaceProgram:

@@ -22,16 +22,16 @@ from orbimpc_ros.mpc.model.dynamics import (
     attitude_weight,
     first_length,
     position_weights,
-    trajectory_of,
     velocity_weight,
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
+from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.statement import ConicStatement
 
+REFUTED = ('PrimalInfeasible', 'AlmostPrimalInfeasible')
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
 TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
 STUCK = ('NumericalError', 'InsufficientProgress')
@@ -62,10 +62,6 @@ class Program:
         self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)
         self._scale, self._p = 1.0, self._data['P']
         self._solver: Any = solver_for(self._data, tolerance)
-        self._certifier = Certifier(self._data)
-        at_rest = statement.largest(0.0, 0.0)  # they grow in proportion to speed and spin
-        moving = statement.largest(1.0, 0.0) - at_rest, statement.largest(0.0, 1.0) - at_rest
-        self._limits = at_rest, *moving
         self._request: Request | None = None
         self.multipliers: Multipliers | None = None
 
@@ -85,9 +81,6 @@ class Program:
         self._bind_cost(-2.0 * weights[:, None] * seen, 2.0 * self._stopping * hastened)
         if self._steadying > 0.0:  # else there may be thrust axes in the place of rotations
             self._q[self.statement.x[-1]] -= 2.0 * self._steadying * wanted / self._scale
-        at_rest, per_speed, per_spin = self._limits
-        speed = float(np.linalg.norm(state.velocity))
-        self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
 
     def _bind_cost(self, pull: Array, braking: Array) -> None:
         """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
@@ -130,24 +123,23 @@ class Program:
         a, b = self._a.copy(), self._b.copy()
         if chords is not None:
             self.statement.narrow(b, chords)
-        out_of_time = request.out_of_time
+        scale, late = self._scale, request.out_of_time
         if rows:
-            relaxed = self._solve_anew(a, b, self._scale, out_of_time, rows)
+            relaxed = self._solve_anew(a, b, scale, late, rows)
         else:
-            relaxed = self._solve_in_place(a, b, out_of_time)
-        if request.late:
+            relaxed = self._solve_in_place(a, b, late)
+        again = relaxed.bound < SMALL * scale if relaxed.is_accurate else not rows
+        if request.late or not again:
             return relaxed
-        if not relaxed.is_accurate:
-            if rows:
-                return relaxed
-            before = self.multipliers
-            anew = self._solve_anew(a, b, self._scale, out_of_time)
-            if relaxed.bound > anew.bound:
-                self.multipliers = before
-            best = relaxed if anew.x is None else anew
-            return Relaxation(best.x, max(relaxed.bound, anew.bound), best.dual_value)
-        if relaxed.bound < SMALL * self._scale:
-            return self._bound_anew(relaxed, a, b, out_of_time, rows)
+        if relaxed.is_accurate:
+            # Near the goal the cost all but vanishes: a gap that is small against 1 is not small
+            # against the cost, unless that is scaled up.
+            scale = max(relaxed.bound, TINY)
+        before = self.multipliers
+        anew = self._solve_anew(a, b, scale, late, rows)
+        if anew.is_accurate or (anew.x is not None and not relaxed.is_accurate):
+            return anew
+        self.multipliers = before
         return relaxed
 
     def _solve_in_place(
@@ -157,33 +149,7 @@ class Program:
         answer = run(self._solver, out_of_time)
         if answer is None:  # nobody knows in which state a panic leaves a solver
             self._solver = solver_for({**self._data, 'P': self._p / self._scale}, self._tolerance)
-        return self._relaxation(answer, a, b, self._q, self._scale)
-
-    def _bound_anew(
-        self,
-        relaxed: Relaxation,
-        a: Array,
-        b: Array,
-        out_of_time: Callable[[], bool] | None,
-        rows: Sequence[Row],
-    ) -> Relaxation:
-        """Return a relaxation as accurate in proportion as where the cost is large.
-
-        Near the goal the cost all but vanishes, and a gap that is small against one is not small
-        against the cost. Solved once more with the cost scaled up, it is.
-        """
-        before = self.multipliers
-        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time, rows)
-        if relaxed.bound > scaled.bound:
-            self.multipliers = before
-        best = min((relaxed, scaled), key=self._cost)
-        return Relaxation(best.x, max(relaxed.bound, scaled.bound), best.bound)
-
-    def _cost(self, relaxed: Relaxation) -> float:
-        request = self._request
-        if relaxed.x is None or not relaxed.is_accurate or request is None:
-            return np.inf
-        return trajectory_of(self.problem, request.state, request.goals, relaxed.x).cost
+        return self._relaxation(answer, self._scale)
 
     def _solve_anew(
         self,
@@ -197,12 +163,8 @@ class Program:
 
         That settles nearly all that an update in place could not solve.
         """
-        data, certifier = self._scaled(a, b, scale), self._certifier
-        if rows:
-            data = self.cut(data, rows, equal=False)
-            certifier = Certifier({**data, 'P': self._p})
-        answer = run(solver_for(data, self._tolerance), out_of_time)
-        return self._relaxation(answer, data['A'].data, data['b'], data['c'], scale, certifier)
+        data = self.cut(self._scaled(a, b, scale), rows, equal=False)
+        return self._relaxation(run(solver_for(data, self._tolerance), out_of_time), scale)
 
     def cut(self, data: dict[str, Any], rows: Sequence[Row], *, equal: bool) -> dict[str, Any]:
         """Return data with half-spaces, or the planes at their edges, on top."""
@@ -214,38 +176,26 @@ class Program:
         entries[:, axes] = -shares[:, :, None] * normals[:, None]
         return extended(data, entries, -np.array([row.offset for row in rows]), equal=equal)
 
-    def _relaxation(
-        self,
-        answer: Any,
-        a: Array,
-        b: Array,
-        q: Array,
-        scale: float,
-        certifier: Certifier | None = None,
-    ) -> Relaxation:
-        """Return what an answer comes to, with the bound that its multipliers prove.
+    def _relaxation(self, answer: Any, scale: float) -> Relaxation:
+        """Return the solution of an answer, with its dual value as the bound.
 
         Raises:
-            Infeasible: its multipliers prove that nothing is feasible.
+            Infeasible: its multipliers are taken for a proof that nothing is feasible.
         """
+        self.multipliers = None if answer is None else self._multipliers(answer, scale)
         if answer is None:
-            self.multipliers = None
             return Relaxation(None, -np.inf)
-        self.multipliers = self._multipliers(answer, scale)
-        status, certifier = str(answer.status), certifier or self._certifier
-        if 'PrimalInfeasible' in status:
-            if certifier.refutes(answer, a, b, self._largest):
-                raise Infeasible('no trajectory satisfies the constraints')
-            return Relaxation(None, -np.inf)
-        proved = certifier.lower_bound(answer, a, b, q, scale, self._largest)
-        bound = scale * proved + self._constant
-        accurate = status in SOLVED or _is_within(answer, NEAR)
+        if str(answer.status) in REFUTED:
+            raise Infeasible('no trajectory satisfies the constraints')
+        accurate = str(answer.status) in SOLVED or _is_within(answer, NEAR)
         if not (accurate or _is_within(answer, ROUGH)):
-            return Relaxation(None, bound)
+            return Relaxation(None, -np.inf)
         assert self._request is not None
-        x = np.asarray(answer.x)[self.statement.x]
-        own = bound if accurate else -np.inf
-        return Relaxation(self.statement.coordinates(x, self._request.state), bound, own)
+        x = self.statement.coordinates(
+            np.asarray(answer.x)[self.statement.x], self._request.state
+        )
+        bound = scale * answer.obj_val_dual + self._constant if accurate else -np.inf
+        return Relaxation(x, bound)
 
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
         x, z = np.asarray(answer.x), scale * np.asarray(answer.z)
@@ -257,9 +207,6 @@ class Program:
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:
-    """Return whether an answer whose gap would not close satisfies the constraints all the same.
-
-    Its bound tells how far from the optimum it is.
-    """
+    """Return whether an answer whose gap would not close satisfies the constraints all the same."""
     near = answer.r_prim <= tolerance and np.isfinite(answer.x).all()
     return bool(near and str(answer.status) in STUCK)

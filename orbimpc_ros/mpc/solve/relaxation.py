@@ -60,24 +60,17 @@ class Relaxation:
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
-        bound: no trajectory of this relaxation costs less; -inf if nothing was proved.
-        own: what the multipliers that belong to ``x`` prove, where others prove more; -inf where
-            ``x`` is too inaccurate for a parabola to begin there, but good enough to branch on.
+        bound: the value of the dual function whose minimiser is ``x``; -inf where that is not
+            known, or ``x`` is only accurate enough to branch on. The verifier alone proves bounds.
     """
 
     x: Array | None
     bound: float
-    own: float | None = None
-
-    @property
-    def dual_value(self) -> float:
-        """Return the value of the dual function whose minimiser is ``x``."""
-        return self.bound if self.own is None else self.own
 
     @property
     def is_accurate(self) -> bool:
         """Return whether the program was solved, and as accurately as a solver can."""
-        return self.x is not None and self.dual_value > -np.inf
+        return self.x is not None and self.bound > -np.inf
 
 
 class Relaxed(Protocol):

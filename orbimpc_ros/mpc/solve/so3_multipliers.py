@@ -58,7 +58,6 @@ STEEPEST = 1e4
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
-CANCELLED = 1e-13  # what a bound allows for of them
 INWARD = 1.0 - 1e-15  # of a direction, for rounding
 INERT = -1.0  # offset of a row that is always satisfied
 
@@ -226,12 +225,12 @@ class SO3Multipliers:
                 raise Infeasible('no headings in their balls are beyond the half-spaces')
             if status == SETTLED:
                 self._put_down(rows)
-                return Relaxation(self._rotations(progress.x), self._proved(bound))
+                return Relaxation(self._rotations(progress.x), self._least + bound)
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
         if hurried:  # to set the general program up takes longer than a deadline can wait
-            return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
+            return Relaxation(_within(self._rotations(progress.x)), self._least + bound)
         return self._leave(request, rows)
 
     def _leave(self, request: Request, rows: Sequence[Row]) -> Relaxation:
@@ -252,10 +251,6 @@ class SO3Multipliers:
             )
             if status != PAUSED or request.late:
                 return progress, status
-
-    def _proved(self, bound: float) -> float:
-        """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
-        return self._least + bound - CANCELLED / ROUNDING * self._rounding
 
     def _take_up(self, rows: Sequence[Row], terms: Terms, *, warm: bool) -> None:
         """Begin with the multipliers of the solve before, or without (what was held misled)."""

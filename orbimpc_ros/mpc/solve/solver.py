@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
-from orbimpc_ros.mpc.proof.tree import in_users_units
+from orbimpc_ros.mpc.proof.tree import ProofTree, in_users_units
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
@@ -35,6 +35,7 @@ OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss co
 ROUNDED = 1e-15  # of the unit of costs: and by what states and goals are rounded by
 NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan that took no search stands in'
+DOUBTFUL = 'found to be infeasible, which was not verified'
 GOES_ON = 'the plan before goes on: no better one was found in time'
 
 
@@ -194,7 +195,9 @@ class Solver:
             found = self._method_for(state).solve(
                 Request(start, targets, usable, query.out_of_time, self._patient, self._enough)
             )
-        except Infeasible:
+        except Infeasible as error:
+            if error.proof is not None and self._verified(query, error.proof)[0] < np.inf:
+                return replace(NOTHING, reason=DOUBTFUL)
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
             return replace(NOTHING, reason=str(error))
@@ -248,18 +251,22 @@ class Solver:
         Where the method says what the bound rests on, what that comes to is what is proved, as
         far as there is time to count it.
         """
-        cost, bound, checked = self._units.cost, self._units.cost * found.lower_bound, False
-        tree = None if found.proof is None else in_users_units(found.proof, self._units)
-        if tree is not None and self._verifier is not None:
-            posed = query.searched, query.goals
-            proved = self._verifier.bound(*posed, tree, query.out_of_time)
-            checked = -np.inf < proved < np.inf
-            bound, tree = (proved, tree) if checked else (bound, None)
-        else:
-            tree = None
+        cost, claimed, tree = self._units.cost, self._units.cost * found.lower_bound, found.proof
+        bound, tree = (-np.inf, None) if tree is None else self._verified(query, tree)
+        checked = -np.inf < bound < np.inf
+        if not checked:
+            bound, tree = claimed, None
         known = max(0.0, float(bound) * (1.0 - OUTWARD) - ROUNDED * cost) if bound < np.inf else 0.0
         checked = checked or known == 0.0
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
+
+    def _verified(self, query: _Query, tree: ProofTree) -> tuple[float, ProofTree]:
+        """Return what a tree in natural units proves as far as there is time, and it in users'."""
+        made = in_users_units(tree, self._units)
+        if self._verifier is None:
+            return -np.inf, made
+        posed = query.searched, query.goals
+        return self._verifier.bound(*posed, made, query.out_of_time), made
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""

@@ -162,31 +162,6 @@ class ConicStatement:
         rotations = self.width == coordinate_count(self.problem.dimension)
         return x if rotations else coordinates(carried(state.attitude, x))
 
-    def largest(self, speed: float, spin: float) -> Array:
-        """Return the most that each variable can be in a plan from a state.
-
-        Entries of matrices in conv SO(n) are at most 1; what moves adds that up.
-
-        Args:
-            speed: |p_0| at translation order 2 [m/s].
-            spin: the largest entry of W_0 at rotation order 2 [1/s].
-        """
-        problem, flown = self.problem, self.problem.maps
-        most: Array = np.ones(self.columns)
-        entry = 1.0 + problem.step * spin * self._decided
-        most[self._x] = entry
-        most[self.t] = 1.0
-        most[self.t[: self._decided]] = math.sqrt(problem.dimension) * entry
-        moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
-        most[self.moved] = moved[:, None]
-        if problem.inertial:
-            pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
-            most[self._p] = np.append(speed, pushed)[:, None]
-        if problem.first_turn_is_a_cone:
-            most[self._along] = 1.0 / math.cos(problem.widest_turn)
-        most[self._towards] = 1.0 / math.cos(problem.approach.cone)
-        return most
-
     # --- multipliers
 
     def multipliers(self, x: Array, z: Array, sizes: Array, state: State) -> Multipliers:
