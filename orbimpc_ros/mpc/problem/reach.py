@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The reach of a horizon, and why no plan gets somewhere, as far as that shows at once.
 
-Mathematics: docs/mathematics.md, 5.3, 7.5.
+Mathematics: docs/mathematics.md, 5.2, 7.5.
 """
 
 from __future__ import annotations

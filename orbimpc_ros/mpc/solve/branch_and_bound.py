@@ -8,7 +8,7 @@ exact dual step (:mod:`orbimpc_ros.mpc.solve.regions`). The nodes are those of t
 Trajectories come from :mod:`orbimpc_ros.mpc.solve.dives`, those that turn in space first of all
 from a plane (:mod:`orbimpc_ros.mpc.solve.planar_way`).
 
-Mathematics: docs/mathematics.md, 4.9 and 5.4.
+Mathematics: docs/mathematics.md, 4.9 and 5.3.
 """
 
 from __future__ import annotations

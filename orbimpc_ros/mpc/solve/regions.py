@@ -17,7 +17,7 @@ new row a.x >= beta is
 a parabola in the solution x and the Hessian H of the rotations, so that a part costs at least
 D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a).
 
-Mathematics: docs/mathematics.md, 3.5, 3.7, 4.9 and 5.4.
+Mathematics: docs/mathematics.md, 3.5, 3.7, 4.9 and 5.3.
 """
 
 from __future__ import annotations

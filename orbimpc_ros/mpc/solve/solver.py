@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """One problem in, one plan out: which method solves it, and how well it is proved.
 
-Mathematics: docs/mathematics.md, 5.5 and 6.1.
+Mathematics: docs/mathematics.md, 5.4 and 6.1.
 """
 
 from __future__ import annotations
