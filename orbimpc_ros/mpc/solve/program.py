@@ -191,9 +191,7 @@ class Program:
         if not (accurate or _is_within(answer, ROUGH)):
             return Relaxation(None, -np.inf)
         assert self._request is not None
-        x = self.statement.coordinates(
-            np.asarray(answer.x)[self.statement.x], self._request.state
-        )
+        x = self.statement.coordinates(np.asarray(answer.x)[self.statement.x], self._request.state)
         bound = scale * answer.obj_val_dual + self._constant if accurate else -np.inf
         return Relaxation(x, bound)
 
