@@ -1,12 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Branch and bound over regions, with the convex program at its nodes.
+"""Branch and bound over regions, with a convex relaxation at each node.
 
 Best first: the open node with the least bound is solved next, so that no node is solved whose bound
-already exceeds the optimum. Before a part is solved it inherits its node's bound raised by one
-exact dual step (:mod:`orbimpc_ros.mpc.solve.regions`). The nodes are those of the proof.
+already exceeds the optimum. Until it is solved, a child has its parent's bound raised by one exact
+dual step (:mod:`orbimpc_ros.mpc.solve.regions`). The search tree is also the proof.
 
-Trajectories come from :mod:`orbimpc_ros.mpc.solve.dives`, those that turn in space first of all
-from a plane (:mod:`orbimpc_ros.mpc.solve.planar_way`).
+Incumbents come from :mod:`orbimpc_ros.mpc.solve.dives`; with a turn limit in space the first one
+comes from the problem in a plane (:mod:`orbimpc_ros.mpc.solve.planar_way`).
 
 Mathematics: docs/mathematics.md, 4.9 and 5.3.
 """
@@ -39,23 +39,23 @@ from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
-NEAR = 0.05  # a round floor missed by less is worth a dive
+NEAR = 0.05  # a dive is tried where round constraints are violated by less
 NOTHING = 'no trajectory satisfies the constraints'
 MAX_NODES = 20_000
 WORST_CONDITION = 1e12
 HALFWAY = (
-    50.0  # times the tolerance, where many parts cost alike: half of the gap counted as proved
+    50.0  # factor on the tolerance where many nodes cost alike: half of a plan's gap tolerance
 )
 
 
 class BranchAndBound:
-    """Solves any problem by branch and bound; without choices, by its one relaxation.
+    """Solver of any problem by branch and bound, or by one relaxation without disjunctions.
 
     Args:
         problem: what to solve.
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
-        among: whether states will come with hazards.
+        among: whether states come with hazards.
     """
 
     trusts_guess = True
@@ -69,7 +69,7 @@ class BranchAndBound:
         slow = problem.has_cones or among or rounded
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance
         self._chooses = problem.floor.exists or bool(problem.obstacles)
-        self.takes_guess = self._chooses or among  # one relaxation needs none
+        self.takes_guess = self._chooses or among  # a single relaxation needs no warm start
         self._condensed = Condensed(problem)
         self._inverse = _inverse(self._condensed.hessian)
         self.turns = Turns(problem) if problem.turns_are_angles else None
@@ -80,14 +80,14 @@ class BranchAndBound:
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether this method applies: it does to every problem."""
+        """Return True: this method applies to every problem."""
         return True
 
     def solve(self, request: Request) -> Found:
-        """Return the best trajectory and the proof; complete unless time or nodes run out.
+        """Return the best trajectory and the proof; optimal unless time or nodes run out.
 
         Raises:
-            Infeasible: no trajectory satisfies the constraints: every branch was refuted.
+            Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
         traffic = traffic_of(self.problem, request.state)
         if traffic is None and not self._chooses:
@@ -104,7 +104,7 @@ class BranchAndBound:
         return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
 
     def _relaxed(self, request: Request) -> Found:
-        """Return the optimum of the one relaxation that is all of the problem."""
+        """Return the optimum of a problem without disjunctions, which one relaxation solves."""
         state, goals = request.state, request.goals
         try:
             relaxed = self.program.relax(request)
@@ -114,7 +114,7 @@ class BranchAndBound:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
         found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
-        # What was solved to the end needs no second look, which costs a quarter of a tick.
+        # With a closed gap the orbitopes need no check, which takes a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         accurate = arrives if solved else is_accurate
         if not accurate(self.problem, goals, trajectory):
@@ -122,7 +122,7 @@ class BranchAndBound:
         return replace(found, proof=self._root(request))
 
     def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
-        """Return what the bound of a relaxation rests on where nothing is left to choose."""
+        """Return the proof of a problem without disjunctions: a tree of one leaf."""
         leaves = ProofWriter(self.problem, self._condensed, self._inverse, request)
         root, found = Node(0, -np.inf, None, None), self.program.multipliers
         if found is not None:
@@ -130,9 +130,9 @@ class BranchAndBound:
         return leaves.tree([root])
 
     def _ways(self, request: Request, traffic: Traffic, planar: list[Array]) -> Iterator[Array]:
-        """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from.
+        """Yield guide paths as headings R_1 e1..R_N e1, shape (N, n).
 
-        The guessed one, the one in a plane, whose coordinates are given, and the one scouted.
+        They are those of the guess, of the planar trajectories ``planar``, and of the scout.
         """
         if request.guess is not None:
             yield request.guess.x[:, : self.problem.dimension]
@@ -146,29 +146,29 @@ class BranchAndBound:
 
 
 def _program(problem: Problem, coasting: bool, *, beside: bool) -> Relaxed:
-    """Return the fastest convex program for a problem, perhaps beside bodies."""
+    """Return the fastest convex program for a problem; ``beside``: with rows on control points."""
     if SO3Multipliers.solves(problem, beside=beside):
         return SO3Multipliers(problem, coasting=coasting, beside=beside)
     if PlaceProgram.solves(problem):
         return PlaceProgram(problem)
-    from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
+    from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
 
     return Program(problem, coasting=coasting)
 
 
 def _inverse(hessian: Array) -> Array:
     """Return H^-1, shape (N, N); infinite where H is singular."""
-    if not np.linalg.cond(hessian) <= WORST_CONDITION:  # of no curvature it is not a number
+    if not np.linalg.cond(hessian) <= WORST_CONDITION:  # the condition of a zero matrix is NaN
         return np.full(hessian.shape, np.inf)
     return np.asarray(np.linalg.inv(hessian))
 
 
 def _steps_are_exchangeable(problem: Problem) -> bool:
-    """Return whether cost and constraints see nothing of z_1..z_{N-1} but their sum and lengths."""
+    """Return True if z_1..z_{N-1} enter cost and constraints only by their sum and lengths."""
     weights, orders = problem.weights, (problem.rotation_order, problem.translation_order)
     return (
         (problem.dimension, problem.floor.shape, problem.discretisation) == (2, 'polygon', 'euler')
-        and orders == (1, 1)  # the last step of Euler pushes nothing
+        and orders == (1, 1)  # with Euler steps z_N moves no position
         and weights.input == weights.position == weights.attitude == problem.max_rate == 0.0
         and problem.horizon > 1
         and not (problem.approach.exists or problem.obstacles)
@@ -176,13 +176,13 @@ def _steps_are_exchangeable(problem: Problem) -> bool:
 
 
 class _Run:
-    """One search: the open nodes, the best trajectory, the least bound given up.
+    """One search: the open nodes, the incumbent, and the least bound of closed leaves.
 
     Args:
-        posed: what is searched.
-        leaves: what its nodes prove.
-        tolerance: relative gap at which it stops.
-        guided: whether trajectories come from ways, and not from dives before these.
+        posed: the request with its regions and relaxation.
+        leaves: writer of the proof.
+        tolerance: relative gap at which the search stops.
+        guided: whether guide paths are followed before the first dive.
     """
 
     def __init__(
@@ -192,17 +192,17 @@ class _Run:
         self._tolerance, self._guided = tolerance, guided
         self._best = Incumbent(posed, tolerance)
         self._dives = Dives(posed, self._best, passing=guided)
-        self._root = -np.inf  # its bound
+        self._root = -np.inf  # bound of the root
         self._closed = np.inf
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
         self._open = [self._nodes[0]]
 
     def run(self, known: Sequence[Array] = (), ways: Iterable[Array] = ()) -> Found:
-        """Search, from the best trajectories that pass everything on the same sides as some ways.
+        """Run the search, with first incumbents from candidates and along guide paths.
 
         Args:
-            known: rotation coordinates, shape (N, d) each, of trajectories that may be legal.
-            ways: headings R_1 e1..R_N e1, shape (N, n) each.
+            known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
+            ways: guide paths: headings R_1 e1..R_N e1, shape (N, n) each.
         """
         posed, best, root = self._posed, self._best, self._nodes[0]
         if root.known is None:
@@ -211,7 +211,7 @@ class _Run:
             trajectory = posed.flown(x)
             if not posed.missed(trajectory):
                 best.offer(x, trajectory)
-        if self._guided:  # the root first: its bound holds whatever becomes of them
+        if self._guided:  # the root first: its bound is valid even if no path leads to a plan
             self._expand(heapq.heappop(self._open))
             for way in ways:
                 self._dives.follow(way, self._rows(root))
@@ -226,23 +226,23 @@ class _Run:
         return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
 
     def _proof(self, lower: float) -> ProofTree | None:
-        """Return what proves a bound: the tree, or its root where that is as good."""
+        """Return the proof of a bound: the tree, or its root if that is as good."""
         enough = self._root >= lower - self._tolerance * abs(lower)
         found = self._leaves.tree(self._nodes, 1) if enough else None
         return found or self._leaves.tree(self._nodes)
 
     @property
     def _limit(self) -> float:
-        """Return the bound from which on a node can neither improve the plan nor the bound.
+        """Return the bound from which on nodes are not worth solving.
 
-        What turns too wide leave open at a leaf, no other leaf makes up for.
+        A leaf that was closed with too wide a turn limits what other nodes can add to the bound.
         """
         if self._best.x is None or self._posed.turns is None:
             return self._best.cutoff
         return min(self._best.cutoff, self._closed)
 
     def _expand(self, node: Node) -> None:
-        """Solve a node, and branch on it or take its solution."""
+        """Solve a node; branch on it, or offer its solution as the incumbent."""
         posed, rows = self._posed, self._rows(node)
         try:
             relaxed = posed.relax(rows.values())
@@ -256,7 +256,7 @@ class _Run:
         node.better = relaxed.bound >= node.bound
         node.bound = max(node.bound, relaxed.bound)
         self._note(node, rows)
-        if relaxed.x is None:  # neither refuted nor solved
+        if relaxed.x is None:  # neither solved nor proved infeasible
             self._give_up(node)
             return
         trajectory = posed.flown(relaxed.x)
@@ -271,7 +271,7 @@ class _Run:
             return
         if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):
             self._dives.dive(rows, trajectory)
-        if posed.request.late:  # to branch may take as long as to solve
+        if posed.request.late:  # branching may take as long as a solve
             self._close(node.bound)
             return
         self._branch(node, missed, relaxed.bound, trajectory.headings[1:])
@@ -288,7 +288,7 @@ class _Run:
         return node.rows
 
     def _known(self, node: Node) -> Known:
-        """Return the region of a node, of which there is something left."""
+        """Return the region of a node that is not empty."""
         if node.known is None:
             above = node.above
             assert above is not None
@@ -299,7 +299,7 @@ class _Run:
         return node.known
 
     def _note(self, node: Node, rows: dict[int, Held], *, empty: bool = False) -> None:
-        """Note what the last relaxation, which was that of a node, rests on."""
+        """Store the multipliers of the last relaxation, which is that of the node."""
         found, node.better = self._posed.program.multipliers, node.better or empty
         held = tuple(each for held in rows.values() for each in held)
         if found is not None:
@@ -310,7 +310,7 @@ class _Run:
     def _branch(
         self, node: Node, missed: dict[int, float], dual_value: float, headings: Array
     ) -> None:
-        """Cut the choice that raises the bound the most; close a node that cannot be cut."""
+        """Split the choice that promises the greatest bound; close a node without a split."""
         regions, known = self._regions, self._known(node)
         promises = {c: (regions.promise(c, by), by) for c, by in missed.items()}
         for choice in sorted(missed, key=promises.__getitem__, reverse=True):
@@ -318,10 +318,10 @@ class _Run:
             if cut is not None:
                 self._part(node, cut, dual_value, headings)
                 return
-        self._close(node.bound)  # a chosen face is missed: the solve was not accurate enough
+        self._close(node.bound)  # an imposed face is violated: the solve was not accurate enough
 
     def _give_up(self, node: Node) -> None:
-        """Close a node that was not solved, unless it is the root, whose parts may be."""
+        """Close a node that was not solved; split the root, since its children may be solved."""
         if self._posed.solved == 1 and not self._posed.request.late:
             known = self._known(node)
             for choice in range(len(known.part)):
@@ -334,13 +334,13 @@ class _Run:
     def _part(
         self, node: Node, cut: Cut, dual_value: float = -np.inf, headings: Array | None = None
     ) -> None:
-        """Put the parts of a node among those that are open.
+        """Create the children of a node and open those that are neither empty nor cut off.
 
         Args:
-            node: to be cut.
-            cut: of one of its choices.
-            dual_value: that belongs to its solution: parabolas of bounds begin there.
-            headings: of the solution, shape (N, n), if there is one.
+            node: the node to split.
+            cut: the split of one of its choices.
+            dual_value: of its solution, from which the gains of the children are counted.
+            headings: of the solution, shape (N, n); None without one.
         """
         regions, sides = self._regions, self._regions.sides(self._known(node), cut)
         gains: Array = np.zeros(cut.parts)
@@ -366,9 +366,9 @@ class _Run:
                 heapq.heappush(self._open, part)
 
     def _is_nearly_round(self, missed: dict[int, float]) -> bool:
-        """Return whether all that is missed is round, and missed by little."""
+        """Return True if only round floors and balls are violated, and by little."""
         return all(self._regions.is_round(c) and by < NEAR for c, by in missed.items())
 
     def _close(self, bound: float) -> None:
-        """Note that a node is not searched any further."""
+        """Record the bound of a node that is not searched any further."""
         self._closed = min(self._closed, bound)

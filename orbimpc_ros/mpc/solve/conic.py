@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Clarabel on the data of a cone program.
+"""Cone programs solved by Clarabel.
 
     minimise  x.Px/2 + q.x   subject to   Ax + s = b,  s in K.
 
@@ -28,10 +28,10 @@ SOLVED = ('Solved', 'AlmostSolved')
 
 
 def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver:
-    """Return Clarabel set up on compiled data; its A, b and q may be updated in place.
+    """Return a Clarabel solver for compiled data; its A, b and q may be updated in place.
 
     Args:
-        data: P, c, A, b and the sizes of cones, ``dims``, as a program is stated.
+        data: P, c (which is q), A, b and the sizes of the cones, ``dims``.
         tolerance: on feasibility and on the gap.
     """
     return clarabel.DefaultSolver(
@@ -47,13 +47,13 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
 def extended(
     data: dict[str, Any], rows: Array, offsets: Array, *, equal: bool = False
 ) -> dict[str, Any]:
-    """Return compiled data with A'x <= b', or A'x = b', on top.
+    """Return compiled data with additional rows A'x <= b' or A'x = b'.
 
     Args:
-        data: as compiled, its rows cone by cone.
+        data: compiled, with rows ordered by cone.
         rows: A', shape (m, columns).
         offsets: b', shape (m,).
-        equal: whether they are equalities.
+        equal: whether the additional rows are equalities.
     """
     dims, a, m = data['dims'], data['A'].tocoo(), len(offsets)
     kind, end = ('zero', dims.zero) if equal else ('nonneg', dims.zero + dims.nonneg)
@@ -71,10 +71,10 @@ def extended(
 
 
 def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) -> Any:
-    """Run a solver and return its answer, whatever its status; None if it panicked.
+    """Run a solver and return its solution with any status; None if it panicked.
 
-    Clarabel's own idea of an almost solved problem, off by up to 1e-4, is not accepted: with
-    :data:`REDUCED` the word means a solution to 1e-7, which plans' checks and gaps allow for.
+    By default Clarabel reports ``AlmostSolved`` at errors of up to 1e-4. With :data:`REDUCED` it
+    means a solution to 1e-7, which is accurate enough for the check and the gap of a plan.
     """
     if out_of_time is None:
         solver.unset_termination_callback()
@@ -82,14 +82,14 @@ def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) 
         solver.set_termination_callback(lambda _: out_of_time())
     try:
         return solver.solve()
-    except BaseException as error:  # a panic of Rust code is no Exception
+    except BaseException as error:  # a Rust panic does not derive from Exception
         if type(error).__name__ != 'PanicException':
             raise
         return None
 
 
 def _cones(dims: Any) -> list:
-    """Return Clarabel's cones in the order of the rows."""
+    """Return the cones of the rows in their order."""
     cones: list = []
     if dims.zero:
         cones.append(clarabel.ZeroConeT(dims.zero))
@@ -103,7 +103,7 @@ def _cones(dims: Any) -> list:
 def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    # In-place updates need the data to keep its shape.
+    # In-place updates require the sparsity pattern to stay the same.
     settings.presolve_enable = False
     settings.chordal_decomposition_enable = False
     settings.input_sparse_dropzeros = False

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Trajectories for a search: along ways, near solutions, and turning in time; the best of them.
+"""Primal heuristics: dives, guide paths and turn repair; the incumbent.
 
-A *dive* holds all that a solution misses by tangents, and solves again: of a round floor the one in
-the direction of v, beyond which |v| is surely above the floor, of a body the side that it misses
-least. A *way* is followed on the sides on which it passes what is round or moves.
+A *dive* adds a half-space for each choice that a solution violates, and solves again: for a round
+floor the tangent in the direction of v, which implies |v| >= floor; for an obstacle the side that
+is violated least. A *guide path* selects the sides on which balls and moving obstacles are passed.
 
 Mathematics: docs/mathematics.md, 4.9 and 4.11.
 """
@@ -26,29 +26,29 @@ from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.turns import Turns
 
 DIVE_STEPS = 4
-PASSING_STEPS = 10  # of a dive among what is round or moves
-BESIDE = 2.0  # steps' lengths from a way: what is farther away does not guide it
-FOLLOWED = 8  # times that a way is followed anew
-WORTH = 1e-3  # share of the cost that makes it worth while
-ACCURATE = 1e-6  # on the orbitope, and on an arrival in units of a step's length: as the check's
-ROUNDING = 1e-15  # of the coordinates of goals far from the origin
-LEAST = 1e-9  # cost that a gap is measured against
+PASSING_STEPS = 10  # of a dive among balls and moving obstacles
+BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
+FOLLOWED = 8  # solves along a path, each with the solution before as its path
+WORTH = 1e-3  # relative reduction of the cost that is worth another solve
+ACCURATE = 1e-6  # of orbitopes, and of arrivals in units of a step's length; the same as the check
+ROUNDING = 1e-15  # relative to the coordinates of goals far from the origin
+LEAST = 1e-9  # smallest denominator of a relative gap
 
 Rows = dict[int, Held]  # half-spaces by choice
 
 
 class NodeProgram:
-    """One request, its regions, and the convex program of the problem.
+    """A request with its regions and the convex program of its problem.
 
     Args:
         problem: what to solve.
         program: its relaxation.
-        turns: where turns are angles.
+        turns: the turn limit, if it bounds angles.
         request: state, goals, guess and deadline.
         regions: of the request.
 
     Attributes:
-        solved: relaxations so far.
+        solved: number of relaxations solved.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class NodeProgram:
 
         Args:
             held: half-spaces of choices.
-            chords: how far headings may turn, where that is to be less than the problem says.
+            chords: as in :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`.
 
         Raises:
             Infeasible: proved that no trajectory satisfies the constraints.
@@ -76,28 +76,28 @@ class NodeProgram:
         return self.program.relax(self.request, [row for each in held for row, _ in each], chords)
 
     def flown(self, x: Array) -> Trajectory:
-        """Return the trajectory of rotation coordinates, shape (N, d)."""
+        """Return the rollout of rotation coordinates, shape (N, d)."""
         return trajectory_of(self.problem, self.request.state, self.request.goals, x)
 
     def missed(self, trajectory: Trajectory) -> dict[int, float]:
-        """Return, by choice that a trajectory does not satisfy, by how much."""
+        """Return the violation of each choice that a trajectory violates."""
         return self.regions.missed(trajectory.headings[1:])
 
     def turns_in_time(self, trajectory: Trajectory) -> bool:
-        """Return whether no turn, which relaxations bound by its chord, is too wide an angle."""
+        """Return True if every turn is within its angle; relaxations bound only its chord."""
         return self.turns is None or self.turns.hold(self.request.state, trajectory.headings)
 
 
 class Incumbent:
-    """The best trajectory found.
+    """The best trajectory found so far.
 
     Args:
-        posed: what is searched, with a guess to begin with.
+        posed: the request; its guess is the first incumbent.
         tolerance: relative gap at which the search stops.
 
     Attributes:
-        x: its rotation coordinates, shape (N, d); None as long as there is none.
-        cost: of it, infinite as long as there is none.
+        x: rotation coordinates, shape (N, d); None without a trajectory.
+        cost: its objective; infinite without a trajectory.
     """
 
     def __init__(self, posed: NodeProgram, tolerance: float) -> None:
@@ -107,13 +107,13 @@ class Incumbent:
 
     @property
     def cutoff(self) -> float:
-        """Return the bound from which on a node cannot improve on it by enough."""
+        """Return the bound from which on nodes are pruned: the cost less the tolerance."""
         if self.x is None:
             return np.inf
         return self.cost - self._tolerance * max(abs(self.cost), LEAST)
 
     def offer(self, x: Array, trajectory: Trajectory) -> None:
-        """Take a trajectory that misses no choice, if it is better, turns in time and arrives."""
+        """Accept a trajectory without violated choices if it is cheaper and feasible otherwise."""
         posed = self._posed
         if (
             trajectory.cost < self.cost
@@ -124,16 +124,16 @@ class Incumbent:
 
 
 def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
-    """Return whether a relaxation's solution holds what is not branched on as well as plans must.
+    """Return True if orbitopes and a terminal constraint hold within the tolerance of plans.
 
-    One that was interrupted, or is not accurate, proves a bound all the same.
+    They may not after an interrupted or inaccurate solve, whose bound is valid nevertheless.
     """
     inside = bool(margin(trajectory.rotations[1:]).min() >= -ACCURATE)
     return inside and arrives(problem, goals, trajectory)
 
 
 def arrives(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
-    """Return whether a terminal constraint, if there is one, is met as well as plans must."""
+    """Return True if there is no terminal constraint, or it holds to the tolerance of plans."""
     if problem.terminal != 'constraint':
         return True
     missed = np.abs(trajectory.positions[-1] - goals[-1]).max()
@@ -144,12 +144,12 @@ def arrives(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
 
 
 class Dives:
-    """Looks for trajectories of one request.
+    """Primal heuristics of one request.
 
     Args:
-        posed: what is searched.
-        best: which is offered them.
-        passing: whether anything is round or moves.
+        posed: the request with its regions and relaxation.
+        best: the incumbent, which trajectories are offered to.
+        passing: whether there are balls or moving obstacles.
     """
 
     def __init__(self, posed: NodeProgram, best: Incumbent, *, passing: bool) -> None:
@@ -157,12 +157,12 @@ class Dives:
         self._steps = PASSING_STEPS if passing else DIVE_STEPS
 
     def follow(self, headings: Array, rows: Rows) -> None:
-        """Hold tangents where a way passes, solve, and go on from what that finds.
+        """Solve with the sides on which a path passes; repeat with the solution as the path.
 
-        Each time costs less: where the way satisfies all that it is held by, so does it again.
+        The cost does not rise, since a path within its half-spaces is feasible in its solve.
 
         Args:
-            headings: R_1 e1..R_N e1 of the way, shape (N, n).
+            headings: R_1 e1..R_N e1 of the path, shape (N, n).
             rows: half-spaces of the root.
         """
         cost = np.inf
@@ -180,11 +180,11 @@ class Dives:
             headings, cost = trajectory.headings[1:], trajectory.cost
 
     def dive(self, rows: Rows, trajectory: Trajectory) -> None:
-        """Look for a trajectory: hold whatever is missed by tangents, and solve again.
+        """Look for a trajectory: add a half-space for each violated choice, and solve again.
 
         Args:
-            rows: half-spaces of the node that the trajectory solves.
-            trajectory: which misses something, or is not accurate.
+            rows: half-spaces of the node.
+            trajectory: solution of the node, inaccurate or with violated choices.
         """
         posed, regions = self._posed, self._posed.regions
         if posed.turns is not None:
@@ -203,13 +203,13 @@ class Dives:
             if x is None:
                 return
             trajectory = posed.flown(x)
-            if not posed.missed(trajectory):  # tangents of round floors there may descend further
+            if not posed.missed(trajectory):  # tangents of round floors here may cost still less
                 self._best.offer(x, trajectory)
                 if not regions.round_floors:
                     return
 
     def turn(self, rows: Rows, trajectory: Trajectory) -> None:
-        """Look for a trajectory that turns in time, near this one's headings, then its speeds."""
+        """Look for a trajectory within the turn limit near this one's headings, then its speeds."""
         turns = self._posed.turns
         assert turns is not None
         reached = turns.reached(self._posed.request.state, trajectory.headings)
@@ -217,9 +217,9 @@ class Dives:
             self._turn_from(rows, trajectory, around)
 
     def _turn_from(self, rows: Rows, trajectory: Trajectory, around: list[Cell]) -> None:
-        """Look for a trajectory that turns in time, near cells of the floor, one for each step.
+        """Look for a trajectory within the turn limit and in cells of the floor, one per step.
 
-        Consecutive headings are held so close to each other that no angle is too wide.
+        The chords between consecutive headings are bounded so that no turn is too wide.
         """
         posed, held = self._posed, dict(rows)
         assert posed.turns is not None
@@ -239,10 +239,10 @@ class Dives:
             around = posed.turns.kept(trajectory.headings)
 
     def _beside(self, headings: Array, rows: Rows) -> Array | None:
-        """Return the best trajectory, shape (N, d), that passes where a way does; None without.
+        """Return the best trajectory, shape (N, d), on the same sides as a path, or None.
 
         Args:
-            headings: of the way, R_1 e1..R_N e1, shape (N, n).
+            headings: of the path, R_1 e1..R_N e1, shape (N, n).
             rows: half-spaces of the root.
         """
         posed, count = self._posed, len(headings)
@@ -255,7 +255,7 @@ class Dives:
         return self._solved(held, posed.turns.close(around))
 
     def _solved(self, rows: Rows, chords: Array | None = None) -> Array | None:
-        """Return the solution within half-spaces, shape (N, d); None without one."""
+        """Return the solution within half-spaces, shape (N, d); None if there is none."""
         posed = self._posed
         if chords is not None:
             assert posed.turns is not None
@@ -269,6 +269,6 @@ class Dives:
 
 
 def _faced(cells: list[Cell]) -> Rows:
-    """Return the half-spaces that headings are held beyond."""
+    """Return the half-spaces of cells as rows on headings, by step."""
     units = np.eye(len(cells))
     return {k: ((Row(k, units[k], cell.normal, cell.offset), -1),) for k, cell in enumerate(cells)}

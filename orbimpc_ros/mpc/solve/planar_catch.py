@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Catches in space by a wing: ways in the plane of its heading and its goal.
+"""Interception in space by a fixed wing: paths in the plane of its heading and its goal.
 
 Mathematics: docs/mathematics.md, 4.9.
 """
@@ -18,13 +18,13 @@ ALONE = 'no ways but those in the plane of heading and goal were looked at'
 
 
 class PlanarCatch:
-    """Solves problems of space with a floor and a turn rate where the last goal alone counts.
+    """Solver for spatial problems with a floor and a turn rate where only the last goal matters.
 
-    The general search, which proves something of space, has its turn where there is no deadline.
+    Plans in a plane have no bound in space; unless time is short, the general search is used.
 
     Args:
         problem: what to solve.
-        tolerance: relative gap, in the plane, at which a way is good enough.
+        tolerance: relative gap at which the planar search stops.
     """
 
     takes_guess = trusts_guess = True
@@ -35,7 +35,7 @@ class PlanarCatch:
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether this method applies to a problem, and is fast on this machine."""
+        """Return True if this method applies to a problem and is fast on this machine."""
         return (
             problem.weights.position == problem.weights.attitude == 0.0
             and not problem.obstacles
@@ -43,7 +43,7 @@ class PlanarCatch:
         )
 
     def solve(self, request: Request) -> Found:
-        """Return the best trajectory found in the plane, or the general search's."""
+        """Return the best planar trajectory, or if time allows that of the general search."""
         if not request.hurried:
             return self._general.solve(request)
         x, guess = self._plane.way(request), request.guess

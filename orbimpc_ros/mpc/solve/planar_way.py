@@ -1,11 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Turns in space: the best way in one plane.
+"""Turns in space: the best path within one plane.
 
-A wing that cannot stop, and is to be somewhere else, turns in the plane of its heading and its
-goal. What it flies there is a problem of the plane, which the search over sectors settles in a
-millisecond or two; carried into space, its headings hold floor and turn rate as they do in the
-plane. Where goals or wind leave every plane through the heading, it is the one that they leave the
-least.
+A fixed wing turns towards its goal in the plane spanned by its heading and the goal. This planar
+problem is solved by the search over sectors in a millisecond or two, and its headings, mapped back
+to space, satisfy floor and turn rate as they do in the plane. If goals or wind lie in no plane
+through the heading, the plane that fits the goals best (weighted least squares) is taken.
 
 Mathematics: docs/mathematics.md, 4.9.
 """
@@ -25,11 +24,11 @@ from orbimpc_ros.mpc.solve.request import Guess, Request
 
 
 class PlanarWay:
-    """Finds ways that turn in a plane, for problems of space with a floor and a turn rate.
+    """Planner of paths in a plane for problems in space with a floor and a turn rate.
 
     Args:
-        problem: what to solve; its obstacles are not seen.
-        tolerance: relative gap, in the plane, at which a way is good enough.
+        problem: what to solve; its obstacles are ignored.
+        tolerance: relative gap at which the planar search stops.
     """
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
@@ -38,13 +37,13 @@ class PlanarWay:
 
     @staticmethod
     def leads(problem: Problem) -> bool:
-        """Return whether ways in a plane hold all of a problem but its obstacles."""
+        """Return True if planar paths satisfy all constraints of a problem except its obstacles."""
         plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
         spatial = (problem.dimension, problem.rotation_order) == (3, 1)
         return spatial and plain and problem.turns_are_angles and Engine.solves(_planar(problem))
 
     def way(self, request: Request) -> Array:
-        """Return the rotation coordinates R_1..R_N of the best way found, shape (N, 9)."""
+        """Return the rotation coordinates of R_1..R_N of the best path found, shape (N, 9)."""
         state, attitude = request.state, request.state.attitude
         aside = (request.goals - drift(self._problem, state)) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
@@ -64,7 +63,7 @@ class PlanarWay:
 
 
 def _planar(problem: Problem) -> Problem:
-    """Return the problem in a plane, at speeds that every heading of space may have."""
+    """Return the planar problem, with a floor that allows every heading in space."""
     floor = Floor('circle', fraction=problem.floor.circling(3))
     weights = replace(problem.weights, attitude=0.0)
     return replace(problem, dimension=2, floor=floor, obstacles=(), weights=weights)

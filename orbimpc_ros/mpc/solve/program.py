@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The convex program behind every plan: set up once, then only updated in place and solved.
+"""The general convex program: built once, then updated in place and solved by Clarabel.
 
-The state enters b and a few entries of A, and the goals q (:mod:`orbimpc_ros.mpc.solve.statement`).
-A tick is an update and a solve; half-spaces that a search imposes take a solver set up anew.
+The state enters b and a few entries of A, the goals enter q
+(:mod:`orbimpc_ros.mpc.solve.statement`). Half-spaces added by a search require a new solver.
 
 Mathematics: docs/mathematics.md, 4.8.
 """
@@ -32,16 +32,16 @@ from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.statement import ConicStatement
 
 REFUTED = ('PrimalInfeasible', 'AlmostPrimalInfeasible')
-SMALL = 1e-2  # a cost below this is solved once more, scaled up
-TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
+SMALL = 1e-2  # below this cost the program is solved again, with the cost scaled up
+TINY = 1e-11  # well below 1e-9, the smallest denominator of a relative gap
 STUCK = ('NumericalError', 'InsufficientProgress')
-NEAR = 1e-9  # on constraints, of an answer that is not accurate otherwise
-ROUGH = 1e-4  # on constraints, of an answer that is good enough to branch on
-FAR = 1.0  # a goal is far from this many horizons on
+NEAR = 1e-9  # primal residual of a stalled solve that still counts as accurate
+ROUGH = 1e-4  # primal residual of a stalled solve that is good enough for branching
+FAR = 1.0  # in lengths of the horizon at full speed: the cost is scaled down for goals beyond it
 
 
 class Program:
-    """The convex program of a problem, set up for repeated solves.
+    """The convex program of a problem for repeated solves.
 
     Args:
         problem: what to solve.
@@ -66,7 +66,7 @@ class Program:
         self.multipliers: Multipliers | None = None
 
     def _bind(self, request: Request) -> None:
-        """Put state and goals into the data of the solves to come."""
+        """Set the data of the next solves from state and goals."""
         self._request, state, goals = request, request.state, request.goals
         self._a, self._b = self.statement.put(state, goals)
         self._origins = np.broadcast_to(adrift(self.problem, state), goals.shape)
@@ -79,16 +79,14 @@ class Program:
         constant += self._steadying * float(wanted @ wanted)
         self._constant = constant + first_length(self.problem, state)
         self._bind_cost(-2.0 * weights[:, None] * seen, 2.0 * self._stopping * hastened)
-        if self._steadying > 0.0:  # else there may be thrust axes in the place of rotations
+        if self._steadying > 0.0:  # otherwise the columns may be those of thrust axes only
             self._q[self.statement.x[-1]] -= 2.0 * self._steadying * wanted / self._scale
 
     def _bind_cost(self, pull: Array, braking: Array) -> None:
-        """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
+        """Set q from the linear terms of the goals and of the final velocity, scaled.
 
-        So is what an arrival weight has against the velocity that the disturbance ends with.
-
-        Otherwise a goal 1e4 full horizons away makes a feasible problem look infeasible to an
-        interior-point method.
+        The whole cost is scaled down for distant goals: otherwise a goal 1e4 horizons away makes
+        an interior-point method report a feasible problem as infeasible.
         """
         reach = self.problem.horizon * self.problem.step * self.problem.forward
         usual = FAR * (1.0 + 2.0 * self._heaviest * reach)
@@ -102,13 +100,13 @@ class Program:
         self._q[statement.last] += braking[: len(statement.last)] / scale
 
     def stated(self, request: Request) -> dict[str, Any]:
-        """Return the program of a request, as :func:`~.conic.solver_for` takes it."""
+        """Return the program of a request as data for :func:`~.conic.solver_for`."""
         if request is not self._request:
             self._bind(request)
         return self._scaled(self._a, self._b, self._scale)
 
     def _scaled(self, a: Array, b: Array, scale: float) -> dict[str, Any]:
-        """Return the program with entries of A and b, the cost divided by ``scale``."""
+        """Return the program with the given entries of A and b and its cost over ``scale``."""
         matrix = self._data['A'].copy()
         matrix.data = a
         q = self._q * (self._scale / scale)
@@ -132,8 +130,8 @@ class Program:
         if request.late or not again:
             return relaxed
         if relaxed.is_accurate:
-            # Near the goal the cost all but vanishes: a gap that is small against 1 is not small
-            # against the cost, unless that is scaled up.
+            # Near the goal the cost almost vanishes: a gap that is small compared to 1 is not
+            # small compared to the cost unless the cost is scaled up.
             scale = max(relaxed.bound, TINY)
         before = self.multipliers
         anew = self._solve_anew(a, b, scale, late, rows)
@@ -147,7 +145,7 @@ class Program:
     ) -> Relaxation:
         self._solver.update(q=self._q, A=a, b=b)
         answer = run(self._solver, out_of_time)
-        if answer is None:  # nobody knows in which state a panic leaves a solver
+        if answer is None:  # a panic leaves the solver in an unknown state
             self._solver = solver_for({**self._data, 'P': self._p / self._scale}, self._tolerance)
         return self._relaxation(answer, self._scale)
 
@@ -159,15 +157,15 @@ class Program:
         out_of_time: Callable[[], bool] | None,
         rows: Sequence[Row] = (),
     ) -> Relaxation:
-        """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
+        """Solve with a new Clarabel solver, the cost divided by ``scale``.
 
-        That settles nearly all that an update in place could not solve.
+        This succeeds in nearly all cases in which the solver updated in place did not.
         """
         data = self.cut(self._scaled(a, b, scale), rows, equal=False)
         return self._relaxation(run(solver_for(data, self._tolerance), out_of_time), scale)
 
     def cut(self, data: dict[str, Any], rows: Sequence[Row], *, equal: bool) -> dict[str, Any]:
-        """Return data with half-spaces, or the planes at their edges, on top."""
+        """Return data with half-spaces added, or their boundary planes if ``equal``."""
         if not rows:
             return data
         shares, normals = (np.array([row[i] for row in rows]) for i in (1, 2))
@@ -177,10 +175,10 @@ class Program:
         return extended(data, entries, -np.array([row.offset for row in rows]), equal=equal)
 
     def _relaxation(self, answer: Any, scale: float) -> Relaxation:
-        """Return the solution of an answer, with its dual value as the bound.
+        """Return the relaxation from Clarabel's solution, with its dual value as the bound.
 
         Raises:
-            Infeasible: its multipliers are taken for a proof that nothing is feasible.
+            Infeasible: reported by Clarabel; its multipliers are taken as a Farkas certificate.
         """
         self.multipliers = None if answer is None else self._multipliers(answer, scale)
         if answer is None:
@@ -205,6 +203,6 @@ class Program:
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:
-    """Return whether an answer whose gap would not close satisfies the constraints all the same."""
+    """Return True if a solve that stalled nevertheless satisfies the constraints."""
     near = answer.r_prim <= tolerance and np.isfinite(answer.x).all()
     return bool(near and str(answer.status) in STUCK)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The methods, fastest first, and which of them solves a problem.
+"""Selection of the solution method for a problem; the fastest methods come first.
 
 Mathematics: docs/mathematics.md, 4.1.
 """
@@ -11,15 +11,15 @@ from importlib import import_module
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.request import Found, Method, Request
 
-# (module, class). The first whose ``solves`` holds is chosen; modules are imported in turn, since
-# the later ones take longer to import.
+# (module, class). The first one whose ``solves`` returns True is chosen. Modules are imported one
+# by one, since the later ones take longer to import.
 METHODS = [
     ('search.engine', 'Engine'),
     ('search.round_floor', 'RoundFloor'),
     ('solve.planar_catch', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
-PACED = ('solve.paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
+PACED = ('solve.paced_speeds', 'PacedSpeeds')  # imports Clarabel, hence only with max_acceleration
 
 
 def method_for(
@@ -31,7 +31,7 @@ def method_for(
         problem: what to solve.
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
-        among: whether states come with hazards, which the last method alone knows.
+        among: whether states come with hazards, which only the last method handles.
     """
     methods, given = (METHODS[-1:], {'among': True}) if among else (METHODS, {})
     for place, name in [PACED, *methods] if problem.max_acceleration else methods:
@@ -43,7 +43,7 @@ def method_for(
 
 
 class General:
-    """A search that costs nothing until it is needed.
+    """General branch and bound, built at its first use.
 
     Args:
         problem: what to solve.
@@ -57,7 +57,7 @@ class General:
     def solve(self, request: Request) -> Found:
         """Solve as :class:`orbimpc_ros.mpc.solve.branch_and_bound.BranchAndBound` does."""
         if self._search is None:
-            from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # takes Clarabel
+            from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # slow to import
 
             self._search = BranchAndBound(self._problem, self._tolerance)
         return self._search.solve(request)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The interface of a convex program of the problem: half-spaces in, a relaxation out.
+"""Interface of convex relaxations: half-spaces in, solution, bound and multipliers out.
 
 Mathematics: docs/mathematics.md, 4.8.
 """
@@ -17,13 +17,13 @@ from orbimpc_ros.mpc.solve.request import Request
 
 
 class Row(NamedTuple):
-    """A half-space normal . (what R_1 e1..R_N e1 add to a place) >= offset.
+    """A half-space normal . sum_k shares_k R_k e1 >= offset on a heading or a control point.
 
     Attributes:
-        place: 0..N - 1 of headings, then the control points of all steps.
-        shares: of R_1 e1..R_N e1 in it, shape (N,).
+        place: index: 0..N - 1 for headings, then the control points of all steps.
+        shares: coefficients of R_1 e1..R_N e1, shape (N,).
         normal: unit vector, shape (n,).
-        offset: of what the state alone decides taken off.
+        offset: less the part of the point that is fixed by the state.
     """
 
     place: int
@@ -33,17 +33,17 @@ class Row(NamedTuple):
 
 
 class Multipliers(NamedTuple):
-    """What holds the solution of a relaxation, or proves that there is none.
+    """Multipliers at the solution of a relaxation, or the Farkas certificate of its infeasibility.
 
-    All but the point and the sizes are as :class:`~orbimpc_ros.mpc.proof.tree.ProofTree` has them.
+    The last four are defined as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
 
     Attributes:
-        point: where the Lagrangian is least: all that the cost sees of R_1..R_N, shape (N, d).
-        sizes: of the multipliers of the rows that were asked for, >= 0, shape (M,).
-        pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m, n).
+        point: minimiser of the Lagrangian in the coordinates that the cost depends on, (N, d).
+        sizes: multipliers of the rows passed to ``relax``, >= 0, shape (M,).
+        pull: for a terminal constraint, of s_N = g_N and p_N = 0, shape (m, n).
         slide: of the glide slope, shape (N, 3) or (0, 0).
-        tether: of how far R e1 moves in a step, shape (N, n).
-        share: of what else holds a single R_k e1, but for rows, shape (N, n).
+        tether: of the limits on the motion of R e1 in a step, shape (N, n).
+        share: of all other constraints on a single R_k e1 except rows, shape (N, n).
     """
 
     point: Array
@@ -56,12 +56,12 @@ class Multipliers(NamedTuple):
 
 @dataclass(frozen=True)
 class Relaxation:
-    """The optimum of a convex program with some half-spaces in force, as far as it was found.
+    """The solution of a convex program with half-spaces added.
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
-        bound: the value of the dual function whose minimiser is ``x``; -inf where that is not
-            known, or ``x`` is only accurate enough to branch on. The verifier alone proves bounds.
+        bound: dual value that belongs to ``x``; -inf if unknown, or if ``x`` is only accurate
+            enough for branching. Only the verifier proves bounds.
     """
 
     x: Array | None
@@ -69,15 +69,15 @@ class Relaxation:
 
     @property
     def is_accurate(self) -> bool:
-        """Return whether the program was solved, and as accurately as a solver can."""
+        """Return True if the program was solved to full accuracy."""
         return self.x is not None and self.bound > -np.inf
 
 
 class Relaxed(Protocol):
-    """A convex program of a problem, to be solved with any half-spaces on its places.
+    """A convex program of a problem, solved repeatedly with different half-spaces.
 
     Attributes:
-        multipliers: of the last relaxation, as far as they are known; None where they are not.
+        multipliers: of the last relaxation; None if unknown.
     """
 
     multipliers: Multipliers | None
@@ -85,15 +85,15 @@ class Relaxed(Protocol):
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
-        """Solve for a state and goals within half-spaces, until time is up.
+        """Solve for a state and goals within half-spaces, until the deadline.
 
-        What depends on state and goals alone is worked out once for a request.
+        Data that depend only on state and goals are computed once per request.
 
         Args:
             request: state, goals and deadline.
             rows: half-spaces.
-            chords: how far R e1 may move in the steps that a chord bounds, shape (K,), where that
-                is to be less than the problem says.
+            chords: tighter limits on |R_{k+1} e1 - R_k e1| for the K steps where the problem bounds
+                that chord, shape (K,).
 
         Raises:
             Infeasible: proved that no trajectory satisfies the constraints.

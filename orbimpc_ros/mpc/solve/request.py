@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The interface of solution methods: a request in, a trajectory and its bound out."""
+"""Interface of solution methods: a request in, a trajectory and its bound out."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from orbimpc_ros.mpc.proof.tree import ProofTree
 
 @dataclass(frozen=True)
 class Guess:
-    """A trajectory from the present state; it satisfies every constraint if the method trusts it.
+    """A warm start from the present state; feasible if it is for a method with ``trusts_guess``.
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d).
-        cost: its objective, for a method that trusts it; else infinite.
+        cost: its objective for a method with ``trusts_guess``, else infinite.
     """
 
     x: Array
@@ -27,18 +27,18 @@ class Guess:
 
 
 class Enough(NamedTuple):
-    """When a search may stop before it is proved how good its trajectory is.
+    """Early stopping criteria of a search.
 
     Attributes:
-        cost: a trajectory that costs no more is good enough.
-        bound: where none costs less than this, it no longer matters how much the best one does.
+        cost: stop at a trajectory that costs no more than this.
+        bound: stop as soon as the lower bound exceeds this.
     """
 
     cost: float = -math.inf
     bound: float = math.inf
 
     def met(self, found: Found) -> bool:
-        """Return whether a search that has found so much may stop."""
+        """Return True if a search with this result may stop."""
         return found.cost <= self.cost or found.lower_bound > self.bound
 
 
@@ -46,16 +46,16 @@ NEVER_ENOUGH = Enough()
 
 
 class Request(NamedTuple):
-    """What a method is asked for; a tuple, for one is made at every tick.
+    """The input of a method; a tuple because one is created at every tick.
 
     Attributes:
-        state: where the plan starts.
+        state: initial state of the plan.
         goals: g_1..g_N, shape (N, n) [m].
-        guess: a trajectory to start from.
-        out_of_time: polled between steps; True makes a method return the best so far. None lets it
-            take as long as it needs.
+        guess: warm start.
+        out_of_time: polled between iterations; once it returns True, the method returns its best
+            result so far. None: no deadline.
         patient: whether the deadline leaves time to set up slower methods.
-        enough: what may end a search sooner; a method is free to go on.
+        enough: early stopping criteria, which a method may ignore.
     """
 
     state: State
@@ -67,27 +67,26 @@ class Request(NamedTuple):
 
     @property
     def hurried(self) -> bool:
-        """Return whether there is a deadline too near for slower methods."""
+        """Return True if the deadline leaves no time for slower methods."""
         return self.out_of_time is not None and not self.patient
 
     @property
     def late(self) -> bool:
-        """Return whether the deadline has passed."""
+        """Return True if the deadline has passed."""
         return self.out_of_time is not None and self.out_of_time()
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a method found and proved.
+    """The result of a method.
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if no trajectory was found.
-        cost: of that trajectory, inf if there is none.
-        lower_bound: no trajectory costs less.
-        nodes: relaxations or local problems solved.
-        reason: why there is no trajectory.
-        proof: the tree that proves the bound, in the units of the request; None where there is
-            none.
+        cost: of that trajectory, inf without one.
+        lower_bound: on the cost of every trajectory.
+        nodes: number of relaxations or local problems solved.
+        reason: why no trajectory was found, or why it is not proved optimal.
+        proof: tree that proves the bound, in the units of the request; None without a proof.
     """
 
     x: Array | None
@@ -99,18 +98,18 @@ class Found:
 
     @property
     def gap(self) -> float:
-        """Return (cost - lower bound) / max(1e-9, |cost|); infinite where either is missing."""
+        """Return (cost - lower bound) / max(1e-9, |cost|); infinite if either is not finite."""
         if not (math.isfinite(self.cost) and math.isfinite(self.lower_bound)):
             return math.inf
         return (self.cost - self.lower_bound) / max(1e-9, abs(self.cost))
 
 
 class Method(Protocol):
-    """Solves one problem for any state and goals.
+    """A solver of one problem for any state and goals.
 
     Attributes:
-        takes_guess: whether a guess is worth making.
-        trusts_guess: whether it relies on the guess to satisfy every constraint.
+        takes_guess: whether the method benefits from a warm start.
+        trusts_guess: whether it assumes that the warm start satisfies all constraints.
     """
 
     takes_guess: bool
@@ -118,12 +117,12 @@ class Method(Protocol):
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether the method applies to a problem, and is fast on this machine."""
+        """Return True if the method applies to a problem and is fast on this machine."""
 
     def solve(self, request: Request) -> Found:
-        """Return the best trajectory found with the bound proved.
+        """Return the best trajectory found and the lower bound.
 
         Raises:
-            Infeasible: proved that no trajectory satisfies the constraints.
-            SolverFailure: nothing could be found or proved.
+            Infeasible: it was proved that no trajectory satisfies the constraints.
+            SolverFailure: neither a trajectory nor a bound was found.
         """
