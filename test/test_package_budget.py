@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 35_036,
-    'orbimpc_ros/mpc': 18_231,
+    'orbimpc_ros': 35_032,
+    'orbimpc_ros/mpc': 18_227,
     'orbimpc_ros/loop': 4_005,
     'orbimpc_ros/ros': 4_788,
     'orbimpc_ros/sim': 2_846,
