@@ -401,7 +401,7 @@ def test_a_dry_run_sends_nothing(wing):
     assert not flown.setpoints
     assert not flown.kept
     assert not flown.node.count_publishers('fmu/in/offboard_control_mode')
-    assert 'dry_run: true' in flown.planner.output
+    assert 'commands nothing: a dry run' in flown.planner.output
 
 
 @pytest.mark.parametrize('name', KINDS)

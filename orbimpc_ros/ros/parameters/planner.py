@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 from orbimpc_ros.loop.compensation import DISTURBANCES, ESTIMATED, GIVEN, Response
@@ -36,6 +37,14 @@ OF_PROBLEM = (
     *('max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope'),
 )
 ROUNDING = 1e-5  # of the way of a step: more than a checked plan may be off
+
+
+class Ageing(Enum):
+    """Which goals get stale: all; those of a source that streams; none."""
+
+    ALL = 'all'
+    STREAMED = 'streamed'
+    NONE = 'none'
 
 
 @dataclass(frozen=True)
@@ -213,6 +222,14 @@ class PlannerSettings(VehicleParameters):
         """Return after which a goal is stale, at least 1.5 periods [s]."""
         given = self.given_goal_timeout
         return max(given if given > 0.0 else 1.0, 1.5 * self.period)
+
+    @cached_property
+    def goal_ageing(self) -> Ageing:
+        """Return which goals get stale."""
+        if self.given_goal_timeout:
+            return Ageing.ALL if self.given_goal_timeout > 0.0 else Ageing.NONE
+        # A forecast that moves on from the last goal for ever would lead anywhere.
+        return Ageing.STREAMED if self.goal_prediction == 'hold' else Ageing.ALL
 
     @cached_property
     def response(self) -> Response:

@@ -9,7 +9,7 @@ The parameters that both nodes have are here, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, TypeVar
@@ -166,13 +166,6 @@ def settings_from(settings: type[S], values: Values) -> S:
     return settings(**held)
 
 
-def values_of(settings: Any) -> Iterator[tuple[ParameterSpec, Any]]:
-    """Yield each parameter of settings with its value."""
-    for each in fields(settings):
-        if 'parameter' in each.metadata:
-            yield each.metadata['parameter'], getattr(settings, each.name)
-
-
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
     """Return the values that were given, and defaults for the rest."""
     return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
@@ -240,7 +233,7 @@ class VehicleParameters(ProcessParameters):
     child_frame_id: str = parameter('child_frame_id', 'base_link',
         'Body frame of twists; empty accepts any')
     thrust_axis: str = parameter('thrust_axis', 'x', 'Body axis that pushes: x, or in space z, as '
-        'of a multirotor; speed and force are along it',
+        'of a multirotor; speed, force and the start-up line are about it',
         choices=tuple(THRUST_AXES))
     approach_cone: float = parameter('approach.cone', 0.0, 'A catch counts only with the pushing '
         'axis within this angle of approach.direction; 0 for any. Headings only: velocities have '

@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
-from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
 T = TypeVar('T')
@@ -579,12 +579,15 @@ class Inputs:
 
     def _goal_age(self, topic: str, now: float, ros: int | None) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
-        given, goal = self.settings.given_goal_timeout, self.latest[topic]
+        settings, goal = self.settings, self.latest[topic]
         route = isinstance(goal.value, Route)
-        # A forecast that moves on from the last goal for ever would lead anywhere.
-        holds = route or (topic == 'goal' and self.settings.goal_prediction == 'hold')
-        ages = given > 0.0 if given else not holds or goal.run >= STREAM
-        return goal.age(now, ros) if ages else 0.0
+        by_hand = (topic == 'goal' or route) and goal.run < STREAM
+        lasting = settings.goal_ageing is Ageing.STREAMED or (
+            route and not settings.given_goal_timeout
+        )
+        if settings.goal_ageing is Ageing.NONE or (lasting and by_hand):
+            return 0.0
+        return goal.age(now, ros)
 
 
 def _since(stamp: int, ros: int | None) -> float:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Decisions as messages, commands first; and in words the parameters that the planner has."""
+"""Decisions as messages, commands first; and in words the vehicle that the planner believes in."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Path
@@ -28,8 +27,7 @@ from orbimpc_ros.mpc.proof.document import Certificate, Refutation, certificate_
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
-from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings
-from orbimpc_ros.ros.parameters.spec import values_of
+from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 
 # Topics of decisions, and of commands to the vehicle.
 REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
@@ -260,15 +258,33 @@ DEFAULTS = {spec.name: spec.default for spec in PLANNER}
 
 
 def summary(settings: PlannerSettings, simulated: bool) -> str:
-    """Return in one line, as YAML, which parameters a planner has that are not the defaults.
+    """Return in one line what the planner takes the vehicle and its own task to be.
 
-    Then what is done without a plan, and whose time it is: that of /clock if it is ``simulated``.
+    Args:
+        settings: of the planner.
+        simulated: whether time comes from /clock.
     """
-    changed = {spec.name: value for spec, value in values_of(settings) if value != spec.default}
-    told = yaml.safe_dump(changed, default_flow_style=True, width=math.inf, sort_keys=False)
-    given = told.strip('{}\n') or 'defaults alone'
-    clock = 'time of /clock' if simulated else "the system's time"
-    return f'{given}; safe command {settings.safe_command}; {clock}'
+    problem, response = settings.problem, settings.response
+    every = 'step' if settings.period == problem.step else f'{settings.period:g} s'
+    at_odometry = settings.trigger == 'odom'
+    parts = [
+        *_vehicle(settings),
+        *_surroundings(settings),
+        f'{problem.step:g} s x {problem.horizon}',
+        problem.discretisation == 'exact' and 'integrated exactly',
+        f'{problem.dimension}D',
+        f'rotation order {problem.rotation_order}',
+        f'translation order {problem.translation_order}',
+        'planned at each odometry' if at_odometry else f'planned every {every}',
+        response.lags and f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)',
+        settings.estimated and 'disturbance estimated',
+        'time of /clock' if simulated else "the system's time",
+        f'goals {_ageing(settings)}',
+        f'safe command {_safe_command(settings)}',
+        settings.dry_run and 'commands nothing: a dry run',
+        settings.gated and 'commands nothing until it is engaged',
+    ]
+    return ', '.join(part for part in parts if isinstance(part, str) and part)
 
 
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
@@ -278,7 +294,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         settings: of the planner.
         given: values that were given at the start, by parameter.
     """
-    problem, found = settings.problem, _too_weak(settings)
+    problem, found = settings.problem, []
     rate, floor = problem.max_rate, problem.floor
     if rate > BRISK:
         asked = f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant'
@@ -312,25 +328,67 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _too_weak(settings: PlannerSettings) -> list[str]:
-    """Return what a vehicle cannot do against gravity, wind and its own floor, in words."""
-    problem, found = settings.problem, list[str]()
-    unit = 'm/s' if problem.translation_order == 1 else 'm/s^2'
+def _vehicle(settings: PlannerSettings) -> list[object]:
+    """Return full speed or thrust, and the limits of the vehicle."""
+    problem, unit = settings.problem, _unit(settings.problem)
     least = problem.floor.clearance(problem.dimension) * problem.forward
-    kind, gravity, disturbance = settings.safe_command, settings.gravity, settings.disturbance
-    if gravity and least > gravity:
-        found.append(f'the least thrust is {least:.4g} {unit}: the vehicle cannot hover')
-    wind = disturbance.copy()
+    degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
+    return [
+        f'{problem.forward:g} {unit}',
+        problem.translation_order == 2 and f'{settings.mass:g} kg',
+        problem.floor.exists and f'at least {least:.4g} {unit} ({problem.floor})',
+        problem.max_rate and f'at most {degrees:.4g} deg/s',
+        problem.max_acceleration and f'at most {problem.max_acceleration:.4g} m/s^2',
+        problem.tilt and f'tilted by at most {math.degrees(problem.tilt):.4g} deg',
+        problem.glide_slope and f'above a glide slope of {slope:.4g} deg',
+    ]
+
+
+def _surroundings(settings: PlannerSettings) -> list[object]:
+    """Return what moves the vehicle beside its thrust, and what it cannot do against that."""
+    problem, gravity, unit = settings.problem, settings.gravity, _unit(settings.problem)
+    least = problem.floor.clearance(problem.dimension) * problem.forward
+    hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
+    if least > gravity:
+        hover = f'cannot hover, for its least thrust is {least:.4g}'
+    wind = settings.disturbance.copy()
     wind[-1] += gravity
-    if (speed := float(np.linalg.norm(wind))) >= problem.forward:
-        found.append(f'wind is {speed:.4g} {unit} in all: too much to hold a goal')
+    speed, blown = float(np.linalg.norm(wind)), ''
+    if speed:
+        blown = f'wind ({", ".join(f"{each:.4g}" for each in wind)}) {unit}'
+    if speed >= problem.forward:
+        blown += f', {speed:.4g} {unit} in all: too much to hold a goal'
     if speed and problem.tilt:
-        needed = math.atan2(math.hypot(*disturbance[:2]), -disturbance[2])
+        known = settings.disturbance
+        needed = math.atan2(math.hypot(*known[:2]), -known[2])
         if needed > problem.tilt:
-            tilt = f'{needed:.4g} rad, {math.degrees(needed):.4g} deg'
-            found.append(f'to hold a goal in the wind takes a tilt of {tilt}: more than is allowed')
-    if gravity and kind in ('stop', 'hold_rate_zero'):
-        found.append(f'safe_command is {kind} although that is to fall')
+            degrees = f'{math.degrees(needed):.4g} deg'
+            blown += f', to hold a goal takes a tilt of {degrees}: more than is allowed'
+    slip = ', with its slip' if settings.sideslip else ''
+    return [
+        gravity and f'gravity {gravity:g} {unit}: {hover}',
+        settings.hover_thrust and f'told as {settings.hover_thrust:g} on thrust',
+        blown,
+        settings.frames.velocity == 'world' and 'velocities of the world frame',
+        settings.velocity_source == 'air' and f'odometry through the air{slip}',
+    ]
+
+
+def _unit(problem: Problem) -> str:
+    return 'm/s' if problem.translation_order == 1 else 'm/s^2'
+
+
+def _ageing(settings: PlannerSettings) -> str:
+    if settings.goal_ageing is Ageing.NONE:
+        return 'never stale'
+    streamed = settings.goal_ageing is Ageing.STREAMED
+    return f'stale after {settings.goal_timeout:g} s{" once they stream" if streamed else ""}'
+
+
+def _safe_command(settings: PlannerSettings) -> str:
+    kind, problem = settings.safe_command, settings.problem
+    if settings.gravity and kind in ('stop', 'hold_rate_zero'):
+        return f'{kind} although that is to fall'
     if problem.floor.exists and kind == 'stop' and problem.translation_order == 1:
-        found.append(f'safe_command is {kind} although that is below the floor')
-    return found
+        return f'{kind} although that is below the floor'
+    return kind
