@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from benchmarks.bench.instances import Instance
-from benchmarks.bench.solvers import Declined, Solution, Solver
+from benchmarks.bench.solvers import Solution, Solver
 
 OURS = 'orbimpc'
 WARM = 1.0  # [s] after which no further warm-up begins
@@ -67,8 +67,6 @@ def _run(solver: Solver, instance: Instance, into: Samples, number: int | None) 
         solver.solve()
         elapsed = time.perf_counter() - begin
         solution = solver.solution()
-    except Declined as refusal:
-        into.refused = str(refusal)
     except Exception as error:
         into.refused = f'failed: {type(error).__name__}: {error}'
     else:

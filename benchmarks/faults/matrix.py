@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+LAYOUT = '{:<59}  {:>5}  {:>6}  {:>7}  {:>7}  {:<5}  {:<3}  {}'
 HEAD = ('row', 'cases', 'unsafe', 'worst', 'allowed', 'unit', 'ok', 'remarks')
-NUMBERS = range(1, 5)  # columns that are flush right
 NEVER = 'never'
-SHOWN = 3  # failures that a row names
 
 
 @dataclass(frozen=True)
@@ -85,13 +84,11 @@ class MatrixRow:
 
     def cells(self) -> tuple[str, ...]:
         """Return the row of the table."""
-        more = len(self.failures) - SHOWN
-        shown = self.failures[:SHOWN] + ([f'and {more} more'] if more > 0 else [])
         return (
             *(self.case.title, str(len(self.outcomes)), str(self.unsafe)),
             '-' if math.isnan(self.worst) else f'{self.worst:.3g}',
             *(f'{self.case.allowed:g}', self.case.unit, 'yes' if self.ok else 'NO'),
-            '; '.join(shown),
+            '; '.join(self.failures),
         )
 
 
@@ -103,7 +100,4 @@ def _number(value: float) -> float | str | None:
 def table(rows: Sequence[MatrixRow]) -> str:
     """Return the rows as a plain table."""
     lines = [HEAD, *(row.cells() for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    cells = (f'{{:{">" if i in NUMBERS else "<"}{width}}}' for i, width in enumerate(widths))
-    layout = '  '.join(cells)
-    return '\n'.join(layout.format(*line).rstrip() for line in lines)
+    return '\n'.join(LAYOUT.format(*line).rstrip() for line in lines)

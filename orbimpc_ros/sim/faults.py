@@ -11,7 +11,6 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -89,22 +88,19 @@ class View:
         """Return what comes at this tick, in order; to be called once a tick."""
         self._past.append(flight.trail or (flight.vehicle,))
         arriving, self._held_back = self._held_back, []
-        draws = _Draws.of(self._seed, flight.ticks)
+        chances, shifts, turn = _draws(self._seed, flight.ticks)
+        shifts = self.faults.position_noise * shifts[:, : len(flight.goal)]
         if not self._hidden(flight.elapsed):
-            place = flight.goal + self._shift(draws, GOAL, flight.goal)
-            arriving += self._through(draws, GOAL, GoalObservation(flight.vehicle.time, place))
+            goal = GoalObservation(flight.vehicle.time, flight.goal + shifts[GOAL])
+            arriving += self._through(chances[GOAL], goal)
         seen = measured(self._delayed(), flight.scenario.model.velocity_source)
-        return arriving + self._through(draws, ODOMETRY, self._noisy(draws, seen))
+        turned = seen.attitude @ exp(self.faults.attitude_noise * turn[: len(seen.body_rate)])
+        seen = replace(seen, position=seen.position + shifts[ODOMETRY], attitude=turned)
+        return arriving + self._through(chances[ODOMETRY], seen)
 
     def command_lost(self, ticks: int) -> bool:
         """Return whether the command that answers a tick gets lost."""
-        return self._happens(_Draws.of(self._seed, ticks), COMMAND, 'dropout')
-
-    def _noisy(self, draws: _Draws, seen: Odometry) -> Odometry:
-        n = len(seen.body_rate)
-        turned = exp(self.faults.attitude_noise * draws.turn[:n])
-        shift = self._shift(draws, ODOMETRY, seen.position)
-        return replace(seen, position=seen.position + shift, attitude=seen.attitude @ turned)
+        return 'dropout' in self._happening(_draws(self._seed, ticks)[0][COMMAND])
 
     def _delayed(self) -> Vehicle:
         """Return the vehicle as it was ``delay`` ago; before its start it stood there."""
@@ -115,23 +111,22 @@ class View:
                 return between(earlier, later, at)
         return past[-1] if at >= past[-1].time else replace(past[0], time=at)
 
-    def _through(self, draws: _Draws, kind: int, sent: Seen) -> list[Seen]:
+    def _through(self, chances: Array, sent: Seen) -> list[Seen]:
         """Return the copies of a message that arrive now: none, one or two."""
-        if self._happens(draws, kind, 'dropout'):
+        happening = self._happening(chances)
+        if 'dropout' in happening:
             return []
-        if self._happens(draws, kind, 'nan'):
+        if 'nan' in happening:
             sent = replace(sent, position=np.full_like(sent.position, np.nan))
-        copies = [sent] * (2 if self._happens(draws, kind, 'duplicate') else 1)
-        if self._happens(draws, kind, 'reorder'):
+        copies = [sent] * (2 if 'duplicate' in happening else 1)
+        if 'reorder' in happening:
             self._held_back += copies
             return []
         return copies
 
-    def _happens(self, draws: _Draws, kind: int, fault: str) -> bool:
-        return bool(draws.chances[kind, CHANCES.index(fault)] < getattr(self.faults, fault))
-
-    def _shift(self, draws: _Draws, kind: int, position: Array) -> Array:
-        return self.faults.position_noise * draws.shifts[kind, : len(position)]
+    def _happening(self, chances: Array) -> set[str]:
+        drawn = zip(CHANCES, chances, strict=True)
+        return {fault for fault, chance in drawn if chance < getattr(self.faults, fault)}
 
     def _hidden(self, elapsed: float) -> bool:
         """Return whether the goal is occluded."""
@@ -141,14 +136,7 @@ class View:
         return length > 0.0 and begin <= into < begin + length
 
 
-class _Draws(NamedTuple):
-    """A tick's chances: uniform, shape (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
-
-    chances: Array
-    shifts: Array
-    turn: Array
-
-    @classmethod
-    def of(cls, seed: int, ticks: int) -> _Draws:
-        rng = np.random.default_rng((seed, 0, ticks))
-        return cls(rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3))
+def _draws(seed: int, ticks: int) -> tuple[Array, Array, Array]:
+    """Return a tick's chances, uniform, (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
+    rng = np.random.default_rng((seed, 0, ticks))
+    return rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3)

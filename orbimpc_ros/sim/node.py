@@ -64,7 +64,6 @@ class LockStep(FlightSimulation):
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
         self._newest = -np.inf  # true time of the last odometry sent [s]
         self._goal_sent = False
-        self._order: Order | None = None
         self._heard = -np.inf  # when the last command came, in simulated time [s]
         self._sent: list[Seen] = []
         self._held_back: list[Seen] = []  # odometry that follows
@@ -157,7 +156,7 @@ class LockStep(FlightSimulation):
         if self.finished or order.stamp != self._awaited:
             return
         if not self.view.command_lost(self.flight.ticks):
-            self._order, self._heard = order, self.flight.vehicle.time
+            self.order, self._heard = order, self.flight.vehicle.time
         self._fly_on()
 
     def _fly_on(self) -> None:
@@ -165,7 +164,7 @@ class LockStep(FlightSimulation):
             self.finish()
             return
         held = self._heard + self.settings.command_timeout - self.flight.vehicle.time
-        self.fly(self._order, held)
+        self.fly(held)
         self._asking, self._awaited = False, None
         if not self.settings.rate:
             self._ask_when_due()
@@ -195,7 +194,6 @@ class RealTime(FlightSimulation):
     def start(self) -> None:
         """Wait for subscribers, then for a first command."""
         self._begins = False
-        self._order: Order | None = None
         self._until = -np.inf  # when the command in force ends, on the steady clock [s]
         self._ends = -np.inf  # when it would have ended, had the planner not been missed [s]
         self._begun = self.node.steady_now()  # this step
@@ -212,7 +210,7 @@ class RealTime(FlightSimulation):
         """Put a command in force."""
         if self.view.command_lost(self.flight.ticks):
             return
-        self._order, self._latched = order, False
+        self.order, self._latched = order, False
         self._until = self.node.steady_now() + self.settings.command_timeout
 
     def on_life(self, event: Any) -> None:
@@ -233,7 +231,7 @@ class RealTime(FlightSimulation):
 
     def _stop(self, reason: str) -> None:
         """Stop the vehicle, and report why, even where it has been stopped for another reason."""
-        if self._order is None or self.finished:
+        if self._until == -np.inf or self.finished:  # not commanded yet
             return
         self._ends = self._until
         self._latched, self._until = True, min(self._until, self.node.steady_now())
@@ -246,8 +244,8 @@ class RealTime(FlightSimulation):
         self._begins = self._begins or not self.awaited(planner=False)
         if self.finished or not self._begins:
             return
-        if self._order is not None:
-            self.fly(self._order, self._until - self._begun)
+        if self._until > -np.inf:
+            self.fly(self._until - self._begun)
         if self.finished:
             return
         self._begun = self.node.steady_now()

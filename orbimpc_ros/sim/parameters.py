@@ -272,8 +272,7 @@ def wanted_readers(text: str) -> dict[str, int]:
 
 
 def _orientation(numbers: tuple[float, ...], dimension: int) -> Array:
-    x, y, z, w = numbers if len(numbers) == 4 else [math.nan] * 4
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+    norm = math.sqrt(sum(number * number for number in numbers))
+    if len(numbers) != 4 or not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
         raise BadInput('start.orientation', list(numbers), 'a unit quaternion x, y, z, w')
-    return from_quaternion(np.array([w, x, y, z]) / norm, dimension)
+    return from_quaternion(np.roll(numbers, 1) / norm, dimension)

@@ -50,6 +50,7 @@ class FlightSimulation(ABC):
         flight: now.
         view: the messages of it that reach a planner.
         finished: whether the flight has ended.
+        order: the last one.
     """
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
@@ -75,6 +76,7 @@ class FlightSimulation(ABC):
         self.flight = departure(settings.scenario, time)
         self.view = View(settings.faults, settings.seed, settings.scenario.model.step)
         self.finished = False
+        self.order = Order(0, 0.0, np.zeros(settings.scenario.model.rates))
 
     # --- its pace
 
@@ -222,15 +224,13 @@ class FlightSimulation(ABC):
             topic, message = outputs.sensed(stamp, each)
             self._out[topic].publish(message)
 
-    def fly(self, order: Order | None, held: float) -> None:
-        """Fly a step on an order that is in force for ``held`` [s] of it; without one, stand.
+    def fly(self, held: float) -> None:
+        """Fly a step on the last order, which is in force for ``held`` [s] of it.
 
         An engine that fails ends the flight, and this node.
         """
-        still = 0.0, np.zeros(self.settings.scenario.model.rates), 0.0
-        command = still if order is None else (order.fraction, order.body_rate, held)
         try:
-            self.flight = self.flight.after(*command)
+            self.flight = self.flight.after(self.order.fraction, self.order.body_rate, held)
         except EngineFailure as error:
             self.finished, self.node.exit_code = True, FAILED
             self.node.get_logger().fatal(f'the engine has failed: {error}')

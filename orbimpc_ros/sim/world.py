@@ -216,13 +216,8 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:
     """Return the names of touched boxes and balls, counted from 1, of which so many are boxes."""
-    named = {'box': [k + 1 for k in sorted(numbers) if k < boxes]}
-    named['ball'] = [k + 1 - boxes for k in sorted(numbers) if k >= boxes]
-    plural = {'box': 'boxes', 'ball': 'balls'}
-    return ' and '.join(
-        f'{name if len(counted) == 1 else plural[name]} {", ".join(map(str, counted))}'
-        for name, counted in named.items()
-        if counted
+    return ', '.join(
+        f'box {k + 1}' if k < boxes else f'ball {k + 1 - boxes}' for k in sorted(numbers)
     )
 
 

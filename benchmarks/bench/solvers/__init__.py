@@ -9,16 +9,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver as OwnSolver
 
 PROJECTION = 'thrust_aligned'
-
-
-class Declined(OrbimpcError):
-    """A solver cannot take a problem, such as one beyond the size its licence allows."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench.solvers import Declined, Solution
+from benchmarks.bench.solvers import Solution
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -159,10 +159,7 @@ class _Gurobi(MixedInteger):
             variable.Start = value
 
     def solve(self) -> None:
-        try:
-            self.model.optimize()
-        except self._library.GurobiError as error:
-            raise Declined(str(error)) from None
+        self.model.optimize()
 
     def found(self) -> Solution:
         capped = self.model.Status == self._library.GRB.TIME_LIMIT
