@@ -9,7 +9,7 @@ from harness import orbimpc
 
 from benchmarks.faults import inputs, processes
 from benchmarks.faults.injection import Fault, unsafe_commands
-from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
+from benchmarks.faults.matrix import FaultCase, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
 
 MATRIX = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
@@ -55,10 +55,8 @@ def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
 # --- rows
 
 
-def row(*outcomes, allowed=1.0):
-    return MatrixRow(
-        FaultCase('row', 'a row', allowed, lambda _fixtures, _long: iter(())), list(outcomes)
-    )
+def row(*outcomes):
+    return FaultCase('row', 'a row', 1.0, None, outcomes=list(outcomes))
 
 
 @pytest.mark.parametrize(

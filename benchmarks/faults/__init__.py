@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from importlib.util import find_spec
 
-from benchmarks.faults.matrix import FaultCase, MatrixRow, Outcome, table
+from benchmarks.faults.matrix import FaultCase, Outcome, table
 from benchmarks.machine import machine, require_known, writable, write
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
@@ -43,24 +43,25 @@ def run(
     if show:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
-    head, rows = {'machine': machine()}, tried(cases, long, executor)
-    write(kept, head, rows)
-    return 0 if all(row.ok for row in rows) else 1
+    head = {'machine': machine()}
+    fill(cases, long, executor)
+    write(kept, head, cases)
+    return 0 if all(row.ok for row in cases) else 1
 
 
-def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixRow]:
-    """Return the rows of fault cases and print them; all processes are gone at the end.
+def fill(rows: Sequence[FaultCase], long: bool, executor: str) -> None:
+    """Try the rows and print them; all processes are gone at the end.
 
     A planner that never recovers ends its row alone. SIGTERM ends them like Ctrl-C.
 
     Args:
-        cases: to try.
+        rows: to try.
         long: whether to try each at several moments.
         executor: of the nodes.
     """
     from orbimpc_ros.mpc.kernels.__main__ import PARTS
 
-    rows, progress = [MatrixRow(case) for case in cases], ProgressLine(len(cases))
+    progress = ProgressLine(len(rows))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # which leaves in order
     try:
         for part in PARTS:  # a planner that compiles answers nothing meanwhile
@@ -68,13 +69,12 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str) -> list[MatrixR
         for number, row in enumerate(rows):
             begin = time.monotonic()
             try:
-                for outcome in row.case.cases(executor, long):
+                for outcome in row.cases(executor, long):
                     row.outcomes.append(outcome)
                     row.seconds = time.monotonic() - begin
-                    progress.show(number, f'{row.case.title}: {len(row.outcomes)} cases')
+                    progress.show(number, f'{row.title}: {len(row.outcomes)} cases')
             except OrbimpcError as error:
                 row.outcomes.append(Outcome('then', failure=str(error)))
         progress.close()
     finally:
         print(table([row for row in rows if row.outcomes]))
-    return rows

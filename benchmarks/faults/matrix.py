@@ -23,9 +23,9 @@ class Outcome:
     failure: str = ''  # other failures, in words; empty if there were none
 
 
-@dataclass(frozen=True)
+@dataclass
 class FaultCase:
-    """A fault: a row of the matrix before it is injected."""
+    """A fault: a row of the matrix, with its outcomes so far."""
 
     name: str  # for ``--only``
     title: str  # description
@@ -33,15 +33,8 @@ class FaultCase:
     # yields the outcomes, given the executor of the nodes and whether every case is to be tried
     cases: Callable[[str, bool], Iterator[Outcome]]
     unit: str = 'ticks'  # of reactions
-
-
-@dataclass
-class MatrixRow:
-    """A row of the matrix: the outcomes so far of a fault case, and the time that it took [s]."""
-
-    case: FaultCase
     outcomes: list[Outcome] = field(default_factory=list)
-    seconds: float = 0.0
+    seconds: float = 0.0  # that they took
 
     @property
     def unsafe(self) -> int:
@@ -60,8 +53,8 @@ class MatrixRow:
         return [text for each in self.outcomes if (text := self._failure(each))]
 
     def _failure(self, outcome: Outcome) -> str:
-        late = outcome.reaction > self.case.allowed
-        when = f'{outcome.reaction:.3g} {self.case.unit}' if outcome.reaction < math.inf else NEVER
+        late = outcome.reaction > self.allowed
+        when = f'{outcome.reaction:.3g} {self.unit}' if outcome.reaction < math.inf else NEVER
         wrong = [
             outcome.failure,
             f'{outcome.unsafe} unsafe commands' if outcome.unsafe else '',
@@ -77,17 +70,17 @@ class MatrixRow:
 
     def as_json(self) -> dict[str, Any]:
         """Return the row for a JSON file."""
-        found = {name: getattr(self.case, name) for name in ('name', 'title', 'allowed', 'unit')}
-        found |= {name: getattr(self, name) for name in ('unsafe', 'ok', 'seconds', 'failures')}
+        known = ('name', 'title', 'allowed', 'unit', 'unsafe', 'ok', 'seconds', 'failures')
+        found = {name: getattr(self, name) for name in known}
         cases = [asdict(each) | {'reaction': _number(each.reaction)} for each in self.outcomes]
         return {**found, 'worst': _number(self.worst), 'cases': cases}
 
     def cells(self) -> tuple[str, ...]:
         """Return the row of the table."""
         return (
-            *(self.case.title, str(len(self.outcomes)), str(self.unsafe)),
+            *(self.title, str(len(self.outcomes)), str(self.unsafe)),
             '-' if math.isnan(self.worst) else f'{self.worst:.3g}',
-            *(f'{self.case.allowed:g}', self.case.unit, 'yes' if self.ok else 'NO'),
+            *(f'{self.allowed:g}', self.unit, 'yes' if self.ok else 'NO'),
             '; '.join(self.failures),
         )
 
@@ -97,7 +90,7 @@ def _number(value: float) -> float | str | None:
     return None if math.isnan(value) else NEVER if value == math.inf else value
 
 
-def table(rows: Sequence[MatrixRow]) -> str:
+def table(rows: Sequence[FaultCase]) -> str:
     """Return the rows as a plain table."""
     lines = [HEAD, *(row.cells() for row in rows)]
     return '\n'.join(LAYOUT.format(*line).rstrip() for line in lines)

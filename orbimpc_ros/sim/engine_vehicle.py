@@ -22,7 +22,6 @@ from orbimpc_ros.sim.world import Rope
 class Kind(NamedTuple):
     """A vehicle in an engine: the class in the module of ``engines`` that has its name."""
 
-    libraries: tuple[str, ...]  # that it takes, by the names of their modules
     dimension: int  # in which it is flown
     translation_order: int  # 1, it takes speeds; 2, thrusts
     lacks: tuple[str, ...]  # parameters that mean nothing to it, or that it decides itself
@@ -32,9 +31,9 @@ class Kind(NamedTuple):
 PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # of no engine
 ROPE = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # of a goal that is no body
 ENGINES = {
-    'cessna': Kind(('jsbsim',), 2, 1, PLAIN),
-    'hummingbird': Kind(('mujoco', 'rotorpy'), 2, 1, (*PLAIN, *ROPE)),
-    'servicer': Kind(('Basilisk',), 3, 2, (*PLAIN, 'gust', 'stall_speed'), extra='basilisk'),
+    'cessna': Kind(2, 1, PLAIN),
+    'hummingbird': Kind(2, 1, (*PLAIN, *ROPE)),
+    'servicer': Kind(3, 2, (*PLAIN, 'gust', 'stall_speed'), extra='basilisk'),
 }
 
 
@@ -126,14 +125,11 @@ def class_of(name: str) -> Callable[..., Engine]:
     Raises:
         BadInput: a library that it takes is not installed.
     """
-    kind = ENGINES[name]
     try:
         module = import_module(f'orbimpc_ros.sim.engines.{name}')
     except ModuleNotFoundError as error:
         library = str(error.name).partition('.')[0]
-        if library not in kind.libraries:
-            raise
-        hint = command_for_extra(kind.extra)
+        hint = command_for_extra(ENGINES[name].extra)
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
     made: Callable[..., Engine] = getattr(module, name.capitalize())
     return made

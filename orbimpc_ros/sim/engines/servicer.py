@@ -42,7 +42,7 @@ EARTH = 3.986004418e14  # [m^3/s^2]
 ORBIT = 6.878e6  # [m] the client's radius, 500 km up
 MASS = 60.0  # [kg]
 INERTIA = np.diag([4.8, 5.0, 5.2])  # [kg m^2] about a cube of 0.7 m
-AFT = [[-0.35, 0.0, 0.0]]  # [m] where thrusters push forward
+AFT = [-0.35, 0.0, 0.0]  # [m] where the thruster pushes forward
 FORCE, BRIEFEST = 0.9, 0.02  # [N, s] of a Monarc-1: its thrust, and its shortest pulse
 MOMENTUM = 12.0  # [N m s] of a wheel, the smallest HR12
 SHARPEST = 0.03  # [rad/s^2] the setpoint turns up no faster: 0.16 N m of the wheels' 0.2
@@ -113,8 +113,8 @@ class Servicer(Engine):
             ),
             self._nanoseconds,
         )
-        forces = [MASS * push / len(AFT)] * len(AFT)
-        self._force.write(messaging.THRArrayCmdForceMsgPayload(thrForce=forces), self._nanoseconds)
+        force = messaging.THRArrayCmdForceMsgPayload(thrForce=[MASS * push])
+        self._force.write(force, self._nanoseconds)
 
     def motion(self) -> Motion:
         """Return how the vehicle moves now; ``push`` is what the last pulses come to, evened out.
@@ -124,7 +124,7 @@ class Servicer(Engine):
         """
         now, client = self._vehicle.scStateOutMsg.read(), self._client.scStateOutMsg.read()
         attitude = MRP2C(now.sigma_BN).T
-        pulses = np.minimum(self._firing.onTimeOutMsg.read().OnTimeRequest[: len(AFT)], PULSE)
+        pulse = min(self._firing.onTimeOutMsg.read().OnTimeRequest[0], PULSE)
         speeds = self._wheels.rwSpeedOutMsg.read().wheelSpeeds[:3]
         return Motion(
             self._simulation.CurrentNanos / SECOND,
@@ -133,7 +133,7 @@ class Servicer(Engine):
             attitude,
             np.array(now.omega_BN_B),
             np.zeros(3),
-            FORCE * float(pulses.sum()) / PULSE / MASS,
+            FORCE * pulse / PULSE / MASS,
             {
                 'pointing': _angle(attitude.T @ self._setpoint.attitude),
                 'wheel': float(np.abs(speeds).max()),
@@ -180,12 +180,11 @@ def _orbiting(
 
 
 def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]:
-    """Return a vehicle's thrusters, drawn at random, what fires them, and what these point to."""
+    """Return a vehicle's thruster, drawn at random, what fires it, and what these point to."""
     factory = simIncludeThruster.thrusterFactory()
-    for place in AFT:
-        axis = [1.0, *(OFF_AXIS * draw.normal(size=2))]
-        thruster = factory.create('MOOG_Monarc_1', place, axis)
-        thruster.thrusterMagDisp = float(OFF_FORCE * draw.normal())
+    axis = [1.0, *(OFF_AXIS * draw.normal(size=2))]
+    thruster = factory.create('MOOG_Monarc_1', AFT, axis)
+    thruster.thrusterMagDisp = float(OFF_FORCE * draw.normal())
     thrusters = thrusterDynamicEffector.ThrusterDynamicEffector()
     factory.addToSpacecraft('thrusters', thrusters, vehicle)
     firing, config = thrFiringRemainder.thrFiringRemainder(), factory.getConfigMessage()
