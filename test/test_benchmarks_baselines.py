@@ -39,7 +39,7 @@ def seeing(*hazards, goal=(25.0, 0.0), velocity=(0.0, 0.0), wind=(0.0, 0.0)):
     def ahead(times):
         return np.array(goal) + np.multiply.outer(np.asarray(times), np.array(velocity))
 
-    return Sight(0.0, state, ahead(0.5 * np.arange(1, 13)), ahead, np.array(wind))
+    return Sight(0.0, state, ahead, np.array(wind))
 
 
 # --- laws

@@ -10,10 +10,9 @@ from harness import orbimpc
 from benchmarks.faults import inputs, processes
 from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, Outcome, table
-from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
+from benchmarks.faults.monitor import HeardCommand, Monitor
 
 MATRIX = (*inputs.FAULT_CASES, *processes.FAULT_CASES)
-LIMITS = Limits(speed=1.0, rate=3.0)
 NAN, INF = math.nan, math.inf
 
 
@@ -30,7 +29,8 @@ NAN, INF = math.nan, math.inf
     ],
 )  # fmt: skip
 def test_the_monitor_notices_commands_beyond_limits(speed, rates, broken):
-    assert LIMITS.broken(HeardCommand(0.0, speed, rates)) == broken
+    monitor = Monitor(speed=1.0, rate=3.0, commands=[HeardCommand(0.0, speed, rates)])
+    assert monitor.broken() == broken
 
 
 def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
@@ -39,7 +39,7 @@ def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
 
     def unsafe(*commands, strict=True):
         fault = Fault('fault', lambda _harness: None, wait=0.3, strict=strict)
-        monitor = Monitor(LIMITS)
+        monitor = Monitor(speed=1.0, rate=3.0)
         monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, w)) for at, speed, w in commands]
         return unsafe_commands(monitor, fault, 1.0, due)
 

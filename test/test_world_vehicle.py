@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.sim.vehicle import Model, Plant, gusts, launched, measured
-from orbimpc_ros.sim.world import Airspeeds, Rope, Scenario, departure
+from orbimpc_ros.sim.world import Rope, Scenario, departure
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 
@@ -167,15 +167,13 @@ def test_odometry_measures_over_ground_or_through_the_air():
 
 
 def test_each_fall_below_the_stall_speed_counts_once():
-    plant = plant_of(speed_lag=0.3, stall_speed=10.0)
-    vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2)))
-    seen = Airspeeds(10.0).seeing([vehicle])
+    plant = plant_of(step=2.0, speed_lag=0.3, stall_speed=10.0)
+    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2))))
     for fraction in (1.0, 0.5, 0.4, 1.0, 10.0 / 15.0, 0.5, 1.0):
-        trail = plant.flown(vehicle, 2.0, fraction, np.zeros(1), 0.0)
-        seen, vehicle = seen.seeing(trail), trail[-1]
-    assert (seen.stalls, seen.stalled) == (2, False)
-    assert 6.0 < seen.least < 6.1  # of 0.4 * 15 m/s, after 2 s of a lag of 0.3 s
-    assert seen.seeing(plant.flown(vehicle, 2.0, 0.5, np.zeros(1), 0.0)).stalled
+        flight = flight.after(fraction, np.zeros(1))
+    assert (flight.stalls, flight.stalled) == (2, False)
+    assert 6.0 < flight.least_airspeed < 6.1  # of 0.4 * 15 m/s, after 2 s of a lag of 0.3 s
+    assert flight.after(0.5, np.zeros(1)).stalled
 
 
 def test_a_flight_catches_between_its_steps_where_it_flew():

@@ -29,7 +29,6 @@ class Sight(NamedTuple):
 
     time: float  # earliest time at which it can act, after its lags [s]
     state: State  # at that time, from which moving obstacles count theirs
-    goals: Array  # g_1..g_N at the ends of the steps, shape (N, 2) [m]
     # returns the goal's positions at times, shape (M,) [s], as shape (M, 2) [m]
     ahead: Callable[[Array], Array]
     wind: Array  # shape (2,) [m/s]
@@ -84,7 +83,7 @@ class Baseline(ABC):
         hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
         state = State.at(**start.state, hazards=hazards)
         goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))
-        sight = Sight(time, state, goals, ahead.at, np.zeros(2) if wind is None else wind)
+        sight = Sight(time, state, ahead.at, np.zeros(2) if wind is None else wind)
         command = self._limited(state, *self.steered(self._led(sight)))
         return Decision(
             Status.FEASIBLE, '', state, None, command, problem=self.problem, goals=goals
@@ -108,9 +107,7 @@ class Baseline(ABC):
         lined = along >= math.cos(LINED) * float(np.linalg.norm(away))
         behind = self.tuned['behind'] * self.problem.step * self.problem.forward
         back = (0.5 * along if lined else behind) * axis
-        return sight._replace(
-            goals=sight.goals - back, ahead=lambda times: sight.ahead(times) - back
-        )
+        return sight._replace(ahead=lambda times: sight.ahead(times) - back)
 
     def expect_hazards(self) -> None:  # noqa: B027
         """Compile nothing: it solves none of the package's programs."""

@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 
 from benchmarks import session
 from benchmarks.faults import stimulus
-from benchmarks.faults.monitor import Event, Limits, Monitor, record
+from benchmarks.faults.monitor import Event, Monitor, record
 from benchmarks.session import PATIENCE, Session
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
@@ -33,12 +33,13 @@ EPOCH = 1000.0  # [s] at which simulated time begins
 RATE = 20.0  # [Hz] of odometry and goal
 PLANNER: dict[str, Any] = {
     'step': STEP,
+    'forward': 1.0,
     'floor.shape': 'polygon',
     'goal_timeout': 0.4,
     'goal_jump_limit': 5.0,
     'max_rate': 3.0,
     'safe_command': 'stop',  # with a floor it would be to circle, which is no sign to judge by
-}  # [s], [m], [rad/s]
+}  # [s], [m/s], [m], [rad/s]
 
 
 class Monitored(Session):
@@ -46,8 +47,7 @@ class Monitored(Session):
 
     Args:
         nodes: their executor.
-        values: of the planner's parameters.
-        limits: of commands.
+        values: of the planner's parameters, which limit commands.
         module: of the planner.
 
     Attributes:
@@ -57,10 +57,12 @@ class Monitored(Session):
     planner: Process
 
     def __init__(
-        self, nodes: str, values: Mapping[str, Any], limits: Limits, module: str = session.PLANNER
+        self, nodes: str, values: Mapping[str, Any], module: str = session.PLANNER
     ) -> None:
         super().__init__(nodes)
-        self._values, self._module, self.monitor = values, module, Monitor(limits)
+        self._values, self._module = values, module
+        fastest = values['max_rate'] or math.pi / values['step']
+        self.monitor = Monitor(values['forward'], fastest)
         self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.subscribe(DiagnosticArray, 'tick', partial(record, self.monitor.ticks))
         self.subscribe(DiagnosticArray, '/diagnostics', partial(record, self.monitor.health))
@@ -100,7 +102,7 @@ class Harness(Monitored):
         module: str = session.PLANNER,
     ) -> None:
         values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
-        super().__init__(nodes, values, Limits(1.0, values['max_rate']), module)
+        super().__init__(nodes, values, module)
         self._simulated = simulated
         self.draw, self._spoiled = random.Random(seed), dict[str, stimulus.Spoiler]()
         self.jump, self._frozen_at = 0.0, math.nan

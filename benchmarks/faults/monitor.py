@@ -41,21 +41,6 @@ class HeardStatus(NamedTuple):
     values: dict[str, str]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits of every command, fault or not: full speed [m/s] and greatest rate [rad/s]."""
-
-    speed: float
-    rate: float
-
-    def broken(self, command: HeardCommand) -> bool:
-        """Return whether a command is not finite or beyond a limit."""
-        if not all(map(math.isfinite, (command.speed, *command.rates))):
-            return True
-        too_fast = not -STILL <= command.speed <= self.speed * (1.0 + SLACK)
-        return too_fast or math.hypot(*command.rates) > self.rate * (1.0 + SLACK)
-
-
 @dataclass
 class Monitor:
     """Records everything that a planner publishes.
@@ -64,7 +49,8 @@ class Monitor:
     monitor that was held up is not the planner's delay.
     """
 
-    limits: Limits  # of commands
+    speed: float  # limit of every command, fault or not [m/s]
+    rate: float  # and of its body rate [rad/s]
     commands: list[HeardCommand] = field(default_factory=list)  # received so far
     ticks: list[HeardStatus] = field(default_factory=list)  # reports on ``tick``
     health: list[HeardStatus] = field(default_factory=list)  # diagnostics
@@ -77,7 +63,11 @@ class Monitor:
 
     def broken(self, since: float = -math.inf) -> int:
         """Return how many commands are not finite or beyond a limit."""
-        return sum(each.at >= since and self.limits.broken(each) for each in self.commands)
+        return sum(each.at >= since and not self._keeps_limits(each) for each in self.commands)
+
+    def _keeps_limits(self, command: HeardCommand) -> bool:
+        slow = -STILL <= command.speed <= self.speed * (1.0 + SLACK)  # no NaN is
+        return slow and math.hypot(*command.rates) <= self.rate * (1.0 + SLACK)
 
     def moving(self, since: float, until: float = math.inf) -> int:
         """Return how many commands of a time are not the safe one."""

@@ -22,7 +22,7 @@ from benchmarks.faults.harness import RATE, STEP, Harness, Monitored
 from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
 from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
-from benchmarks.faults.monitor import STILL, Limits, complaint
+from benchmarks.faults.monitor import STILL, complaint
 from benchmarks.faults.stimulus import SLIP, with_field
 from benchmarks.machine import resident
 from benchmarks.session import PATIENCE
@@ -194,7 +194,7 @@ class Flying(Monitored):
             'start.position=[-10.0, 0.0, 0.0]', f'weights.input={0.05 * step**2}',
         ]  # fmt: skip
         values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
-        super().__init__(nodes, values, Limits(1.0 / step, math.pi / step))
+        super().__init__(nodes, values)
         self._odometry = self.listen(Odometry, 'odom')
         self._captured = self.listen(Bool, 'captured', LATCHED)
         self.launch('orbimpc_ros.sim', values)

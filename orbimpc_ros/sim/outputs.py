@@ -45,11 +45,11 @@ def transform(odometry: OdometryMessage) -> TransformStamped:
 
 def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
     """Return the true state of a simulated vehicle at a time [ns], as a status of a name."""
-    vehicle, seen, now = flight.vehicle, flight.airspeeds, flight.vehicle.airspeed
+    vehicle, now = flight.vehicle, flight.vehicle.airspeed
     values = {
         'airspeed': now,
-        'least_airspeed': seen.least,
-        'stalls': seen.stalls,
+        'least_airspeed': flight.least_airspeed,
+        'stalls': flight.stalls,
         'wind': vehicle.wind.tolist(),
         'position': vehicle.position.tolist(),
         'velocity': vehicle.velocity.tolist(),
@@ -58,8 +58,8 @@ def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
         'touched': sorted(flight.touched),
         **vehicle.facts,
     }
-    if seen.stalled:
-        slow = f'stalled: {now:.3g} m/s, below {seen.stall_speed:g} m/s'
+    if flight.stalled:
+        slow = f'stalled: {now:.3g} m/s, below {flight.scenario.model.stall_speed:g} m/s'
         return messages.diagnostics(at, name, messages.WARN, slow, values)
     return messages.diagnostics(at, name, messages.OK, 'flies', values)
 

@@ -248,8 +248,7 @@ class FlightSimulation(ABC):
         ending = f'{outcome(flight)}, after {flight.ticks} ticks'
         numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
         if 'truth' in self._out:
-            seen = flight.airspeeds
-            numbers |= {'least_airspeed': seen.least, 'stalls': seen.stalls}
+            numbers |= {'least_airspeed': flight.least_airspeed, 'stalls': flight.stalls}
         self._diagnose(messages.OK if flight.captured else messages.WARN, ending, numbers)
         self.node.get_logger().info(ending)
         if self.settings.exit_when_done:

@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -63,23 +62,6 @@ class Scenario:
 
 
 @dataclass(frozen=True)
-class Airspeeds:
-    """The airspeeds of a flight so far."""
-
-    stall_speed: float = 0.0  # below which a vehicle has stalled [m/s]; 0 for none
-    least: float = math.inf  # [m/s]
-    stalls: int = 0  # how often it fell below the stall speed
-    stalled: bool = False  # whether it was below when last seen
-
-    def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
-        """Return the record with these vehicles, in order of time, added."""
-        speeds = [vehicle.airspeed for vehicle in vehicles]
-        slow = [self.stalled, *(each < self.stall_speed * (1.0 - ROUNDING) for each in speeds)]
-        stalls = self.stalls + sum(now and not before for before, now in pairwise(slow))
-        return replace(self, least=min(self.least, *speeds), stalls=stalls, stalled=slow[-1])
-
-
-@dataclass(frozen=True)
 class Flight:
     """A scenario after some steps.
 
@@ -95,7 +77,8 @@ class Flight:
     headed: bool = False  # whether it was within the cone of approach then
     trail: tuple[Vehicle, ...] = ()  # the vehicle on its way through the last step, to its end
     touched: frozenset[int] = frozenset()
-    airspeeds: Airspeeds = Airspeeds()  # since the start
+    least_airspeed: float = math.inf  # since the start [m/s]
+    stalls: int = 0  # how often it fell below the stall speed since then
 
     @property
     def elapsed(self) -> float:
@@ -125,6 +108,11 @@ class Flight:
     def speed(self) -> float:
         """Return how fast the vehicle is now [m/s]."""
         return float(np.linalg.norm(self.vehicle.velocity))
+
+    @property
+    def stalled(self) -> bool:
+        """Return whether the vehicle is slower than its stall speed."""
+        return self.vehicle.airspeed < self.scenario.model.stall_speed * (1.0 - ROUNDING)
 
     @property
     def captured(self) -> bool:
@@ -187,7 +175,12 @@ class Flight:
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
                 ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
                 headed = is_headed(self.scenario.approach, ends, share)
-            before = replace(now, touched=now.touched | before._touched(now))
+            before = replace(
+                now,
+                touched=now.touched | before._touched(now),
+                least_airspeed=min(before.least_airspeed, vehicle.airspeed),
+                stalls=before.stalls + (now.stalled and not before.stalled),
+            )
         return replace(
             before,
             ticks=self.ticks + 1,
@@ -195,7 +188,6 @@ class Flight:
             missed_at=missed_at,
             headed=headed,
             trail=tuple(trail),
-            airspeeds=self.airspeeds.seeing(trail),
         )
 
     def _touched(self, now: Flight) -> frozenset[int]:
@@ -210,8 +202,8 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
     start = scenario.model.begun(scenario.start)
     if time is not None:
         start = replace(start, time=time)
-    seen = Airspeeds(scenario.model.stall_speed).seeing([start])
-    return Flight(replace(scenario, start=start), start, airspeeds=seen)
+    flight = Flight(replace(scenario, start=start), start, least_airspeed=start.airspeed)
+    return replace(flight, stalls=int(flight.stalled))
 
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:

@@ -135,13 +135,13 @@ def _of_way(way: Sequence[Flight]) -> Row:
     what the engine reports, such as its ``bank`` [rad].
     """
     last = way[-1]
-    row = {'closest': min(flight.miss for flight in way), 'stalls': last.airspeeds.stalls}
+    row = {'closest': min(flight.miss for flight in way), 'stalls': last.stalls}
     if last.scenario.finish == 'arrival':
         row |= {'missed': last.distance, 'speed': last.speed}
     if last.vehicle.engine is not None:
         trail = [vehicle for flight in way for vehicle in flight.trail if not vehicle.caught]
         facts = [fact for each in trail for fact in each.facts.items()]
-        row |= {'airspeed': last.airspeeds.least}
+        row |= {'airspeed': last.least_airspeed}
         row |= {name: max(abs(v) for n, v in facts if n == name) for name in dict(facts)}
     return row
 
