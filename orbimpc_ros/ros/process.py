@@ -21,8 +21,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from itertools import dropwhile, pairwise
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -448,7 +446,6 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv if argv is None else argv)
     leave_at_signals()
     try:
-        _require_files(words)
         with ExitStack() as stack:
             try:
                 stack.enter_context(initialised(words, context=get_default_context()))
@@ -456,7 +453,7 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'
                 raise BadInput.stating('command line', unknown, hint) from None
-            except RuntimeError as error:  # a malformed rule or parameter file
+            except RuntimeError as error:  # no parameter file, or a malformed one, or a rule
                 return _ended(error, BAD_INPUT)
             _require_ros_words(words)
             return _live(_begun(make))
@@ -477,13 +474,6 @@ def _ended(error: object, code: int) -> int:
         line = f'{line} ({SECURITY}=true needs {needs})'
     print(line, file=sys.stderr)
     return code
-
-
-def _require_files(words: Sequence[str]) -> None:
-    """Refuse a parameter file that is not there: rcl would log of its own parser, too."""
-    for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
-        if flag == '--params-file' and not Path(word).exists():
-            raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
 def _require_ros_words(words: Sequence[str]) -> None:

@@ -29,10 +29,20 @@ from orbimpc_ros.ros.messages import THRUST_AXES, Frames
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Any]
+Type = Parameter.Type
 S = TypeVar('S')
 
 FAR = 1e6  # [m]: positions in parameters
 MAX_DURATION = 1e3  # [s]: in parameters
+ALLOWED = {  # in words, with the range of numbers
+    Type.BOOL: 'true | false',
+    Type.STRING: 'text',
+    Type.STRING_ARRAY: 'a list of words',
+    Type.DOUBLE: 'a double {}, with a decimal point',
+    Type.DOUBLE_ARRAY: 'doubles {}, each with a decimal point',
+    Type.INTEGER: 'an integer {}',
+}
+NUMBERS = (Type.DOUBLE, Type.DOUBLE_ARRAY, Type.INTEGER)
 TINY = 1e-6  # stands for "above zero" in ranges, which are closed
 
 
@@ -70,31 +80,18 @@ class ParameterSpec:
         return self.timed_thrust if timed and self.timed_thrust is not None else self.default
 
     @property
-    def kind(self) -> Parameter.Type:
+    def kind(self) -> Type:
         """Return the ROS type."""
-        if self.words:
-            return Parameter.Type.STRING_ARRAY
-        if isinstance(self.default, tuple):
-            return Parameter.Type.DOUBLE_ARRAY
-        return Parameter.Type.from_parameter_value(self.default)
+        if isinstance(self.default, tuple):  # which may be empty
+            return Type.STRING_ARRAY if self.words else Type.DOUBLE_ARRAY
+        return Type.from_parameter_value(self.default)
 
     @property
     def allowed(self) -> str:
         """Return what is allowed, in words."""
         if self.choices:
             return ' | '.join(each or "''" for each in self.choices)
-        if isinstance(self.default, bool):
-            return 'true | false'
-        if isinstance(self.default, str):
-            return 'text'
-        if self.words:
-            return 'a list of words'
-        span = f'in [{self.low:g}, {self.high:g}]'
-        if isinstance(self.default, tuple):
-            return f'doubles {span}, each with a decimal point'
-        if isinstance(self.default, int):
-            return f'an integer {span}'
-        return f'a double {span}, with a decimal point'
+        return ALLOWED[self.kind].format(f'in [{self.low:g}, {self.high:g}]')
 
     @property
     def descriptor(self) -> ParameterDescriptor:
@@ -106,10 +103,10 @@ class ParameterSpec:
             additional_constraints=self.allowed,
             read_only=not self.live,
         )
-        if isinstance(self.default, float):
+        if self.kind is Type.DOUBLE:
             span = FloatingPointRange(from_value=self.low, to_value=self.high)
             described.floating_point_range = [span]
-        elif isinstance(self.default, int) and not isinstance(self.default, bool):
+        elif self.kind is Type.INTEGER:
             described.integer_range = [
                 IntegerRange(from_value=int(self.low), to_value=int(self.high))
             ]
@@ -123,13 +120,8 @@ class ParameterSpec:
         """
         if self.choices and value not in self.choices:
             raise BadInput.choice(self.name, value, self.choices)
-        if self.words:
-            good = all(isinstance(each, str) for each in value)
-        elif isinstance(self.default, (bool, str)):
-            good = True
-        else:
-            good = bool(np.all((np.asarray(value) >= self.low) & (np.asarray(value) <= self.high)))
-        if not good:
+        numbers = np.asarray(value if self.kind in NUMBERS else ())
+        if not np.all((numbers >= self.low) & (numbers <= self.high)):
             raise BadInput(self.name, value, self.allowed)
 
 
