@@ -563,20 +563,6 @@ class Inputs:
             stop=stop,
         )
 
-    def goal_at(self, now: float, ros: int | None = None) -> tuple[Array, Array | None] | None:
-        """Return where the goal is at the latest odometry's time, and its attitude, if known.
-
-        None unless it is fresh and nothing is missing.
-        """
-        snapshot = self.snapshot(now, ros)
-        motion, measured = snapshot.goal, snapshot.odometry
-        lost = self.missing or snapshot.goal_age > self.settings.goal_timeout
-        if lost or measured is None or motion is None or isinstance(motion, np.ndarray):
-            return None
-        if isinstance(motion, Route):
-            return motion.place(np.array([motion.nearest(measured.position)]))[0], None
-        return motion.at(np.array([measured.time]))[0], snapshot.wanted
-
     def _goal_age(self, topic: str, now: float, ros: int | None) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
         settings, goal = self.settings, self.latest[topic]
@@ -681,7 +667,7 @@ class Core:
         planner: decides.
         counts: ``deadline misses``, decisions that took longer than their deadline; ``overruns``,
             that took longer than their period.
-        answered: stamp of the odometry that was answered last, as whoever publishes notes [ns].
+        seen: what the last decision was made of.
         outdated: why the last plan may not be followed, made in too long a time; None if it may.
     """
 
@@ -700,7 +686,7 @@ class Core:
         self.inputs = Inputs(settings, names, others)
         self.counts = Counter({'deadline misses': 0, 'overruns': 0})
         self._recent: deque[float] = deque(maxlen=RECENT)  # how long decisions took [s]
-        self.answered = -1
+        self.seen = Snapshot()
         self.outdated: Reason | None = None
         self._simulated, self._counted = simulated, counted
         self._clock, self._unlimited = clock or time.perf_counter, clock is None
@@ -721,7 +707,6 @@ class Core:
         """Forget plan and inputs, but for a goal sent by hand; with ``wind`` that estimate, too."""
         self.planner.start_afresh(wind=wind)
         self.inputs.start_afresh()
-        self.answered = -1
 
     def unsafe(
         self, now: float, ros: int | None = None, stop: Reason | None = None
@@ -732,42 +717,6 @@ class Core:
             return self.planner.unsafe(Snapshot(stop=stop))
         age = known.age(now, ros)
         return self.planner.unsafe(Snapshot(known.value, odometry_age=age, stop=stop))
-
-    def take(
-        self,
-        topic: str,
-        message: Any,
-        now: float,
-        ros: int | None,
-        stop: Reason | None = None,
-        *,
-        answering: bool = True,
-    ) -> tuple[str, Decision | None]:
-        """Take in a message; decide if it is odometry, or what odometry has waited for.
-
-        DDS does not order topics. A source that stamps odometry and goals alike, such as the
-        simulator in lock-step, means them to be used together; then runs repeat exactly.
-
-        Args:
-            topic: that the message came on.
-            message: as it came.
-            now: on the steady clock [s].
-            ros: on the ROS clock.
-            stop: why no plan may be followed, if none may.
-            answering: whether odometry is to be answered as soon as nothing is missing.
-
-        Returns:
-            Why the message was refused, or an empty string, and the decision, if there is one.
-        """
-        inputs, before = self.inputs, self.inputs.odometry
-        refusal = inputs.update(topic, message, now, ros)
-        known = inputs.odometry
-        if refusal or known is None or not (answering and inputs.complete):
-            return refusal, None
-        waits = known.stamp.nanoseconds != self.answered
-        if known is before and not (waits and self.unsafe(now, ros) is None):
-            return '', None
-        return '', self.decide(now, ros, stop)
 
     def decide(
         self,
@@ -790,6 +739,7 @@ class Core:
         heard = self.inputs.heard
         if fresh:
             snapshot = replace(snapshot, odometry_age=0.0)
+        self.seen = snapshot
         given = math.inf if self._unlimited else self.settings.deadline
         self._deadline = Deadline(self._clock, begun + given)
         if self._counted and self.inputs.in_step:
@@ -811,6 +761,20 @@ class Core:
         self.counts['overruns'] += took > self.settings.period
         solving = 0.0 if decision.cause is Cause.GOAL else 1e3 * took
         return replace(decision, solve_time_ms=solving, heard=heard)
+
+    @property
+    def goal(self) -> tuple[Array, Array | None] | None:
+        """Return where the goal was at the odometry last answered, and its attitude, if known.
+
+        None unless it was fresh and nothing was missing.
+        """
+        motion, measured = self.seen.goal, self.seen.odometry
+        lost = self.inputs.missing or self.seen.goal_age > self.settings.goal_timeout
+        if lost or measured is None or motion is None or isinstance(motion, np.ndarray):
+            return None
+        if isinstance(motion, Route):
+            return motion.place(np.array([motion.nearest(measured.position)]))[0], None
+        return motion.at(np.array([measured.time]))[0], self.seen.wanted
 
     def proved(self, decision: Decision, *, catches: bool = False) -> Decision:
         """Return the last decision with a proof of what it states, if there is one by its deadline.

@@ -222,6 +222,7 @@ class PlannerNode(Managed):
         self._sent_at = -math.inf  # when something went out last, on the steady clock [s]
         self._first: Mapping[str, Any] = {}  # messages of the last decision, sent at once
         self._stamp = Stamp(0)  # of what it answers
+        self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._decision: Decision | None = None  # the last one
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
@@ -284,31 +285,36 @@ class PlannerNode(Managed):
     # --- inputs
 
     def _hear(self, topic: str, message: Any) -> None:
-        """Take in a message; answer odometry as soon as it has what belongs to it."""
-        latest = self._core.inputs.latest
+        """Take in a message; answer odometry as soon as it has what belongs to it.
+
+        DDS does not order topics. A source that stamps odometry and goals alike, such as the
+        simulator in lock-step, means them to be used together; then runs repeat exactly.
+        """
+        inputs, at = self._core.inputs, (self.steady_now(), self.ros_now)
+        stop, before = self._stop(), inputs.odometry
         if topic == core.OBSTACLES:
             self._core.planner.expect_hazards()  # its publisher may not have been noticed yet
-        before = latest.get('odom')
-        # Transforms come in while it is inactive, too.
-        answering = self.active and self._core.settings.trigger == 'odom'
-        at = self.steady_now(), self.ros_now, self._stop()
-        refusal, decision = self._core.take(topic, message, *at, answering=answering)
-        if refusal:
+        if refusal := inputs.update(topic, message, *at):
             self._refuse(refusal)
             if topic == 'odom':
                 self._repeat_answer(message)
             return
         if topic == 'goal':
             self._altitude = message.pose.position.z or math.nan  # 0: that which is held
-            goal = latest['goal']
+            goal = inputs.latest['goal']
             self._events.send(goal.value.position, streams=goal.run >= core.STREAM)
-        measured = latest.get('odom') is not before
-        if decision is not None:
-            self._answer(decision)
-        elif measured and answering:
-            self._wait()
-        if measured:  # no command waits for it
-            self._frame_check.note(latest['odom'].value)
+        known = inputs.odometry
+        measured = known is not before
+        # Transforms come in while it is inactive, too.
+        if known is not None and self.active and self._core.settings.trigger == 'odom':
+            waits = known.stamp.nanoseconds != self._answered
+            if not inputs.complete:
+                if measured:
+                    self._wait()
+            elif measured or (waits and self._core.unsafe(*at) is None):
+                self._answer(self._core.decide(*at, stop))
+        if known is not None and measured:  # no command waits for it
+            self._frame_check.note(known.value)
         if topic == 'goal':
             self._publish_events()
 
@@ -347,7 +353,7 @@ class PlannerNode(Managed):
         """Answer a repeated request again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._sent_at > REPEAT
-        if stamp != self._core.answered or not waited or self._unsafe():
+        if stamp != self._answered or not waited or self._unsafe():
             return
         self._send(self._first)
         if self._decision is not None:
@@ -390,7 +396,7 @@ class PlannerNode(Managed):
         if decision.state is not None and outdated is not None:
             decision = self._core.decide(self.steady_now(), self.ros_now, outdated)
         self._publish(odometry.stamp, decision)
-        self._core.answered = odometry.stamp.nanoseconds
+        self._answered = odometry.stamp.nanoseconds
         self._look_for_events()
         # The next odometry, which must not wait, is farthest now: watch if that is due soon.
         if self.steady_now() - self._watched >= 0.5 * self._watch_period:
@@ -417,7 +423,7 @@ class PlannerNode(Managed):
 
     def _be_safe(self, reason: Reason) -> None:
         # Stamped now: it is no answer to any odometry.
-        now = max(self._time.nanoseconds, self._core.answered + 1)
+        now = max(self._time.nanoseconds, self._answered + 1)
         known, settings = self._core.inputs.odometry, self._core.settings
         frames = settings.frames if known is None else known.stamp.frames
         decision = self._core.decide(self.steady_now(), self.ros_now, reason)
@@ -471,7 +477,7 @@ class PlannerNode(Managed):
     def _look_for_events(self) -> None:
         """Look whether the latest odometry shows a goal caught or reached."""
         settings, known = self._core.settings, self._core.inputs.odometry
-        found = self._core.inputs.goal_at(self.steady_now(), self.ros_now)
+        found = self._core.goal
         if known is None or found is None:
             return
         (goal, wanted), approach = found, settings.approach
@@ -600,6 +606,7 @@ class PlannerNode(Managed):
         self.get_logger().warning(f'{reason.words}: {why}')
         self._patience.cancel()
         self._core.start_afresh(wind=reason is core.RESET)
+        self._answered = -1
         self._events.begin()
         self._publish_events()
         self.safe(reason)
