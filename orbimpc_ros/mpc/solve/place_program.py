@@ -1,20 +1,20 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The convex program of a quadratic over thrust axes alone, in machine code.
+"""The convex program in the thrust axes alone, solved by a compiled active-set method.
 
-In the plane R e1 is all of R; in space it is all that the cost sees where neither inputs nor an
-attitude have a weight. Then the program is a quadratic over z_1..z_N within balls, beyond
-half-spaces on *places*: linear functions of z_1..z_N, as a thrust axis itself, a control point of
-the motion within a step, the difference of two thrust axes. The same matrix maps every coordinate,
-and so does the Hessian, so rows n . v_p >= b on places p have
+In the plane R e1 determines R; in space the cost depends on R e1 only if neither inputs nor
+attitude have a weight. Then the relaxation is a quadratic program in z_1..z_N with balls and
+half-spaces on *places*: linear functions of z_1..z_N, such as a thrust axis, a control point of
+the motion within a step, or the difference of two thrust axes. A place's map A_p and the Hessian
+are the same for every coordinate, so rows n . v_p >= b on places p have
 
     a_i . H^-1 a_j = (n_i . n_j) G[p_i, p_j],        G = A H^-1 A^T, A the maps of all places,
 
-and G is all that a solve needs. Balls are kept as tangents, added where the iterate leaves them,
-and the quadratic program is solved by a dual active-set method (Goldfarb and Idnani): each of its
-iterates minimises the Lagrangian for multipliers u >= 0. Where a violated row is a combination of
-others that cannot make way for it, its multipliers grow without limit: what they then prove is
-Farkas' lemma over the balls |z_k| <= 1. That is a hundred times as fast as an interior-point
-method that is set up anew for every choice of rows.
+and a solve needs G only. Balls are represented by tangents, added where the iterate leaves a ball,
+and the quadratic program is solved by the dual active-set method of Goldfarb and Idnani, whose
+iterates minimise the Lagrangian for multipliers u >= 0. If a violated row depends linearly on
+active rows and none of them can be dropped, the multipliers grow without limit along a direction
+that proves infeasibility by Farkas' lemma over the balls |z_k| <= 1. This is a hundred times
+faster than an interior-point solver set up anew for each set of rows.
 
 Mathematics: docs/mathematics.md, 4.12.
 """
@@ -38,25 +38,25 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
 
-SOLVED, STALLED, REFUTED, INTERRUPTED = range(4)  # what becomes of a solve
-ADDED, BLOCKED, BROKEN = range(3)  # and of a row
-OUTSIDE = 1e-9  # a row or ball violated by less holds
-FLAT = 1e-12  # share of a curvature that is taken for none
-ROUNDING = 4e-15  # of the terms of a bound
+SOLVED, STALLED, REFUTED, INTERRUPTED = range(4)  # status of a solve
+ADDED, BLOCKED, BROKEN = range(3)  # status of adding a row
+OUTSIDE = 1e-9  # violation below which a row or ball counts as satisfied
+FLAT = 1e-12  # relative curvature that counts as zero
+ROUNDING = 4e-15  # relative to the terms of a bound
 ITERATIONS = 600
-SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
-WORST_CONDITION = 1e7  # beyond it, rounding ends too many solves
+SLICE = 1e6  # multiplications between two polls of the deadline: about a millisecond
+WORST_CONDITION = 1e7  # above it, too many solves stall by rounding
 
 
 class Places(NamedTuple):
-    """What stays from solve to solve.
+    """Data common to all solves.
 
     Attributes:
         hessian: H, shape (N, N).
         inverse: H^-1, shape (N, N).
-        maps: A, what z_1..z_N add to each place, shape (P, N); the first N are the identity.
+        maps: A, coefficients of z_1..z_N in each place, shape (P, N); the first N are the identity.
         gram: G, shape (P, P).
-        balls: the places that are within balls, shape (B,); the first N are the thrust axes.
+        balls: places constrained to balls, shape (B,); the first N are the thrust axes.
     """
 
     hessian: Array
@@ -67,13 +67,13 @@ class Places(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """What is asked for: the linear term, and what holds.
+    """Data of one solve: the linear term and the constraints.
 
     Attributes:
         q: linear term, shape (N, n).
-        free: the places of the minimiser without constraints, shape (P, n).
+        free: places of the unconstrained minimiser, shape (P, n).
         centres: of the balls, shape (B, n).
-        radii: shape (B,).
+        radii: of the balls, shape (B,).
         places: of the half-spaces, shape (M,).
         normals: unit vectors, shape (M, n).
         offsets: shape (M,).
@@ -89,17 +89,17 @@ class Asked(NamedTuple):
 
 
 class ActiveSet(NamedTuple):
-    """The rows that hold with equality, and room to work in.
+    """The active rows, with work arrays.
 
     Attributes:
         at: place of each row, shape (S,).
-        rows: which of the half-spaces asked for it is; -1 - b of a tangent to ball b, shape (S,).
+        rows: index of its half-space; -1 - b for a tangent to ball b, shape (S,).
         normals: shape (S, n).
         offsets: shape (S,).
         u: multipliers, >= 0, shape (S,).
-        gram: a_i . H^-1 a_j, the lower triangle, shape (S, S).
-        factor: of Cholesky, shape (S, S).
-        values: the places of the minimiser, shape (P, n).
+        gram: lower triangle of a_i . H^-1 a_j, shape (S, S).
+        factor: its Cholesky factor, shape (S, S).
+        values: places of the minimiser of the Lagrangian, shape (P, n).
     """
 
     at: np.ndarray
@@ -113,7 +113,7 @@ class ActiveSet(NamedTuple):
 
 
 def active_set(steps: int, places: int, dimension: int) -> ActiveSet:
-    """Return room for as many rows as can be independent, and two more."""
+    """Return an empty active set with capacity for all independent rows and two more."""
     size = steps * dimension + 2
     return ActiveSet(
         np.zeros(size, np.int64),
@@ -142,10 +142,10 @@ def _set_values(gram, free, held, count):
 
 @compiled
 def _refine(known, q, held, count, slope):
-    """Bring the places of the minimiser to where the gradient vanishes, as far as can be told.
+    """Refine the places of the minimiser of the Lagrangian.
 
-    The inverse of an ill-conditioned Hessian leaves more of it than the bound of a small cost can
-    do without. One step of iterative refinement is enough.
+    With an ill-conditioned Hessian its inverse leaves a residual gradient that weakens the bound
+    of a small cost. One step of iterative refinement is enough.
     """
     steps, n = q.shape
     for k in range(steps):
@@ -166,10 +166,10 @@ def _refine(known, q, held, count, slope):
 
 @compiled
 def _most_violated(known, asked, values, row):
-    """Set the normal of the row that it costs most to satisfy; return what else is known of it.
+    """Find the violated row that raises the dual value most, and set ``row`` to its normal.
 
     Returns:
-        The place, -1 if nothing is violated; which row it is; the offset.
+        Its place, -1 if no row is violated; its index as in ``ActiveSet.rows``; its offset.
     """
     worst, place, which, offset = 0.0, -1, 0, 0.0
     n = values.shape[1]
@@ -197,7 +197,7 @@ def _most_violated(known, asked, values, row):
 
 @compiled
 def _drop(held, i, count):
-    """Take a row out of the active set; return whether those that are left are independent."""
+    """Drop a row from the active set; return True if the remaining rows are independent."""
     for j in range(i, count - 1):
         held.at[j], held.rows[j] = held.at[j + 1], held.rows[j + 1]
         held.offsets[j], held.u[j] = held.offsets[j + 1], held.u[j + 1]
@@ -211,15 +211,15 @@ def _drop(held, i, count):
 
 @compiled
 def _append(held, count, new, row, own, inner):
-    """Put a row at the end of the active set; return whether it is independent of the others.
+    """Append a row to the active set; return True if it is independent of the others.
 
     Args:
         held: the active set.
-        count: of its rows.
-        new: place of the row, which it is, its offset.
+        count: number of its rows.
+        new: place, index and offset of the row.
         row: its normal.
         own: its curvature a . H^-1 a.
-        inner: a . H^-1 a_i of the others.
+        inner: a . H^-1 a_i for the active rows.
     """
     held.at[count], held.rows[count], held.offsets[count] = new
     held.normals[count], held.gram[count, count] = row, own
@@ -230,20 +230,20 @@ def _append(held, count, new, row, own, inner):
 
 @compiled
 def _add(known, held, count, new, row, r, inner):
-    """Add a violated row to the active set, dropping those in its way.
+    """Add a violated row to the active set, dropping rows that block it.
 
     Args:
         known: the quadratic.
         held: the active set.
-        count: of its rows.
-        new: place of the row, which it is, its offset.
+        count: number of its rows.
+        new: place, index and offset of the row.
         row: its normal.
-        r: set to what the other multipliers lose with its own, shape (S,).
-        inner: room to work in, shape (S,).
+        r: set to the decrease of the other multipliers per unit of the new one, shape (S,).
+        inner: work array, shape (S,).
 
     Returns:
-        ``ADDED``; ``BLOCKED`` where none can make way for it; ``BROKEN`` where rounding ends the
-        solve. The new count.
+        ``ADDED``, ``BLOCKED`` if no row can be dropped for it, or ``BROKEN`` by rounding; and the
+        new number of rows.
     """
     place, _, gap = new
     own, multiplier, size = known.gram[place, place], 0.0, len(held.u)
@@ -281,10 +281,10 @@ def _add(known, held, count, new, row, r, inner):
 
 @compiled
 def _refutes(known, held, count, new, row, r):
-    """Return whether no |z_k| <= 1 satisfies a new row and those that cannot make way for it.
+    """Return True if no |z_k| <= 1 satisfies a blocked new row together with the active rows.
 
-    Their multipliers y are one for the new row and -r for the others; then y . b exceeds what
-    sum_i y_i a_i . z can be. Where it does, they take the place of the active set's.
+    The multipliers y are 1 for the new row and -r for the others. They prove infeasibility if y . b
+    exceeds the maximum of sum_i y_i a_i . z, and then replace those of the active set.
     """
     place, which, offset = new
     total, magnitude, reached = offset, abs(offset), 0.0
@@ -327,18 +327,18 @@ def _dual_value(known, q, held, count):
 
 @entry_point
 def minimise(known, asked, held, count, work):
-    """Solve on from an active set that is optimal for its rows: none, or where a solve stopped.
+    """Solve from an active set that is optimal for its rows: an empty or an interrupted one.
 
     Args:
         known: the quadratic and its places.
-        asked: what is asked for.
+        asked: data of this solve.
         held: the active set, updated in place; ``values`` are the places of the solution.
-        count: of its rows.
-        work: multiplications to do at most, though no less than one row takes.
+        count: number of its rows.
+        work: budget of multiplications, exceeded by at most one row.
 
     Returns:
-        What became of it, the dual value, and the count of rows, whose multipliers are its point;
-        where nothing is feasible, what proves that.
+        The status, the dual value, and the number of active rows. Their multipliers belong to the
+        solution, or if ``REFUTED`` prove infeasibility.
     """
     row, size = np.zeros(asked.q.shape[1]), len(held.u)
     r, inner = np.empty(size), np.empty(size)
@@ -367,7 +367,7 @@ def minimise(known, asked, held, count, work):
 
 
 class PlaceProgram:
-    """The convex program of a problem, solved for any rows on places.
+    """The convex program of a problem for repeated solves with different rows on places.
 
     Args:
         problem: what to solve.
@@ -395,13 +395,13 @@ class PlaceProgram:
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._general: Relaxed | None = None
-        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        # The first call compiles or loads cached machine code: at start-up rather than in a tick.
         start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
         self.relax(Request(start, np.zeros((steps, n))))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether this applies to a problem, and is fast on this machine."""
+        """Return True if this program applies to a problem and is fast on this machine."""
         plane = problem.dimension == 2
         weights = problem.weights
         return (
@@ -418,7 +418,7 @@ class PlaceProgram:
         )
 
     def _bind(self, request: Request) -> None:
-        """Work out what depends on state and goals alone."""
+        """Compute the data that depend only on state and goals."""
         problem, self._request, state = self.problem, request, request.state
         self._q, self._constant = self._condensed.affine(state, request.goals)
         self._free = self._known.maps @ (-self._inverse @ self._q)
@@ -451,11 +451,11 @@ class PlaceProgram:
     def _anew(
         self, request: Request, rows: Sequence[Row], chords: Array | None, bound: float
     ) -> Relaxation:
-        """Leave what rounding has ended to the general program, unless there is a deadline."""
+        """Solve with the general program what stalled here, unless time is short."""
         if request.hurried:
             return Relaxation(None, bound)
         if self._general is None:
-            from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
+            from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
 
             self._general = Program(self.problem)
         try:
@@ -467,9 +467,9 @@ class PlaceProgram:
         held, (steps, n) = self._held, (self.problem.horizon, self.problem.dimension)
         sizes, tether = np.zeros(asked), np.zeros((steps, n))
         for i, row in enumerate(held.rows[:count].tolist()):
-            if 0 <= row < asked:  # what follows are the edges of a first turn's cone
+            if 0 <= row < asked:  # later rows are the edges of the cone of the first turn
                 sizes[row] += held.u[i]
-            elif row < -steps:  # tangents to the balls of chords, the last of the last step
+            elif row < -steps:  # tangent to the ball of a chord; the last ball is of the last step
                 tether[-1 - row - len(self._known.balls)] -= held.u[i] * held.normals[i]
         nothing = np.zeros((0, n)), np.zeros((0, 0))
         return Multipliers(held.values[:steps].copy(), sizes, *nothing, tether, 0.0 * tether)
@@ -503,7 +503,7 @@ class PlaceProgram:
 
 
 def _edges(problem: Problem, state: State) -> Array:
-    """Return normals of the edges of the cone of a first turn in the plane, shape (2, 2)."""
+    """Return normals of the edges of the first turn's cone in the plane, shape (2, 2)."""
     x, y = state.attitude[:, 0]
     s, c = math.sin(problem.widest_turn), math.cos(problem.widest_turn)
     return np.array([[s * x - c * y, s * y + c * x], [s * x + c * y, s * y - c * x]])

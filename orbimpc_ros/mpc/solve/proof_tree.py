@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The nodes of a search, and the proof that they are.
+"""The search tree and the proof written from it.
 
-A node that was solved has the multipliers of its relaxation. One that was not has those of the node
-that it is a part of, and one step along the rows of its own that raise the bound the most.
+A solved node has the multipliers of its relaxation. An unsolved one has those of its parent,
+improved by dual coordinate ascent over the rows of its own split.
 
 Mathematics: docs/proofs.md.
 """
@@ -24,21 +24,21 @@ from orbimpc_ros.mpc.solve.regions import CONE, Held, Known
 from orbimpc_ros.mpc.solve.relaxation import Multipliers
 from orbimpc_ros.mpc.solve.request import Request
 
-SWEEPS = 3  # over the rows of a side, the one that raises most first, of nodes not solved
-LATE_NODES = 40  # of a proof that is written once time is up: in 2 or 3 ms
+SWEEPS = 3  # of dual coordinate ascent over the rows of an unsolved node, largest gain first
+LATE_NODES = 40  # limit for a proof written after the deadline: 2 or 3 ms
 
 
 class Leaf(NamedTuple):
-    """What a node proves by itself: where its tangent touches, and multipliers.
+    """The proof of a single node: a tangent point and multipliers.
 
     Attributes:
-        point: shape (N, d).
-        share: what limits of each R_k e1 alone hold of its slope, shape (N, n).
-        presses: multipliers of rows on the sides of bodies: the depth of the node from which on
-            the side is known, the row, and the multiplier.
-        force: what multipliers of positions and turns add to slopes, shape (N, n).
+        point: where the tangent touches, shape (N, d).
+        share: multipliers of constraints on each R_k e1 alone, shape (N, n).
+        presses: multipliers of rows on the sides of bodies: depth of the node from which on the
+            side is known, number of the row, and multiplier.
+        force: gradient of the terms of positions and turns, shape (N, n).
         ends: pull, slide and tether of :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
-        empty: whether the multipliers prove that nothing is there.
+        empty: whether the multipliers prove that the node is infeasible.
     """
 
     point: Array
@@ -49,9 +49,9 @@ class Leaf(NamedTuple):
     empty: bool
 
     def pressed(self, held: Held, sizes: Sequence[float], depth: int) -> Leaf:
-        """Return the same with multipliers of half-spaces that are known from a depth on.
+        """Return the leaf with multipliers of half-spaces that are known from a depth on added.
 
-        Those of headings count over rotations alone: elsewhere stage sets have them by themselves.
+        Those on headings count only if d = 9: otherwise the stage sets contain the half-spaces.
         """
         share, force, presses = self.share, self.force, list(self.presses)
         whole = self.point.shape[1] == 9
@@ -66,12 +66,12 @@ class Leaf(NamedTuple):
         return self._replace(share=share, force=force, presses=tuple(presses))
 
     def raised(self, held: Held, inverse: Array, depth: int) -> Leaf:
-        """Return a tangent that is better for multipliers of a side's rows, those of others held.
+        """Return the leaf after dual ascent over the rows of a side, other multipliers fixed.
 
         Args:
             held: the half-spaces of the side.
             inverse: H^-1, shape (N, N).
-            depth: of the node that they are known from.
+            depth: of the node from which on they are known.
         """
         rows, point = [row for row, _ in held], self.point.copy()
         n, sizes, moved = len(rows[0].normal), [0.0] * len(rows), [inverse @ r.shares for r in rows]
@@ -88,22 +88,22 @@ class Leaf(NamedTuple):
 
 
 class Node:
-    """A node of the search and of the proof.
+    """A node of the search tree and of the proof.
 
     Attributes:
         number: of the node.
-        bound: no trajectory of it costs less, as far as is known.
-        above: which it is a part of; None of the root.
-        known: what is known of its choices, once it is asked for.
-        gone: whether limits leave nothing of it.
-        depth: 0 of the root.
-        own: half-spaces of the choice that makes it a part.
-        refuted: one of these that cannot be met.
-        rows: half-spaces by choice, once they are asked for.
-        cut: how it is split, None of a leaf.
-        first: number of the first of its parts.
-        leaf: what it proves by itself; None where nothing is known.
-        better: whether that is no less than what the node above proves of it.
+        bound: lower bound of the search on the cost of its trajectories.
+        above: its parent; None for the root.
+        known: its region, computed when needed.
+        gone: whether its region is empty.
+        depth: 0 for the root.
+        own: half-spaces of the split that created it.
+        refuted: one of these that cannot be satisfied.
+        rows: half-spaces by choice, computed when needed.
+        cut: how it is split; None for a leaf.
+        first: number of its first child.
+        leaf: its own proof; None without multipliers.
+        better: whether its own proof is at least as good as that of its parent.
     """
 
     def __init__(self, number: int, bound: float, above: Node | None, known: Known | None) -> None:
@@ -119,20 +119,20 @@ class Node:
         self.better = False
 
     def __lt__(self, other: Node) -> bool:
-        """Return whether it is to be solved before another: the deeper one among equals."""
+        """Return True if this node is solved before another: of equal bounds, the newer one."""
         return (self.bound, -self.number) < (other.bound, -other.number)
 
 
 class ProofWriter:
-    """What nodes of one request prove.
+    """Writer of the proof of one request.
 
     Args:
         problem: what is solved.
         condensed: its quadratic.
-        inverse: H^-1, shape (N, N); infinite where H is singular.
+        inverse: H^-1, shape (N, N); infinite if H is singular.
         request: state and goals.
-        bodies: how many there are.
-        origins: from where directions are counted; (0,) where attitudes say so.
+        bodies: number of bodies.
+        origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
     """
 
     def __init__(
@@ -146,17 +146,17 @@ class ProofWriter:
     ) -> None:
         self._problem, self._condensed, self._inverse = problem, condensed, inverse
         self._request, self._origins = request, origins
-        self._rows = POINTS * problem.horizon * bodies  # on sides, at each level
+        self._rows = POINTS * problem.horizon * bodies  # on sides, per level of the tree
         self._stiff = bool(np.isfinite(inverse).all())
 
     def solved(self, found: Multipliers, held: Held, depth: int, *, empty: bool = False) -> Leaf:
-        """Return what a relaxation rests on.
+        """Return the proof of a node from its relaxation.
 
         Args:
-            found: its multipliers.
-            held: the half-spaces that it was solved within.
-            depth: of its node.
-            empty: whether it proved that nothing is in the node.
+            found: multipliers of the relaxation.
+            held: half-spaces of the relaxation.
+            depth: of the node.
+            empty: whether the relaxation is infeasible.
         """
         maps, tether, blank = self._problem.maps, found.tether, self._blank()
         slide = found.slide if found.slide.size else np.zeros(tether.shape)
@@ -164,7 +164,7 @@ class ProofWriter:
         force[:-1] -= tether[1:]
         if len(found.pull):
             force += maps.arrival[: len(found.pull), 1:].T @ found.pull
-        # Where nothing is the cost has no say, and the point may be anywhere.
+        # The proof of an infeasible node does not involve the cost, so any point will do.
         point = blank.point if empty else found.point
         leaf = Leaf(point, found.share, (), force, (found.pull, slide, tether), empty)
         return leaf.pressed(held, found.sizes.tolist(), depth)
@@ -179,7 +179,7 @@ class ProofWriter:
         return Leaf(np.zeros((problem.horizon, width_of(problem))), none, (), none, ends, True)
 
     def best(self, node: Node) -> Leaf | None:
-        """Return what is best known of a node; None where the multipliers are not known."""
+        """Return the best proof of a node; None without multipliers."""
         if node.refuted:
             return self._blank().pressed(node.refuted, [1.0], node.depth)
         if (node.leaf is not None and node.better) or node.above is None:
@@ -190,12 +190,12 @@ class ProofWriter:
         return above.raised(node.own, self._inverse, node.depth)
 
     def tree(self, nodes: Sequence[Node], most: int | None = None) -> ProofTree | None:
-        """Return the proof that nodes are; None where the multipliers of something are not known.
+        """Return the proof of a search tree; None if a leaf has no multipliers.
 
         Args:
-            nodes: the parts of each after it, one after another.
-            most: how many nodes it has, the first ones, which prove less; None for as many as
-                there is time for.
+            nodes: all nodes; the children of each follow it, one after another.
+            most: use only the first nodes, at most this many, for a weaker bound; None for as
+                many as there is time for.
         """
         count, leaves = len(nodes), dict[int, Leaf]()
         if most is not None:
@@ -214,9 +214,9 @@ class ProofWriter:
         return self._stacked(nodes[:count], leaves)
 
     def _share(self, leaf: Leaf) -> Array:
-        """Return what a step's thrust alone holds of its slope, and orbitopes do not.
+        """Return the part of each slope that is minimised over the set of R_k e1 separately.
 
-        Without orbitopes it is what cones do not hold, lengths among it; nothing where none does.
+        With d = 9 orbitopes hold the rest, otherwise cones and lengths; zero without any.
         """
         if leaf.point.shape[1] == 9 or not leaf.share.any():
             return leaf.share
@@ -228,7 +228,7 @@ class ProofWriter:
 
     def _stacked(self, nodes: Sequence[Node], leaves: dict[int, Leaf]) -> ProofTree:
         numbers, at = np.zeros((len(nodes), 5), np.int64), np.zeros(len(nodes))
-        numbers[:] = EMPTY, 0, 0, 0, -1  # of parts that nothing is left of
+        numbers[:] = EMPTY, 0, 0, 0, -1  # stays for nodes with an empty region
         for i, (number, leaf) in enumerate(leaves.items()):
             numbers[number] = EMPTY if leaf.empty else LEAF, 0, 0, 0, i
         for node in nodes:
@@ -261,6 +261,6 @@ class ProofWriter:
 
 
 def _used(values: Sequence[Array]) -> Array:
-    """Return multipliers of leaves stacked; none where all are zero."""
+    """Return the stacked multipliers of leaves, or an empty array if all are zero."""
     stacked = np.array(values, float)
     return stacked if stacked.size and stacked.any() else NOTHING

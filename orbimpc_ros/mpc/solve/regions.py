@@ -1,21 +1,21 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Choices of a request, in the terms of proofs: regions, and what they are cut into.
+"""Regions of one request: their half-spaces, and how to split them.
 
-A region has a part of the directions of each heading, and of the sides of each body in each step
-(:mod:`orbimpc_ros.mpc.proof.splits`). Its hull is half-spaces: a heading in a sector or a patch,
-no slower than the floor, is beyond a chord; and the control points of a step that is beside a ball
-of radius rho, on a side with normals within an angle d of c, are beyond
+A region restricts each *choice*: the direction of each heading, and the side of each body on which
+each step passes (:mod:`orbimpc_ros.mpc.proof.splits`). Half-spaces describe its convex hull: for a
+heading in a sector or patch, no slower than the floor, the half-space beyond the chord; for a ball
+of radius rho, passed on a side with normals within an angle d of c, the control points satisfy
 
     c . P_i >= rho cos d - D sin d,
 
-where the control points are no farther than D apart. Choices are cut where that raises the bound
-the most: with the multipliers of others held, the dual function along the multiplier t >= 0 of a
-new row a.x >= beta is
+where D is the largest distance between control points. The choice that promises the greatest
+increase of the bound is split: with all other multipliers fixed, the dual function along the
+multiplier t >= 0 of a new row a.x >= beta is
 
     D(t) = D(0) + t (beta - a.x) - t^2/2 a.H^-1 a,
 
-a parabola in the solution x and the Hessian H of the rotations, so that a part costs at least
-D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a).
+a parabola, with the solution x and the Hessian H of the rotations, so that the bound of a child is
+at least D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a).
 
 Mathematics: docs/mathematics.md, 3.5, 3.7, 4.9 and 5.3.
 """
@@ -58,20 +58,20 @@ from orbimpc_ros.mpc.solve.relaxation import Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.turns import Turns
 
-SATISFIED = 1e-7  # a choice missed by less holds; a tenth of what the plan's check allows
-REFUTED = 1e-6  # what is decided by so much on the wrong side is no way
-FINEST = 1e-6  # [rad] a part this narrow allows less below its floor than rounding does
-AROUND = 4  # arcs of all directions
+SATISFIED = 1e-7  # violation below which a choice is satisfied; a tenth of the check's tolerance
+REFUTED = 1e-6  # distance from which on a half-space counts as out of reach
+FINEST = 1e-6  # [rad] such a narrow sector misses its floor by less than rounding
+AROUND = 4  # arcs that the full circle is split into
 
-ALWAYS = -1  # in the place of a choice: what holds whatever is chosen
-HEADING, CONE = -1, -2  # in the place of numbers: rows of headings, and those of cones in space
+ALWAYS = -1  # key, in place of a choice, of half-spaces that hold in every region
+HEADING, CONE = -1, -2  # in place of row numbers: rows on headings, and those of cones in space
 
-Held = tuple[tuple[Row, int], ...]  # half-spaces, with their numbers among presses
-Sides = tuple[Array, Array]  # of parts: normals, shape (P, n), and offsets of points, shape (P, m)
+Held = tuple[tuple[Row, int], ...]  # half-spaces, with their row numbers among presses
+Sides = tuple[Array, Array]  # of P parts: normals, shape (P, n), and offsets of points, (P, m)
 
 
 class Known(NamedTuple):
-    """What is known of choices at a node: see :class:`~orbimpc_ros.mpc.proof.splits.Region`."""
+    """A region: see :class:`~orbimpc_ros.mpc.proof.splits.Region`."""
 
     part: np.ndarray
     span: Array
@@ -79,14 +79,14 @@ class Known(NamedTuple):
 
 
 class Points(NamedTuple):
-    """What a choice is about: a heading, or control points of a step.
+    """The points that a choice constrains: a heading, or control points of a step.
 
     Attributes:
-        places: as :class:`Row` numbers them, shape (m,).
-        numbers: of their rows among presses; -1 of a heading, shape (m,).
-        free: where they are without headings, as the body sees them, shape (m, n).
-        reach: what headings add, shape (m, N).
-        curvature: a.H^-1 a of each; infinite where H is singular or nothing moves it, shape (m,).
+        places: as in :class:`Row`, m of them.
+        numbers: row numbers among presses; -1 for a heading, m of them.
+        free: position without thrust, relative to the moving body, shape (m, n).
+        reach: coefficients of the headings, shape (m, N).
+        curvature: a.H^-1 a; infinite if H is singular or no heading moves the point, shape (m,).
     """
 
     places: list[int]
@@ -101,17 +101,17 @@ class Regions:
 
     Args:
         problem: what to solve.
-        statement: of it.
+        statement: of the problem, for proofs.
         request: state and goals.
-        inverse: H^-1, shape (N, N); infinite where H is singular.
-        turns: where turns are angles.
-        ordered: whether steps that can be exchanged are in the order of their directions.
+        inverse: H^-1, shape (N, N); infinite if H is singular.
+        turns: the turn limit, if it bounds angles.
+        ordered: whether directions of exchangeable steps ascend.
 
     Attributes:
-        first: the first heading that is free.
-        bodies: how many there are.
-        origins: from where directions are counted; (0,) where attitudes say so.
-        round_floors: the headings that have one.
+        first: index of the first heading that is not fixed by the state.
+        bodies: number of bodies.
+        origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
+        round_floors: choices of headings with a circular floor.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Regions:
             self._places = Places(stated.bodies, free, maps[:, :, 1:])
         self._points: dict[int, Points] = {}
         floor = problem.floor
-        self._flat: Sides | None = None  # of a floor whose headings have a face
+        self._flat: Sides | None = None  # faces of the floor, if its choices are faces
         if floor.exists and not floor.radius and (n == 3 or floor.shape != 'polygon'):
             cells = floor.cells(n)
             offsets = np.array([[cell.offset] for cell in cells])
@@ -148,13 +148,13 @@ class Regions:
         begun = -math.pi / self._faces if self._faces else 0.0
         self.origins = np.full(count, begun) if ordered else NOWHERE
         self._order, self._begun = Order(ordered, self.origins), begun
-        flags = stated.sets.cones[:, n + 3] == 1.0  # as wide as the patches of the tilt's cap
+        flags = stated.sets.cones[:, n + 3] == 1.0  # where patches cover the tilt's cap
         self._upright = set(stated.sets.cone_step[flags].tolist())
 
     # --- regions
 
     def root(self) -> Known | None:
-        """Return what is known of all trajectories; None if there are none."""
+        """Return the region of the root; None if it is empty."""
         count, n = (2 + self.bodies) * self.problem.horizon, self.problem.dimension
         part, span = np.full(count, WHOLE), np.zeros((count, 2))
         corners, known = np.zeros((count if n == 3 else 1, 3, 3)), self._stated
@@ -168,7 +168,7 @@ class Regions:
         return Known(part, span, corners)
 
     def part(self, known: Known, cut: Cut, i: int) -> Known | None:
-        """Return part i of a region; None if nothing is left of it."""
+        """Return part i of a region; None if it is empty."""
         part, span, corners = known.part.copy(), known.span, known.corners
         if cut.kind in (ARCS, CUT):
             span = span.copy()
@@ -188,7 +188,7 @@ class Regions:
     # --- half-spaces
 
     def points(self, choice: int) -> Points:
-        """Return what a choice is about."""
+        """Return the points that a choice constrains."""
         if choice not in self._points:
             self._points[choice] = self._of(choice)
         return self._points[choice]
@@ -220,7 +220,7 @@ class Regions:
         return self.held(choice, normals[0], offsets[0])
 
     def _side(self, choice: int, known: Known) -> Sides:
-        """Return the half-space that a choice is beyond in a region."""
+        """Return the half-space of a choice in a region."""
         count, each = self.problem.horizon, slice(choice, choice + 1)
         flat = self._flat is not None if choice < count else not self._radius(choice)
         if flat:
@@ -230,7 +230,7 @@ class Regions:
         return self._patched(choice, known.corners[each])
 
     def held(self, choice: int, normal: Array, offsets: Array) -> Held:
-        """Return the half-spaces of a choice, by normal and offsets of its points, shape (m,)."""
+        """Return the half-spaces of a choice from a normal and the offsets of its points, (m,)."""
         points, found = self.points(choice), list[tuple[Row, int]]()
         offsets = offsets - points.free @ normal
         for i, number in enumerate(points.numbers):
@@ -240,11 +240,11 @@ class Regions:
         return tuple(found)
 
     def _radius(self, choice: int) -> float:
-        """Return the radius of the body that a choice is of; 0 of a box."""
+        """Return the radius of the body of a choice; 0 for a box."""
         return float(self._stated.bodies.extents[choice // self.problem.horizon - 2, -1])
 
     def _faced(self, choice: int, parts: np.ndarray) -> Sides:
-        """Return the sides of a box, or the faces of a floor."""
+        """Return sides of a box, or faces of the floor."""
         if choice < self.problem.horizon:
             assert self._flat is not None
             return self._flat[0][parts], self._flat[1][parts]
@@ -267,7 +267,7 @@ class Regions:
         return normals, offsets
 
     def _chord(self, low: float, high: float, middle: Array) -> tuple[Array, float]:
-        """Return normal and offset of what headings of a sector are beyond."""
+        """Return normal and offset of the half-space that holds for headings in a sector."""
         half, slowest = 0.5 * (high - low), self._stated.sets.least
         if half >= math.pi:
             return middle, -np.inf
@@ -278,7 +278,7 @@ class Regions:
         share, slack = 2.0 * math.pi / self._faces, self._stated.sets.narrow
         first, last = math.ceil(low / share - 0.5 + slack), math.floor(high / share - 0.5 - slack)
         angles = [low, *(share * (i + 0.5) for i in range(first, last + 1)), high]
-        if len(angles) == 2:  # of a single face
+        if len(angles) == 2:  # within a single face
             face = share * round(0.5 * (low + high) / share)
             return np.array([math.cos(face), math.sin(face)]), slowest
         off = np.array(angles) - share * np.round(np.array(angles) / share)
@@ -297,7 +297,7 @@ class Regions:
         return normals, self._beyond(choice, least, np.sqrt(np.maximum(0.0, 1.0 - least**2)))
 
     def _beyond(self, choice: int, least: Array, aside: Array) -> Array:
-        """Return the offsets of sides of a ball, of cosines and sines, shape (P,): (P, m)."""
+        """Return offsets (3.7c), shape (P, m), from cos d and sin d of the parts, shape (P,)."""
         count, bodies = self.problem.horizon, self._stated.bodies
         j, k = choice // count - 2, choice % count
         size = bodies.extents[j, -1] + bodies.margins[0, j, k]
@@ -311,7 +311,7 @@ class Regions:
         return {ALWAYS: self._always(), **{c: held for c, held in rows.items() if held}}
 
     def _always(self) -> Held:
-        """Return what holds of a first heading but for its length, and of turns in space."""
+        """Return half-spaces of all regions: for turns, and for an R_1 e1 of given direction."""
         stated, floor, found = self._stated, self.problem.floor, list[tuple[Row, int]]()
         if stated.decided == SEGMENT and floor.exists:
             axis = stated.start[DECIDED, : self.problem.dimension]
@@ -323,15 +323,15 @@ class Regions:
         return tuple(found)
 
     def beyond(self, choice: int, normal: Array, offsets: Array, i: int) -> Held:
-        """Return the half-space of point i of a choice, whether it is moved at all or not."""
+        """Return the half-space of point i of a choice, even if no heading moves the point."""
         points = self.points(choice)
         offset = float(offsets[i] - points.free[i] @ normal)
         return ((Row(points.places[i], points.reach[i], normal, offset), points.numbers[i]),)
 
-    # --- what is missed
+    # --- violations
 
     def missed(self, headings: Array) -> dict[int, float]:
-        """Return, by choice that is not satisfied, by how much.
+        """Return the violation of each choice that headings violate.
 
         Args:
             headings: R_1 e1..R_N e1, shape (N, n).
@@ -346,7 +346,7 @@ class Regions:
         return found
 
     def is_round(self, choice: int) -> bool:
-        """Return whether a choice is of directions that are cut ever finer."""
+        """Return True if a choice is one of a circular floor or a ball, not of flat sides."""
         if choice < self.problem.horizon:
             return bool(self.problem.floor.radius)
         return self._radius(choice) > 0.0
@@ -354,12 +354,12 @@ class Regions:
     def tangents(
         self, headings: Array, choices: Iterable[int], kept: Mapping[int, Held]
     ) -> dict[int, Held]:
-        """Return half-spaces on the sides of choices that headings are on, or miss the least.
+        """Return for each choice the half-space that headings satisfy, or violate the least.
 
         Args:
             headings: R_1 e1..R_N e1, shape (N, n).
             choices: of floors and bodies.
-            kept: those of choices that are flat stay as they are.
+            kept: half-spaces by choice; flat choices among these are skipped.
         """
         found, ways = dict[int, Held](), None
         for choice in choices:
@@ -376,7 +376,7 @@ class Regions:
         return found
 
     def _tangent(self, heading: Array) -> tuple[Array, Array] | None:
-        """Return the tangent of a round floor, or the face that is missed least."""
+        """Return the tangent of a circular floor, or the face that is violated least."""
         floor, size = self.problem.floor, float(np.linalg.norm(heading))
         if floor.radius:
             known = heading / max(size, HEADING_UNDEFINED), np.array([floor.radius])
@@ -386,7 +386,7 @@ class Regions:
         return cell.normal, np.array([cell.offset])
 
     def _passed(self, choice: int, ways: Array) -> tuple[Array, Array]:
-        """Return the half-space on the side of a body that a way leads to."""
+        """Return the half-space of a body with a given normal, ``ways[j, k]``."""
         count, bodies = self.problem.horizon, self._stated.bodies
         j, k = choice // count - 2, choice % count
         normal, out = ways[j, k], bodies.extents[j, -1]
@@ -395,9 +395,9 @@ class Regions:
         return normal, np.full(len(self.points(choice).places), out + bodies.margins[0, j, k])
 
     def beside(self, headings: Array, within: float) -> list[int]:
-        """Return the choices of bodies that are nearer to headings than a distance, and of boxes.
+        """Return the choices of balls within a distance of a path, and of all boxes.
 
-        Of bodies that are there twice, the one of whole steps.
+        Of bodies that are listed twice, for the ends of a step and for all of it, take the latter.
         """
         if self._places is None:
             return []
@@ -407,10 +407,10 @@ class Regions:
         pairs = ((j, k) for j, k in found.tolist() if j < boxes or (j - boxes) % 2)
         return [(2 + j) * count + k for j, k in pairs]
 
-    # --- where to cut
+    # --- branching
 
     def cut(self, choice: int, known: Known) -> Cut | None:
-        """Return how a choice is cut in a region; None where that makes no difference."""
+        """Return the split of a choice in a region; None if there is nothing to split."""
         count, n, whole = self.problem.horizon, self.problem.dimension, known.part[choice] == WHOLE
         if choice < self.first:
             return None
@@ -433,12 +433,12 @@ class Regions:
         at = 0.5 * (low + high)
         if heading and self._faces:
             share = 2.0 * math.pi / self._faces
-            at = share * (math.floor(at / share) + 0.5)  # the corner that is nearest
+            at = share * (math.floor(at / share) + 0.5)  # the nearest corner
         apart = self._stated.sets.narrow if heading and self._faces else FINEST
         return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
 
     def sides(self, known: Known, cut: Cut) -> Sides:
-        """Return the half-spaces of the parts that a region is cut into."""
+        """Return the half-spaces of the parts of a split."""
         choice, every = cut.choice, np.arange(cut.parts)
         if cut.kind in (FACES, SIDES):
             return self._faced(choice, every)
@@ -458,23 +458,23 @@ class Regions:
         return self._patched(choice, quarters)
 
     def promise(self, choice: int, by: float) -> float:
-        """Return by how much a cut of a choice that is missed by so much may raise the bound.
+        """Return an estimate of how much splitting a choice violated by this amount gains.
 
-        What the state alone decides comes first: no other choice mends it.
+        Infinite for points that no heading moves, to split these first: no other choice can help.
         """
         curvature = float(self.points(choice).curvature.min())
         return by * by / (2.0 * curvature) if curvature < np.inf else np.inf
 
     def gains(self, choice: int, sides: Sides, headings: Array) -> tuple[Array, np.ndarray]:
-        """Return by how much each part raises the bound at least, and the row that refutes it.
+        """Return the least increase of the bound for each part, and a row out of its reach.
 
         Args:
-            choice: that is cut.
+            choice: that is split.
             sides: of its P parts.
             headings: of the solution, shape (N, n).
 
         Returns:
-            Gains, shape (P,), and rows that cannot be met, -1 without, shape (P,).
+            Gains, shape (P,), and rows that cannot be satisfied, or -1, shape (P,).
         """
         (normals, offsets), points = sides, self.points(choice)
         short = offsets - normals @ (points.free + points.reach @ headings).T
