@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A first way among what is round or moves, for a search to start from.
+"""A guide path among balls and moving obstacles, by beam search.
 
-Vehicles are flown by a few headings at every step, and of the places reached the most promising are
-kept, one for each cell of a grid of positions and velocities. What a place promises is its cost so
-far, and what is left of it where nothing is in the way. Whatever comes out is a start for a search,
+From every state reached, a few headings are flown in each step. Of the new states the most
+promising are kept, one for each cell of a grid of positions and velocities. They are rated by their
+cost so far plus an estimate of the remaining cost without obstacles. The path only starts a search
 and proves nothing.
 
 Mathematics: docs/mathematics.md, 4.11.
@@ -24,25 +24,25 @@ from orbimpc_ros.mpc.problem.leaving import directions
 from orbimpc_ros.mpc.problem.traffic import Traffic
 
 BEAM = 64
-SPEEDS = (1.0, 0.5)  # shares of the way from the least to the full one
-STEERED = (1.0, 2 / 3, 1 / 3, 0.01)  # speeds; who stands still has no heading to be turned
-TURNS = (0.0, -1.0, 1.0, -0.5, 0.5)  # of the widest
+SPEEDS = (1.0, 0.5)  # shares of the range from the least to the full speed
+STEERED = (1.0, 2 / 3, 1 / 3, 0.01)  # speeds; not 0, which would leave no heading to turn
+TURNS = (0.0, -1.0, 1.0, -0.5, 0.5)  # in units of the widest turn
 WITHIN = 1.0 - 1e-6
-CELL = 0.25  # of a step's length, and of a step's change of speed
-LARGEST = 1.5  # squared, of a heading that is brought back to full speed
-STILL = 1e-9  # a heading no longer has no direction
-FACTOR = 1_000_003  # of a number for each cell
+CELL = 0.25  # in units of a step's length, and of a step's change of velocity
+LARGEST = 1.5  # squared length up to which a heading is scaled back to full speed
+STILL = 1e-9  # length below which a heading has no direction
+FACTOR = 1_000_003  # of the hash that numbers cells
 
 
 class Reached(NamedTuple):
-    """Places that are kept, B of them.
+    """The beam after a step: B states.
 
     Attributes:
         y: positions and velocities, shape (B, 2, n).
-        z: headings there, shape (B, n).
-        units: directions of these, or of the last ones that had any, shape (B, n).
+        z: headings, shape (B, n).
+        units: their directions, or the last directions before they vanished, shape (B, n).
         costs: so far, shape (B,).
-        origins: which of the places before each was come to from, shape (B,).
+        origins: index of the predecessor in the beam before, shape (B,).
     """
 
     y: Array
@@ -53,12 +53,12 @@ class Reached(NamedTuple):
 
 
 class Scout:
-    """Looks for ways in a problem with vehicles of rotation order 1.
+    """Beam search for guide paths at rotation order 1.
 
     Args:
         problem: what to solve.
-        steered: whether headings turn by no more than ``max_rate`` allows, however slow they are,
-            though the problem bounds chords; in the plane.
+        steered: whether turns are limited to ``max_rate`` at any speed, in the plane, although the
+            problem limits chords.
     """
 
     def __init__(self, problem: Problem, *, steered: bool = False) -> None:
@@ -82,7 +82,7 @@ class Scout:
         traffic: Traffic,
         out_of_time: Callable[[], bool] | None = None,
     ) -> Array | None:
-        """Return headings R_1 e1..R_N e1, shape (N, n); None if no way was found in time."""
+        """Return headings R_1 e1..R_N e1, shape (N, n); None if no path was found in time."""
         if self._problem.rotation_order == 2 or self._follow is None:
             return None
         pairs = [_ball(body) for body in traffic.bodies]
@@ -104,14 +104,14 @@ class Scout:
     def _flown(
         self, k: int, at: Reached, goals: Array, blown: Array, balls: tuple[Array, Array, Array]
     ) -> Reached | None:
-        """Fly every move from every place; return the most promising, None where none is clear.
+        """Return the beam after one more step; None if every move hits an obstacle.
 
         Args:
-            k: steps so far.
-            at: places to fly from.
+            k: number of steps so far.
+            at: the beam before.
             goals: shape (N, n).
-            blown: what the disturbance adds in a step, shape (2, n).
-            balls: where they are before and after the step, and their radii: (J, n), (J, n), (J,).
+            blown: effect of the disturbance in a step, shape (2, n).
+            balls: centres before and after the step, and radii: (J, n), (J, n), (J,).
         """
         assert self._follow is not None
         after, allowed = self._follow(at)
@@ -137,16 +137,16 @@ class Scout:
         return Reached(y[kept], z[kept], units, costs[kept], origins[kept])
 
     def _left(self, k: int, onward: Array, goal: Array) -> Array:
-        """Return about what steps k and later cost, gone straight to a goal, shape (M,).
+        """Return an estimate of the cost of steps k and later, straight to a goal, shape (M,).
 
         Args:
             k: first of these steps.
-            onward: positions and velocities in another step, shape (M, 2, n).
+            onward: positions and velocities one step ahead, shape (M, 2, n).
             goal: shape (n,).
         """
         ahead, weights = np.arange(len(self._weights) - k), self._weights[k:]
         braking = self._push[1] + self._steer[1] if self._problem.inertial else 0.0
-        halt = onward[:, 0]  # where a vehicle comes to rest if it brakes at once
+        halt = onward[:, 0]  # where the vehicle comes to rest if it brakes at once
         if braking:
             speeds = np.linalg.norm(onward[:, 1], axis=1, keepdims=True)
             halt = halt + speeds / (2.0 * braking) * onward[:, 1]
@@ -154,13 +154,13 @@ class Scout:
         if not braking:
             left = np.maximum(0.0, away - ahead * (self._push[0] + self._steer[0]))
         else:
-            half = np.sqrt(away / braking)  # when it turns to brake
+            half = np.sqrt(away / braking)  # steps until it has to brake
             late = 0.5 * braking * np.maximum(0.0, 2.0 * half - ahead) ** 2
             left = np.where(ahead <= half, away - 0.5 * braking * ahead**2, late)
         return left**2 @ weights
 
     def _kept(self, promises: Array, onward: Array) -> np.ndarray:
-        """Return the most promising of places, one of each cell of where they lead, shape (B,)."""
+        """Return indices of the most promising states, one per cell of ``onward``, shape (B,)."""
         order = np.argsort(promises, kind='stable')
         cells = np.floor(onward.reshape(len(onward), -1) / self._cells)[order].astype(np.int64)
         keys = np.zeros(len(order), np.int64)
@@ -170,12 +170,12 @@ class Scout:
 
 
 def _hits(begin: Array, ends: Array, balls: tuple[Array, Array, Array]) -> np.ndarray:
-    """Return whether straight ways hit balls that move evenly, shape (B, A).
+    """Return which straight motions hit balls that move at constant velocity, shape (B, A).
 
     Args:
-        begin: of the ways, shape (B, n).
-        ends: of them, shape (B, A, n).
-        balls: where they are before and after, and their radii: (J, n), (J, n), (J,).
+        begin: positions before, shape (B, n).
+        ends: positions after, shape (B, A, n).
+        balls: centres before and after, and radii: (J, n), (J, n), (J,).
     """
     before, after, radii = balls
     a = (begin[:, None] - before)[:, None]
@@ -187,7 +187,7 @@ def _hits(begin: Array, ends: Array, balls: tuple[Array, Array, Array]) -> np.nd
 
 
 def _traced(trail: Sequence[Reached]) -> Array:
-    """Return the headings R_1 e1..R_N e1, shape (N, n), of the best way to any of the places."""
+    """Return the headings R_1 e1..R_N e1, shape (N, n), of the cheapest path in the beams."""
     at, found = int(np.argmin(trail[-1].costs)), list[Array]()
     for reached in trail[:0:-1]:
         found.append(reached.z[at])
@@ -196,20 +196,20 @@ def _traced(trail: Sequence[Reached]) -> Array:
 
 
 def _ball(body: Box | Ball) -> tuple[Array, float]:
-    """Return centre and radius of a ball around a body."""
+    """Return centre and radius of the smallest ball around a body."""
     if isinstance(body, Box):
         size = float(np.linalg.norm(0.5 * (body.maximum - body.minimum)))
         return 0.5 * (body.minimum + body.maximum), size
     return body.centre, body.radius
 
 
-# --- which headings can follow a heading: these, shape (B, A, n), as far as they are allowed
+# --- successors of a heading: candidates, shape (B, A, n), and which of them are allowed
 
 Follow = Callable[[Reached], tuple[Array, np.ndarray]]
 
 
 def _moves(problem: Problem) -> Follow | None:
-    """Return which headings follow a heading; None where that is not known."""
+    """Return the successors of headings in a problem; None if they are not implemented."""
     n = problem.dimension
     least = problem.floor.circling(n) if problem.floor.exists else 0.0
     speeds = [least + share * (1.0 - least) for share in SPEEDS]
@@ -224,7 +224,7 @@ def _moves(problem: Problem) -> Follow | None:
 
 
 def _changed(moves: Array) -> Follow:
-    """Return that headings change by moves, shape (A, n), and are no longer than 1."""
+    """Return successors that differ by moves, shape (A, n), and are no longer than 1."""
 
     def follow(at: Reached) -> tuple[Array, np.ndarray]:
         after = at.z[:, None] + moves
@@ -235,7 +235,7 @@ def _changed(moves: Array) -> Follow:
 
 
 def _turned(problem: Problem, speeds: Sequence[float]) -> Follow:
-    """Return that headings of the plane turn by shares of the widest angle, to some speeds."""
+    """Return planar successors at given speeds, turned by shares of the widest turn."""
     angles = WITHIN * problem.widest_turn * np.tile(TURNS, len(speeds))
     fast = np.repeat(speeds, len(TURNS))
     along, aside = fast * np.cos(angles), fast * np.sin(angles)

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The convex program over SO(3) in machine code, where numba is installed.
+"""The convex program over SO(3) by a compiled method of multipliers (needs numba).
 
-Condensed: positions are eliminated, and a terminal constraint is met by every point of the search,
-so that what is left are orbitopes, lengths and half-spaces. What this cannot settle it leaves to
-the general program, such as the proof that there is no solution.
+Condensed: positions are eliminated and all iterates satisfy a terminal constraint; the other
+constraints are orbitopes, lengths and half-spaces. Solves that do not converge, as with an arrival
+out of reach, are left to the general program.
 
 Mathematics: docs/mathematics.md, 4.7.
 """
@@ -48,27 +48,27 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
 
-SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
-SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
-EASY = 12  # a horizon up to which hardly a solve was seen to stall
-USUAL = 100.0  # forces of problems near their goal
-# Best fraction of a coasted rotation while no orbitope is in its way: where that is far outside, as
-# with a weight on length alone, bounds would be small differences of what is huge.
+SLICE = 1e6  # multiplications between two polls of the deadline: about a millisecond
+SIGMA = (1.0, 1e6)  # first and largest penalty parameter, times the scale of the gradients
+EASY = 12  # horizon up to which solves hardly ever stall
+USUAL = 100.0  # gradients of problems near their goal
+# Largest |rho| of the minimiser without orbitopes. With a larger one, as with a weight on length
+# alone, bounds would be small differences of huge numbers.
 STEEPEST = 1e4
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
-ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
-INWARD = 1.0 - 1e-15  # of a direction, for rounding
+ROUNDING = 1e-15  # relative to the largest terms that cancel in a cost
+INWARD = 1.0 - 1e-15  # factor on a direction: its length must not exceed 1 by rounding
 INERT = -1.0  # offset of a row that is always satisfied
 
 
 class SO3Multipliers:
-    """Answers for :class:`orbimpc_ros.mpc.solve.program.Program` on most problems of SE(3).
+    """Faster equivalent of :class:`orbimpc_ros.mpc.solve.program.Program` for SE(3).
 
     Args:
         problem: what to solve.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
-        beside: whether half-spaces will be put on control points.
+        beside: whether there will be half-spaces on control points.
 
     Attributes:
         multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
@@ -77,10 +77,10 @@ class SO3Multipliers:
     def __init__(self, problem: Problem, *, coasting: bool = False, beside: bool = False) -> None:
         self.problem = problem
         self.multipliers: Multipliers | None = None
-        self._given = problem.rotation_order - 1  # at order 2, R_1 is not free
+        self._given = problem.rotation_order - 1  # at order 2 the state determines R_1
         self._coasting = coasting and bool(self._given)
         condensed = self._condensed = Condensed(problem)
-        self._pulls: Array | None = None  # what slopes come to, as multipliers of the arrival
+        self._pulls: Array | None = None  # map from slopes to multipliers of the arrival
         if problem.terminal == 'constraint':
             self._pulls = np.linalg.pinv(problem.maps.arrival[:, 1 + self._given :].T)
         self._thrust = thrust_axis(problem, condensed)
@@ -93,13 +93,13 @@ class SO3Multipliers:
         self._general: Relaxed | None = None
         if self._may_need_general:
             self._build_general()
-        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        # The first call compiles or loads cached machine code: at start-up rather than in a tick.
         at_rest = Request(_rest(self._coasting), np.zeros((problem.horizon, 3)))
-        with suppress(Infeasible):  # as with few steps left to turn round in
+        with suppress(Infeasible):  # the horizon may be too short to turn round and arrive
             self.relax(at_rest)
 
     def _make_room(self) -> None:
-        """Set up what the kernel works on; rho, if there is one, has the first place."""
+        """Allocate the kernel's arrays; rho, if there is one, is the first variable."""
         n = self._places = self.problem.horizon - self._given + self._coasting
         own, places = slice(self._coasting, n), n + len(self._reach)
         self._inverse = np.zeros((2, places, places))
@@ -116,34 +116,34 @@ class SO3Multipliers:
         self._axes = np.zeros((self.problem.horizon + 5, 3))
         self._rest = np.zeros((3, 6))
         self._work, self._held = scratch(n), multipliers(n, 0)
-        self._pressed = dict[int, tuple[Row, float]]()  # multipliers of rows of the last solve
+        self._pressed = dict[int, tuple[Row, float]]()  # the last solve's multipliers of rows
         rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
         known = self._lengths, rows, offsets, self._coasting, self._reach
         self._unbound = Terms(self._inverse, self._slide, *known, *no_sides())
 
     @property
     def _may_need_general(self) -> bool:
-        """Return whether solves are likely to end here without an optimum or a refutation.
+        """Return True if solves are likely to need the general program.
 
-        A terminal constraint may be out of reach, and so may half-spaces on the R_1 of a coasting
-        body. Over long horizons the method of multipliers stalls now and then.
+        A terminal constraint, or half-spaces on R_1 with a coasted rotation, may be infeasible.
+        Over long horizons the method of multipliers occasionally stalls.
         """
         refutable = self._coasting and self.problem.floor.exists
         return refutable or self.problem.terminal == 'constraint' or self.problem.horizon > EASY
 
     def _build_general(self) -> Relaxed:
-        from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
+        from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
 
         self._general = Program(self.problem, coasting=self._coasting)
         return self._general
 
     @staticmethod
     def solves(problem: Problem, *, beside: bool = False) -> bool:
-        """Return whether this applies to a problem, and is fast on this machine.
+        """Return True if this program applies to a problem and is fast on this machine.
 
         Args:
             problem: what to solve.
-            beside: whether half-spaces will be put on control points.
+            beside: whether there will be half-spaces on control points.
         """
         return (
             COMPILED
@@ -158,7 +158,7 @@ class SO3Multipliers:
         )
 
     def _bind(self, request: Request) -> None:
-        """Work out what depends on state and goals alone."""
+        """Compute the data that depend only on state and goals."""
         self._request, state, goals = request, request.state, request.goals
         axes, rest = self._axes, self._rest
         axes[:-1] = knowns(state, goals)
@@ -181,9 +181,9 @@ class SO3Multipliers:
         self._scale = max(1.0, bent / USUAL)
 
     def _choose_fraction(self) -> None:
-        """Let R_1 = rho * coasted, with the rho that is best while no orbitope is in its way.
+        """Set R_1 = rho * coasted with the rho that is optimal without the orbitopes.
 
-        Everything else follows rho on a line, along which the cost is a parabola.
+        The minimiser over all other variables is affine in rho, and its cost a parabola.
         """
         axes, rest, first = self._axes, self._rest, self._first
         axes[-1], rest[-1] = 0.0, 0.0
@@ -203,9 +203,9 @@ class SO3Multipliers:
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
-        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`; chords bound nothing here.
+        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`; chords are ignored.
 
-        When time is up, rotations are in their orbitopes and need not satisfy anything else.
+        At the deadline, rotations are in their orbitopes but may violate other constraints.
         """
         if request is not self._request:
             self._bind(request)
@@ -229,12 +229,12 @@ class SO3Multipliers:
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
-        if hurried:  # to set the general program up takes longer than a deadline can wait
+        if hurried:  # building the general program would take longer than the deadline allows
             return Relaxation(_within(self._rotations(progress.x)), self._least + bound)
         return self._leave(request, rows)
 
     def _leave(self, request: Request, rows: Sequence[Row]) -> Relaxation:
-        """Leave a solve to the general program."""
+        """Solve with the general program."""
         general = self._general or self._build_general()
         try:
             return general.relax(request, rows)
@@ -253,7 +253,7 @@ class SO3Multipliers:
                 return progress, status
 
     def _take_up(self, rows: Sequence[Row], terms: Terms, *, warm: bool) -> None:
-        """Begin with the multipliers of the solve before, or without (what was held misled)."""
+        """Set initial multipliers: of the last solve if ``warm``, else zero (that may mislead)."""
         count = len(terms.heights)
         held = self._held if warm else multipliers(self._places, 0)
         known, sides = self._pressed if warm else {}, list[float]()
@@ -265,13 +265,13 @@ class SO3Multipliers:
             self._work = scratch(self._places, 2 * count)
 
     def _put_down(self, rows: Sequence[Row]) -> None:
-        """Keep the multipliers of rows on control points for the next solve."""
+        """Keep the multipliers of rows on control points for a warm start of the next solve."""
         beside = [row for row in rows if row.place >= self.problem.horizon]
         held = self._held.sides.tolist()
         self._pressed = {id(row): (row, y) for row, y in zip(beside, held, strict=True)}
 
     def _told(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
-        """Return what the last solve's bound, or refutation, rests on beside the orbitopes."""
+        """Return the multipliers of the last solve, or if ``empty`` of its infeasibility."""
         steps, at, sizes = self.problem.horizon, 0, np.zeros(len(rows))
         for i, row in enumerate(rows):
             if row.place >= steps:
@@ -285,18 +285,18 @@ class SO3Multipliers:
         return Multipliers(point, sizes, pull, np.zeros((0, 0)), tether, share)
 
     def _place(self, row: Row) -> int:
-        """Return the place of the heading that a half-space is put on, < 0 if that is given."""
+        """Return the variable that a half-space on a heading constrains; < 0 for a given R_1."""
         return row.place - self._given + self._coasting
 
     def _lowest(self) -> Array:
-        """Return where the last Lagrangian is least, shape (N, 9)."""
+        """Return the minimiser of the last Lagrangian, shape (N, 9)."""
         point = self._of_all(self._work.lowest)
         if self._given:
             point[0] = self._first * (self._work.lowest[0, 0] if self._coasting else 1.0)
         return point
 
     def _of_all(self, known: Array) -> Array:
-        """Return what is known of the rotations that are free as that of all, with 0 of others."""
+        """Return values of the free rotations extended to all steps, 0 for a given R_1."""
         if not self._given:
             return known.copy()
         found = np.zeros((self.problem.horizon, *known.shape[1:]))
@@ -305,7 +305,7 @@ class SO3Multipliers:
 
     @property
     def _ways(self) -> Array:
-        """Return along which way the last solve's bound has each length, shape (N, 3), if any."""
+        """Return the directions of the lengths' multipliers, shape (N, 3), or an empty array."""
         if not self.problem.weights.length:
             return np.zeros((0, 0))
         weighed = self._lengths > 0.0
@@ -315,7 +315,7 @@ class SO3Multipliers:
         return ways
 
     def _pull(self, request: Request, point: Array) -> Array:
-        """Return the multipliers of an arrival, of what is left of slopes and forces at a point."""
+        """Return the multipliers of an arrival that cancel the slopes and forces at a point."""
         if self._pulls is None:
             return np.zeros((0, 3))
         slopes, _ = self._condensed.affine(request.state, request.goals)
@@ -352,7 +352,7 @@ class SO3Multipliers:
 
 
 def _within(x: Array) -> Array:
-    """Return rotation coordinates, shape (N, 9), pulled towards 0 into their orbitopes."""
+    """Return rotation coordinates, shape (N, 9), scaled down into their orbitopes."""
     return x / (1.0 + np.maximum(0.0, -margin(matrix(x))))[:, None]
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""One problem in, one plan out: which method solves it, and how well it is proved.
+"""The solver: one problem in, one checked plan with a verified bound out.
 
 Mathematics: docs/mathematics.md, 5.4 and 6.1.
 """
@@ -29,10 +29,10 @@ from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
-SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
-SURELY = 1e-3  # of a step's length, or of 1 rad: an end so far out of reach takes no search
-OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
-ROUNDED = 1e-15  # of the unit of costs: and by what states and goals are rounded by
+SEARCH_SHARE = 0.01  # a search stops at this share of the gap tolerance
+SURELY = 1e-3  # in units of a step's length, or rad: infeasible without a search if farther away
+OUTWARD = 1e-9  # relative reduction of published bounds: plans satisfy constraints to a tolerance
+ROUNDED = 1e-15  # reduction in units of cost: states and goals are rounded
 NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan that took no search stands in'
 DOUBTFUL = 'found to be infeasible, which was not verified'
@@ -40,11 +40,11 @@ GOES_ON = 'the plan before goes on: no better one was found in time'
 
 
 class _Query(NamedTuple):
-    """What a solver is asked, in the units of its caller; see :meth:`Solver.solve`.
+    """The arguments of :meth:`Solver.solve`, in the units of the caller.
 
     Attributes:
-        guess: rotation coordinates R_1..R_N, shape (N, d).
-        searched: the state without hazards that are all out of reach: methods know more without.
+        guess: rotation coordinates of R_1..R_N, shape (N, d).
+        searched: the state, without hazards if all are out of reach, so that faster methods apply.
     """
 
     state: State
@@ -59,20 +59,20 @@ class _Query(NamedTuple):
 
 
 class Solver:
-    """Solves one problem for any state and goals; compiled at construction.
+    """Solver of one problem for any state and goals; compiled at construction.
 
     Args:
         problem: what to solve.
-        projection: ``nearest`` or ``thrust_aligned``, how plans become rotations.
+        projection: ``nearest`` or ``thrust_aligned``: projection of plans to rotations.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
-        coasting: whether states will come with a ``coasted`` rotation (rotation order 2).
-        patient: whether a deadline leaves time to set up slower methods where the first one fails;
-            that takes a second or so.
-        enough: costs at which a search may stop, whether or not it has closed the gap.
+        coasting: whether states come with a ``coasted`` rotation (rotation order 2).
+        patient: whether the deadline leaves time to set up slower methods if the first one fails;
+            this takes a second or so.
+        enough: criteria for stopping a search before the gap is closed.
 
     Attributes:
-        problem: that it solves.
-        takes_guess: whether a guess makes it faster; among hazards one does in any case.
+        problem: what it solves.
+        takes_guess: whether it benefits from a warm start; with hazards it always does.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Solver:
         self._coasting = coasting and problem.rotation_order == 2
         self._method = self._made(among=False)
         self.takes_guess = self._method.takes_guess
-        self._among: Method | None = None  # which solves among hazards, made when it is needed
+        self._among: Method | None = None  # the method for states with hazards, built when needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
         prepare()
 
@@ -107,20 +107,20 @@ class Solver:
     ) -> Plan:
         """Return the best plan found, checked, with its proof.
 
-        Where the method fails, or the plan it proposes does not pass the check, the guess and the
-        plans to go straight on or straight to the goal stand in for it, as far as they pass; else,
-        unless there is proved to be none, plans that turn at an even rate or arrive after a turn.
+        If the method fails, or its plan fails the check, the cheapest fallback that passes the
+        check is returned: the guess or a straight plan, or without these, unless infeasibility is
+        proved, a plan that turns at a constant rate or arrives after a turn.
 
         Args:
-            state: where the plan starts; its dimension is the problem's.
+            state: initial state of the plan, of the same dimension as the problem.
             goals: g_1..g_N, shape (N, n) [m].
-            guess: to start the search from; used if it is feasible: a plan from this very state,
-                or its rotation coordinates, shape (N, d).
-            out_of_time: polled at least every few milliseconds; True makes the search return the
-                best so far.
+            guess: warm start, used if it is feasible: a plan from this state, or its rotation
+                coordinates, shape (N, d).
+            out_of_time: polled at least every few milliseconds; once it returns True, the search
+                returns its best result so far.
 
         Raises:
-            BadInput: goals or a guess of another shape.
+            BadInput: goals or guess have a wrong shape.
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
@@ -138,7 +138,7 @@ class Solver:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(query, found, SolverFailure(found.reason))
         if plan.objective - plan.lower_bound <= self._tolerance * plan.objective:
-            return plan  # not just as near as costs of this size count
+            return plan  # proved optimal relative to its own cost, however small that is
         instead = replace(plan.proof, reason=_joined(plan.proof.reason, STANDS_IN))
         return self._cheapest(query, instead, plan.objective) or plan
 
@@ -149,12 +149,12 @@ class Solver:
         guess: Plan | Array | None = None,
         out_of_time: Callable[[], bool] | None = None,
     ) -> Plan:
-        """Return what the method finds, as :meth:`solve` does, but before any check.
+        """Return the plan of the method as in :meth:`solve`, but without check or fallback.
 
         Raises:
-            BadInput: goals of another shape.
+            BadInput: goals or guess have a wrong shape.
             Infeasible: the method proved that no trajectory satisfies the constraints.
-            SolverFailure: the method found none.
+            SolverFailure: the method found no trajectory.
         """
         query = self._query(state, goals, guess, out_of_time)
         found = self._found(query)
@@ -203,14 +203,14 @@ class Solver:
             return replace(NOTHING, reason=str(error))
         if found.x is None:
             return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
-        if not np.isfinite(found.x).all():  # or what is made of it would end in errors
+        if not np.isfinite(found.x).all():  # its rollout and projection would raise errors
             return replace(NOTHING, reason='the trajectory found is not finite')
         if usable is not None and found.x is usable.x and found.gap > self._tolerance:
             return replace(found, reason=GOES_ON)
         return found
 
     def expect_hazards(self) -> None:
-        """Make now what the first state with hazards would have to wait for, a second or so."""
+        """Build the method for hazards in advance, which takes a second or so."""
         if self._among is None:
             self._among = self._made(among=True)
 
@@ -219,7 +219,7 @@ class Solver:
         return method_for(*known, coasting=self._coasting, among=among)
 
     def _method_for(self, state: State) -> Method:
-        """Return the method for a state: where something moves, the general one."""
+        """Return the method for a state: with hazards it is the general one."""
         if not state.hazards:
             return self._method
         self.expect_hazards()
@@ -246,10 +246,10 @@ class Solver:
         return plan
 
     def _proof(self, query: _Query, found: Found) -> Proof:
-        """Return the proof of a bound in natural units; no term of the objective is negative.
+        """Return the proof of a result in natural units; its bound is >= 0 as are all cost terms.
 
-        Where the method says what the bound rests on, what that comes to is what is proved, as
-        far as there is time to count it.
+        The bound is the verifier's for the method's tree; without a tree, or if the verifier runs
+        out of time, the method's own.
         """
         cost, claimed, tree = self._units.cost, self._units.cost * found.lower_bound, found.proof
         bound, tree = (-np.inf, None) if tree is None else self._verified(query, tree)
@@ -261,7 +261,7 @@ class Solver:
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
 
     def _verified(self, query: _Query, tree: ProofTree) -> tuple[float, ProofTree]:
-        """Return what a tree in natural units proves as far as there is time, and it in users'."""
+        """Return the verified bound of a tree in natural units, and the tree in users' units."""
         made = in_users_units(tree, self._units)
         if self._verifier is None:
             return -np.inf, made
@@ -269,7 +269,7 @@ class Solver:
         return self._verifier.bound(*posed, made, query.out_of_time), made
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
-        """Return the cheapest of the plans that can stand in for one that was not found."""
+        """Return the cheapest fallback plan that passes the check, or raise ``failure``."""
         proof = self._proof(query, replace(found, reason=_joined(found.reason, STANDS_IN)))
         plan = self._cheapest(query, proof, np.inf)
         if plan is not None:
@@ -280,7 +280,7 @@ class Solver:
         return min(turning, key=_objective)
 
     def _cheapest(self, query: _Query, proof: Proof, below: float) -> Plan | None:
-        """Return the cheapest of the plans that cost no search, pass the check and cost less."""
+        """Return the cheapest fallback plan that passes the check and costs less than ``below``."""
         known = self.problem, query.state, query.goals
         priced = [(trajectory_of(*known, x).cost, x) for x in self._unsought(query)]
         for cost, x in sorted(priced, key=itemgetter(0)):
@@ -292,14 +292,14 @@ class Solver:
         return None
 
     def _unsought(self, query: _Query) -> Iterator[Array]:
-        """Yield the coordinates of the plans that cost no search, shape (N, d)."""
+        """Yield the coordinates of fallback plans, shape (N, d): the guess and straight ones."""
         if query.guess is not None:
-            yield query.guess  # from this state on
+            yield query.guess  # rolled out from this state
         for rotations in straight(self.problem, query.state, query.goals):
             yield coordinates(rotations)
 
     def _turning(self, query: _Query, proof: Proof) -> list[Plan]:
-        """Return plans that turn, as far as they pass the check; once late, of a few, one."""
+        """Return turning plans that pass the check; after the deadline one of the first few."""
         sound = list[Plan]()
         every = turning(self.problem, query.state, query.goals)
         for rotations in in_time(every, query.out_of_time):

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Trajectories that take no search: straight on, to the goal, up, and turns that arrive.
+"""Fallback trajectories without a search: straight on, to the goal, up, and turns that arrive.
 
-A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
-them with the least squares of corrections (Newton's method), each heading then brought back to
-between its least speed and the full one; where it is at either, it is only turned.
+A terminal constraint is linear in the headings z_k = R_k e1. Its residual is removed by Newton
+steps of least norm, after each of which the speed of each heading is clipped between the least and
+the full speed; headings at either limit are only turned.
 
 Mathematics: docs/mathematics.md, 7.6.
 """
@@ -23,27 +23,27 @@ from orbimpc_ros.mpc.problem.cones import climb
 from orbimpc_ros.mpc.problem.leaving import Tracks, ways_out
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 
-# [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
+# [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
-WITHIN = 1.0 - 1e-9  # of ``max_rate``
+WITHIN = 1.0 - 1e-9  # share of ``max_rate``
 CORRECTIONS = 20
-LARGEST = 0.5  # of a heading, in one correction
-MET = 1e-10  # of a step's length
-AT_LIMIT = 1e-9  # of a speed
+LARGEST = 0.5  # change of a heading in one correction
+MET = 1e-10  # in units of a step's length: residual of an arrival that counts as zero
+AT_LIMIT = 1e-9  # distance within which a speed counts as at its limit
 SINGULAR = 1e-9
-LATE = 2  # ways that are tried once time is up: a millisecond or two each
+LATE = 2  # trajectories tried after the deadline: a millisecond or two each
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n), that go straight on, and straight to the goal.
 
-    Straight on at the present speed, as slowly as the floor allows, and at full speed; to the goal
-    after a turn as fast as ``max_rate`` allows. Where cones limit a descent, straight up as well:
-    what they demand of a state outside is made for that.
+    Straight on at the present speed, at the least speed of the floor, and at full speed; to the
+    goal after a turn at ``max_rate``. With a tilt or glide slope also straight up, which the relief
+    of these cones for states outside of them allows.
 
     Args:
-        problem: what is to be solved.
-        state: from where.
+        problem: what to solve.
+        state: initial state.
         goals: g_1..g_N, shape (N, n) [m].
     """
     ahead, first = _ahead(problem, state)
@@ -74,15 +74,15 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
 
 
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | None]:
-    """Yield R_1..R_N, shape (N, n, n), that turn; they pass through anything in their way.
+    """Yield R_1..R_N, shape (N, n, n), that turn; obstacles are ignored.
 
-    Among hazards away to all sides first, as fast as may be, the clearest before others. Then slow
-    and fast ones; with a terminal constraint those between and the fast ones, for arrivals that
-    only full speed leads to, corrected until they meet it; None for one that cannot be.
+    With hazards, escapes in all directions at the fastest turn come first, the clearest one before
+    others. Then turns at the least and at full speed; with a terminal constraint at medium and at
+    full speed, corrected until they satisfy it; None if a correction fails.
 
     Args:
-        problem: what is to be solved.
-        state: from where.
+        problem: what to solve.
+        state: initial state.
         goals: g_1..g_N, shape (N, n) [m].
     """
     ahead, first = _ahead(problem, state)
@@ -95,7 +95,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
     least = min(1.0, float(problem.floor.least(ahead[:, 0])))
     arrives = problem.terminal == 'constraint'
     speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
-    for turn in _turns(problem)[not arrives :]:  # straight on is tried before
+    for turn in _turns(problem)[not arrives :]:  # `straight` already goes straight on
         for speed in speeds:
             towards = goals[-1] - adrift(problem, state)[-1]
             angles = turn * np.arange(1.0, problem.horizon + 1.0) / problem.horizon
@@ -119,11 +119,11 @@ def _ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
 def in_time(
     ways: Iterable[Array | None], out_of_time: Callable[[], bool] | None
 ) -> Iterator[Array]:
-    """Yield those of some ways that there are, as long as there is time: few once it is up.
+    """Yield the trajectories that are not None until the deadline, and from few candidates later.
 
     Args:
-        ways: as of :func:`turning`.
-        out_of_time: polled before each but the first; None for no end.
+        ways: R_1..R_N or None, as from :func:`turning`.
+        out_of_time: polled after each candidate; None for no deadline.
     """
     late = 0
     for way in ways:
@@ -135,7 +135,7 @@ def in_time(
 
 
 def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:
-    """Return the rotation that turns begin at, and R_1 where the state decides all of it."""
+    """Return the rotation from which turns start, and R_1 if the state determines it."""
     if problem.rotation_order == 1:
         return state.attitude, None
     if state.coasted is not None:
@@ -151,7 +151,7 @@ def _turns(problem: Problem) -> list[float]:
 
 
 def _wanted(problem: Problem, state: State, goals: Array) -> Array:
-    """Return what all headings must add up to, shape (1, n), of an inertial vehicle (2, n)."""
+    """Return the right-hand side of the terminal constraint, shape (1, n), inertial (2, n)."""
     maps = problem.maps
     place = goals[-1] - adrift(problem, state)[-1] - maps.drift[-1, 0] * state.velocity
     stopped = -maps.carried[-1, 0] * state.velocity - maps.hastened[-1, 0] * state.disturbance
@@ -159,7 +159,7 @@ def _wanted(problem: Problem, state: State, goals: Array) -> Array:
 
 
 def _headings(problem: Problem, speed: float, axis: Array, towards: Array, angles: Array) -> Array:
-    """Return headings, shape (N, n), at angles from an axis in the plane of the goal."""
+    """Return headings, shape (N, n), at angles from an axis in its plane with the goal."""
     aside = towards - axis * (axis @ towards)
     if np.linalg.norm(aside) <= HEADING_UNDEFINED * np.linalg.norm(towards):
         other = np.eye(len(axis))[np.argmin(np.abs(axis))]
@@ -171,9 +171,9 @@ def _headings(problem: Problem, speed: float, axis: Array, towards: Array, angle
 
 
 def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array | None:
-    """Return headings next to z, shape (N, n), that arrive; None if none are found.
+    """Return headings near z, shape (N, n), that arrive; None if the correction fails.
 
-    At rotation order 2 the first one is given.
+    At rotation order 2 the first heading is fixed.
     """
     z, given = z.copy(), problem.rotation_order - 1
     rows, wanted = problem.maps.arrival, _wanted(problem, state, goals)
@@ -199,13 +199,13 @@ def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array 
 
 
 def _least_change(rows: Array, missing: Array, units: Array, bound: np.ndarray) -> Array:
-    """Return the least changes of headings, shape (K, n), that make up for what is missing.
+    """Return the change of headings of least norm, shape (K, n), that removes a residual.
 
     Args:
-        rows: over the headings, shape (m, K).
-        missing: shape (m, n).
-        units: the headings' directions, shape (K, n).
-        bound: which of them keep their speed, shape (K,).
+        rows: of the terminal constraint, shape (m, K).
+        missing: the residual, shape (m, n).
+        units: directions of the headings, shape (K, n).
+        bound: which headings keep their speed, shape (K,).
     """
     count, n = units.shape
     free = np.eye(n) - np.einsum('k,ka,kb->kab', bound, units, units)
