@@ -291,25 +291,26 @@ DEEP = 60  # splits at most
 def judged(drawn: Flight, rng: Rng) -> Judged | None:
     """Return what the part of a random certificate that holds a flight proves; None if refused."""
     case, count = drawn.case, drawn.case.problem.horizon
-    refutes = drawn.radius > 0.0 or _sometimes(rng, 0.4)
+    catches, empty = drawn.radius > 0.0, _sometimes(rng, 0.4)
     sought = Sought(*case, radius=drawn.radius)
     posed = Posed(*case, limits_of(*case))
-    if refutes:
+    if catches or empty:
         known = Refutation(sought, ()).document()
-        posed = refuted_by(known, count if drawn.radius else 1)[-1]
+        posed = refuted_by(known, count if catches else 1)[-1]
     part = Part(drawn, posed, rng)
     if case.problem.dimension == 2 and _sometimes(rng, 0.7):
         part.focus()
     for _ in range(int(rng.integers(5))):
         part.split()
-    leaf = part.leaf(refutes)
-    proved, sound = part.bound(leaf, refutes)
+    leaf = part.leaf(empty)
+    proved, sound = part.bound(leaf, empty)
     if not sound:
         return None
-    tree = part.tree(leaf, refutes)
-    made = Refutation(sought, (tree,) * (count if drawn.radius else 1))
-    known = made.document() if refutes else Certificate(*case, 1.0, tree).document()
-    return Judged(proved, 0.0 if refutes else drawn.plan.objective, known, tree, posed)
+    tree, cost = part.tree(leaf, empty), drawn.radius**2 if catches else drawn.plan.objective
+    known = Certificate(*case, 1.0, tree).document()
+    if catches or empty:
+        known = Refutation(sought, (tree,) * (count if catches else 1)).document()
+    return Judged(proved, 0.0 if empty else cost, known, tree, posed)
 
 
 class Part:
@@ -324,7 +325,7 @@ class Part:
     def __init__(self, drawn: Flight, posed: Posed, rng: Rng) -> None:
         self.drawn, self.posed, self.rng = drawn, posed, rng
         problem = posed.problem
-        self.stated = Statement(problem, Fraction).of(*posed[1:])
+        self.stated = Statement(problem, Fraction).of(*posed[1:4])
         self.n, self.count = problem.dimension, problem.horizon
         self.choices = (2 + len(posed.limits.bodies)) * self.count
         self.region = region_of(DEEP, self.choices, self.n, object)
@@ -465,7 +466,7 @@ class Part:
         points = points - first - np.linspace(0.0, 1.0, len(points))[:, None] * (last - first)
         return points[_on_side(body, k, degree)]
 
-    def leaf(self, refutes: bool) -> ProofTree:
+    def leaf(self, empty: bool) -> ProofTree:
         """Return a leaf with some multipliers, each of any size."""
         rng, count, n = self.rng, self.count, self.n
         stated, ends = self.stated, self.stated.ends
@@ -475,11 +476,11 @@ class Part:
             few = rng.random(shape[:1] + (1,) * (len(shape) - 1)) < 0.6
             return np.asarray(10.0 ** rng.uniform(-3, 3) * few * rng.normal(size=shape))
 
-        if not refutes and _sometimes(rng, 0.8):
+        if not empty and _sometimes(rng, 0.8):
             x = [coordinates(each)[: stated.width] for each in self.drawn.plan.rotations[1:]]
             off = rng.choice([0.0, 1e-4, 1e-2, 1.0]) * rng.normal(size=point.shape)
             point = np.array(x) + off if not _sometimes(rng, 0.1) else off
-        if not refutes and _sometimes(rng, 0.3):
+        if not empty and _sometimes(rng, 0.3):
             shor = some(count)
         made: dict[str, np.ndarray] = {}
         if ends.arrives and _sometimes(rng, 0.7):
@@ -491,8 +492,6 @@ class Part:
         if ends.chord >= 0 and _sometimes(rng, 0.5):
             made['tether'] = some(count, n)
             made['tether'][: ends.begun] = 0.0
-        if ends.radius >= 0 and _sometimes(rng, 0.5):
-            made['meet'] = some(n)
         rows = self._rows() if _sometimes(rng, 0.7) else np.zeros(0, np.int64)
         press = np.abs(some(len(rows))) if len(rows) else np.zeros(0)
         leaf = one(point, shor, **made)
@@ -526,16 +525,16 @@ class Part:
         steep *= rng.choice([1.0 - HAIR, 10.0 ** rng.uniform(-3, 5)])
         return np.asarray(down * np.concatenate([steep * way, -np.ones((count, 1))], axis=1))
 
-    def bound(self, leaf: ProofTree, refutes: bool) -> tuple[float, bool]:
+    def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return what a leaf proves of the part, and whether it is sound."""
         set_hessian(self.stated.order, self.stated.motion, self.stated.costs, self.work.squares)
-        known = self.stated, self.region, self.depth, in_fractions(leaf), 0, refutes, self.work
+        known = self.stated, self.region, self.depth, in_fractions(leaf), 0, empty, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
 
-    def tree(self, leaf: ProofTree, refutes: bool) -> ProofTree:
+    def tree(self, leaf: ProofTree, empty: bool) -> ProofTree:
         """Return the tree of the splits, whose every leaf is the same."""
-        kind = trees.EMPTY if refutes else trees.LEAF
+        kind = trees.EMPTY if empty else trees.LEAF
         nodes, at, place = [[kind, 0, 0, 0, 0]], [0.0], 0
         for (split, choice, _, parts, row), angle, i in self.cuts:
             nodes[place], at[place] = [split, choice, len(nodes), parts, row], angle

@@ -2,6 +2,7 @@
 """Refutations: of what nothing satisfies there is one, and of what something does there is none."""
 
 import functools
+import itertools
 import json
 import sys
 from dataclasses import replace
@@ -217,7 +218,7 @@ def test_refutations_are_given_up_when_it_is_late():
 
 @pytest.mark.parametrize(('end', 'known'), [(11.0, True), (9.0, False)])
 def test_half_of_the_time_is_left_to_go_through_what_is_made(end, known):
-    sought, times = sought_of('out of reach'), iter([0.0, 5.0])  # begins; before the only part
+    sought, times = sought_of('out of reach'), itertools.chain([0.0], itertools.repeat(5.0))
     made = held_in_time(lambda late: refutation_of(sought, late), lambda: next(times), end)
     assert (made is not None) == known
 
@@ -235,11 +236,12 @@ def test_what_is_made_and_does_not_hold_is_no_refutation(kind):
 
 
 def test_without_clarabel_or_with_one_that_panics_nothing_is_refuted(monkeypatch):
-    make = functools.partial(refutation_of, sought_of('out of reach'))
-    monkeypatch.setattr('orbimpc_ros.mpc.solve.conic.run', lambda *_: None)
+    make = functools.partial(refutation_of, sought_of('held by a body'))
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.program.run', lambda *_: None)
     with pytest.raises(Unproved, match='no refutation of all'):
         make()
-    monkeypatch.delitem(sys.modules, 'orbimpc_ros.mpc.solve.conic')
+    for name in ('program', 'conic'):
+        monkeypatch.delitem(sys.modules, f'orbimpc_ros.mpc.solve.{name}')
     monkeypatch.setitem(sys.modules, 'clarabel', None)
     with pytest.raises(BadInput, match='not installed'):
         make()
@@ -284,7 +286,7 @@ def of_catches():
 
 def in_another_dimension(known):
     for tree in known['refuted']['trees']:
-        tree['meet'] = [[*each, 0.0] for each in tree['meet']]
+        tree['point'] = [[[*each, 0.0] for each in leaf] for leaf in tree['point']]
 
 
 def as_of_nothing(known):
@@ -316,7 +318,7 @@ def test_mutants_of_refuted_catches_are_refused_or_do_not_hold(name):
 def test_what_is_proved_of_catches_ends_at_the_first_that_is_not_refuted():
     known = of_catches()
     tree = known['refuted']['trees'][1]
-    tree['meet'] = (0.0 * np.array(tree['meet'])).tolist()
+    tree['point'] = (-np.array(tree['point'])).tolist()
     verdict = verified(known)
     assert not verdict.holds
     assert (verdict.claimed, verdict.proved) == (4.0, 2.0)

@@ -178,7 +178,7 @@ def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
 
 
 def test_what_is_not_refuted_says_so_and_leaves_no_file(tool, tmp_path, monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute._proves', lambda *_: False)
     problem, made, (code, _, error) = solve(tool, tmp_path, FAR)
     assert code == 3
     assert 'beyond what' in error
@@ -199,7 +199,7 @@ def test_before_which_time_nothing_catches_is_proved(tool, tmp_path):
 
 
 def without_refutations(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationSearch.most', 0)
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute._proves', lambda *_: False)
 
 
 def without_plans(monkeypatch):

@@ -29,7 +29,7 @@ from orbimpc_ros.mpc.proof.flight import (
     rolled,
     set_arrival,
 )
-from orbimpc_ros.mpc.proof.rows import met, pressed, pulled, slid, towed
+from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import (
     CHILD,
@@ -198,9 +198,6 @@ def _held(stated, region, depth, tree, leaf, work):
         value, size, held = value + more, size + terms, held and sound
     if tree.pull.size > 0:
         more, terms = pulled(ends, tree.pull[leaf], flown)
-        value, size = value + more, size + terms
-    if tree.meet.size > 0 and ends.radius >= 0:
-        more, terms = met(ends, tree.meet[leaf], flown)
         value, size = value + more, size + terms
     return value, size, held
 
@@ -396,7 +393,7 @@ def _lost(motion, ends, shor, point, work):
     """
     flown, squares, gone = work.flown, work.squares, work.gone
     count, n = squares.shape[1], flown.shape[2]
-    m, arrival, zero = squares[count : 2 * count], squares[2 * count :], 0 * ends.radius
+    m, arrival, zero = squares[count : 2 * count], squares[2 * count :], 0 * ends.chord
     top = zero
     if not is_bent(shor):
         return True, zero

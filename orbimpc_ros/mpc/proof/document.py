@@ -33,7 +33,6 @@ from orbimpc_ros.mpc.proof.tree import (
     INTEGERS,
     LEAF,
     OPTIONAL,
-    UNUSED,
     ProofTree,
 )
 from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
@@ -132,14 +131,18 @@ class Posed(NamedTuple):
         state: where trajectories start.
         goals: g_1..g_N, shape (N, n) [m].
         limits: beside the problem's own.
-        radius: within which s_N is of g_N [m]; negative where it may be anywhere.
+        cost: which all of them exceed, if what is claimed of them holds; infinity of nothing.
     """
 
     problem: Problem
     state: State
     goals: Array
     limits: Limits
-    radius: float = -1.0
+    cost: Fraction | float = math.inf
+
+    def is_exceeded(self, bound: float) -> bool:
+        """Return whether a bound proves what is claimed."""
+        return bound == math.inf or bound > self.cost
 
 
 class Verdict(NamedTuple):
@@ -187,16 +190,17 @@ def _verdict(document: Any) -> Verdict:
     claimed = number(document['lower_bound'], 'lower_bound')
     (proved,) = _proved([posed], [tree], document['tree'])
     holds = claimed <= 0.0 or Fraction(claimed) * (1 - RELATIVE) <= proved
-    return Verdict(claimed, proved, _leaves(tree, LEAF), holds)
+    return Verdict(claimed, proved, _leaves([tree], LEAF), holds)
 
 
 def _refuting(document: Any) -> Verdict:
     claim = fields_of(document['refuted'], 'refuted', ('trees',), ('radius', 'cone'))
     trees = [_tree(each) for each in _items(claim['trees'], 'trees')]
     problems = refuted_by(document, len(trees))
-    proved = _proved(problems, trees, claim['trees'])
-    whole = next((k for k, each in enumerate(proved) if each < math.inf), len(trees))
-    leaves, holds = sum(_leaves(tree, EMPTY) for tree in trees), whole == len(trees)
+    proved = zip(problems, _proved(problems, trees, claim['trees']), strict=True)
+    failed = (k for k, (posed, bound) in enumerate(proved) if not posed.is_exceeded(bound))
+    whole = next(failed, len(trees))
+    leaves, holds = _leaves(trees, LEAF, EMPTY), whole == len(trees)
     if 'radius' not in claim:
         return Verdict(math.inf, math.inf if holds else 0.0, leaves, holds)
     step = Fraction(problems[0].problem.step)
@@ -215,11 +219,11 @@ def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) 
         raise Refused('it takes more work than a document of its length may')
     for posed, tree in zip(problems, trees, strict=True):
         exact = Verifier(posed.problem, Fraction)
-        yield exact.bound(posed.state, posed.goals, tree, None, posed.limits, posed.radius)
+        yield exact.bound(posed.state, posed.goals, tree, None, posed.limits)
 
 
-def _leaves(tree: ProofTree, kind: int) -> int:
-    return int((tree.nodes[:, 0] == kind).sum())
+def _leaves(trees: Sequence[ProofTree], *kinds: int) -> int:
+    return sum(int(np.isin(tree.nodes[:, 0], kinds).sum()) for tree in trees)
 
 
 def _work(tree: ProofTree, problem: Problem) -> int:
@@ -239,16 +243,18 @@ def _work(tree: ProofTree, problem: Problem) -> int:
 
 
 def refuted_by(document: Any, count: int) -> list[Posed]:
-    """Return what nothing is feasible of: catches at so many steps from the first on, or all.
+    """Return what is claimed: that there is nothing, or no catch at the first steps, so many.
 
-    Nothing costs anything there, so that rotations are no more than their axes.
+    Nothing costs anything there but the square of the distance that a catch ends from its goal,
+    which then is more than that of the radius.
 
     Raises:
         BadInput: it is malformed.
     """
     claim, posed = document['refuted'], _posed(document)
-    weights = replace(posed.problem.weights, input=0.0, attitude=0.0)
-    posed = posed._replace(problem=replace(posed.problem, weights=weights))
+    weights = Weights(0.0, 0.0, 0.0, float('radius' in claim), 0.0)
+    free = replace(posed.problem, weights=weights, arrival_weight=0.0)
+    posed = posed._replace(problem=free)
     if 'radius' not in claim:
         if 'cone' in claim or count != 1:
             raise BadInput.stating(
@@ -273,7 +279,7 @@ def _catch(posed: Posed, k: int, radius: float, last: Any) -> Posed:
     ]
     fewer = limits._replace(cones=tuple(cones), bodies=tuple(bodies), eased=limits.eased[:k])
     problem = replace(posed.problem, horizon=k, terminal='penalty')
-    return Posed(problem, posed.state, posed.goals[:k], fewer, radius)
+    return Posed(problem, posed.state, posed.goals[:k], fewer, Fraction(radius) ** 2)
 
 
 # --- what was solved
@@ -427,7 +433,7 @@ def _tree(stated: Any) -> ProofTree:
     known = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered')))
     if known.pop('ordered', True) is not True:
         raise BadInput('tree.ordered', stated['ordered'], 'true')
-    found: dict[str, Any] = dict(UNUSED)
+    found = dict[str, Any]()
     for name, value in known.items():
         try:
             made = np.array(numbers_of(value, f'tree.{name}'))

@@ -162,7 +162,7 @@ def towed(ends, tether, point, tied, slopes):
 @generic
 def slid(ends, slide, flown):
     """Add forces of multipliers of the glide slope; return as :func:`pressed` does."""
-    value, size = 0 * ends.radius, 0 * ends.radius
+    value, size = 0 * ends.chord, 0 * ends.chord
     sine, cosine = ends.sine - 2 * slack(ends.cosine), ends.cosine + 2 * slack(ends.cosine)
     for k in range(len(slide)):
         down, square = -slide[k, 2], slide[k, 0] ** 2 + slide[k, 1] ** 2
@@ -186,26 +186,13 @@ def pulled(ends, pull, flown):
     Returns:
         What they come to; the size of its terms.
     """
-    value, size, count = 0 * ends.radius, 0 * ends.radius, len(ends.goals)
+    value, size, count = 0 * ends.chord, 0 * ends.chord, len(ends.goals)
     for i in range(len(pull)):
         for c in range(pull.shape[1]):
             missed = flown[i, count, c] - (ends.goals[count - 1, c] if i == 0 else 0 * value)
             force = pull[i, c] * missed
             value, size = value + force, size + abs(force)
             flown[2 + i, count, c] = flown[2 + i, count, c] + pull[i, c]
-    return value, size
-
-
-@generic
-def met(ends, meet, flown):
-    """Add forces of multipliers of meeting a goal; return as :func:`pulled` does."""
-    count, n = len(ends.goals), len(meet)
-    steep = ends.radius * size_of(meet, n)
-    value, size = -steep, steep
-    for c in range(n):
-        force = meet[c] * (flown[0, count, c] - ends.goals[count - 1, c])
-        value, size = value + force, size + abs(force)
-        flown[2, count, c] = flown[2, count, c] + meet[c]
     return value, size
 
 

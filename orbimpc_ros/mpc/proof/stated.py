@@ -189,7 +189,6 @@ class Ends(NamedTuple):
         goals: g_1..g_N less s_0, and in the last column by how much the glide slope is eased, shape
             (N, n + 1).
         arrives: how many vectors vanish at the end: s_N - g_N, and p_N.
-        radius: within which s_N is of g_N; negative where it may be anywhere.
         chord: how far R e1 moves in a step at most; negative without a limit.
         begun: the first step 0..N-1 of which that is so.
         sine: of the glide slope; 0 without.
@@ -198,7 +197,6 @@ class Ends(NamedTuple):
 
     goals: Rows
     arrives: int
-    radius: Number
     chord: Number
     begun: int
     sine: Number
@@ -309,14 +307,13 @@ class Statement:
         """Return what :func:`limits_of` does, bodies at rest as they were the last time."""
         return limits_of(self.problem, state, goals, self.boxes)
 
-    def of(self, state: State, goals: Array, limits: Limits, radius: float = -1.0) -> Stated:
+    def of(self, state: State, goals: Array, limits: Limits) -> Stated:
         """Return the problem from a state.
 
         Args:
             state: where trajectories start; not its hazards, which are among the limits.
             goals: g_1..g_N, shape (N, n) [m].
             limits: beside those that are the problem's own.
-            radius: within which s_N is of g_N [m]; negative where it may be anywhere.
         """
         problem = self.problem
         decided, start = self._begun(state)
@@ -324,7 +321,7 @@ class Statement:
         root = self._rooted(state, limits, cones)
         sets = self._set(cones) if cones else self._without_cones
         origin = self._rows(state.position)
-        ends = self._ended(self._rows(goals) - origin, limits, radius)
+        ends = self._ended(self._rows(goals) - origin, limits)
         rest = limits.bodies is self.boxes
         bodies = self._beside_boxes(origin) if rest else self._beside(origin, limits.bodies, start)
         kinds = problem.dimension, self.width, problem.rotation_order, decided
@@ -465,7 +462,7 @@ class Statement:
 
     # --- what couples steps
 
-    def _ended(self, goals: Rows, limits: Limits, radius: float) -> Ends:
+    def _ended(self, goals: Rows, limits: Limits) -> Ends:
         problem, number, n = self.problem, self._number, self.problem.dimension
         known = self._rows(np.zeros((problem.horizon, n + 1)))
         known[:, :n], slope = goals, (number(0), number(0))
@@ -477,7 +474,7 @@ class Statement:
             chord = number(problem.chord) + number(ROUNDING)
         arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
         begun = int(problem.first_turn_is_decided)
-        return Ends(known, arrives, number(radius), chord, begun, *slope)
+        return Ends(known, arrives, chord, begun, *slope)
 
     @cached_property
     def boxes(self) -> tuple[Body, ...]:

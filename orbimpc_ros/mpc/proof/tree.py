@@ -25,6 +25,7 @@ LEAF, ARCS, CUT, SPEED, FACES, PATCHES, QUARTERS, SIDES, EMPTY = range(9)
 POINTS = 4  # control points of a step that a side of a body has rows of, at most
 
 NOWHERE: Array = np.zeros(0)
+NOTHING: Array = np.zeros((0, 0, 0))  # of multipliers that are not used
 
 
 class ProofTree(NamedTuple):
@@ -47,7 +48,6 @@ class ProofTree(NamedTuple):
         slide: of the glide slope, shape (L, N, 3) or (0, 0, 0).
         tether: of how far R e1 moves in a step, shape (L, N, n) or (0, 0, 0).
         share: what of a step's slope is held by the limits on R e1 alone, (L, N, n) or (0, 0, 0).
-        meet: of s_N within a radius of g_N, shape (L, n) or (0, 0).
         origins: from where directions of headings are counted, once around, shape (N,) [rad]; (0,)
             where attitudes say so, or none are cut before they are split into arcs.
         ordered: whether steps that can be exchanged are in the order of their directions.
@@ -60,23 +60,19 @@ class ProofTree(NamedTuple):
     press_end: np.ndarray
     press_row: np.ndarray
     press: Array
-    pull: Array
-    slide: Array
-    tether: Array
-    share: Array
-    meet: Array
+    pull: Array = NOTHING
+    slide: Array = NOTHING
+    tether: Array = NOTHING
+    share: Array = NOTHING
     origins: Array = NOWHERE
     ordered: bool = False
 
 
 ARRAYS = ProofTree._fields[:7]  # of each tree
-OPTIONAL = ProofTree._fields[7:13]  # without elements where there are none
-VECTORS = ProofTree._fields[7:11]  # multipliers of steps, by leaves
+OPTIONAL = ProofTree._fields[7:12]  # without elements where there are none
 INTEGERS = 'nodes', 'press_end', 'press_row'
 INTEGER, FLOAT = np.dtype(np.int64), np.dtype(np.float64)
 KINDS = [INTEGER if name in INTEGERS else FLOAT for name in ARRAYS + OPTIONAL]
-NOTHING = np.zeros((0, 0, 0))  # of multipliers that are not used
-UNUSED = {**dict.fromkeys(VECTORS, NOTHING), 'meet': np.zeros((0, 0)), 'origins': NOWHERE}
 
 
 def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
@@ -88,7 +84,7 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         multipliers: other arrays of the leaf, by their names, without the axis of leaves.
     """
     none = np.zeros(1, np.int64)
-    known: dict[str, Any] = UNUSED | {name: value[None] for name, value in multipliers.items()}
+    known: dict[str, Any] = {name: value[None] for name, value in multipliers.items()}
     return ProofTree(
         nodes=np.zeros((1, 5), np.int64),
         at=np.zeros(1),
@@ -105,11 +101,11 @@ def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
     """Return the tree of a problem as it was posed, from that of the same in natural units."""
     cost, force = units.cost, units.cost / units.length
     known: Any = tree
-    nodes, at, point, shor, end, row, press, pull, slide, tether, share, meet, *order = known
+    nodes, at, point, shor, end, row, press, pull, slide, tether, share, *order = known
     if pull.size:
         pull = pull * (force * np.array([1.0, units.time])[: pull.shape[1], None])
     presses = end, row, _times(press, force)
-    bound = _times(slide, force), _times(tether, cost), _times(share, cost), _times(meet, force)
+    bound = _times(slide, force), _times(tether, cost), _times(share, cost)
     return ProofTree(nodes, at, point, shor * cost, *presses, pull, *bound, *order)
 
 
@@ -133,7 +129,7 @@ def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> boo
     shapes = (
         (nodes, 5), (nodes,), (leaves, horizon, width), (leaves, horizon),
         (leaves,), (presses,), (presses,),
-        (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (leaves, n), (horizon,),
+        (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (horizon,),
     )  # fmt: skip
     for i, (value, kind, shape) in enumerate(zip(arrays, KINDS, shapes, strict=True)):
         if value.dtype != kind or not value.flags.c_contiguous:

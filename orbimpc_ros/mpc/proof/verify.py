@@ -72,7 +72,6 @@ class Verifier:
         tree: ProofTree,
         late: Callable[[], bool] | None = None,
         limits: Limits | None = None,
-        radius: float = -1.0,
     ) -> float:
         """Return a cost that no trajectory undercuts; -inf if a tree proves none, or none in time.
 
@@ -85,12 +84,11 @@ class Verifier:
             late: whether time is up; a tree is taken in slices of a few milliseconds.
             limits: beside the problem's own, whose obstacles count only as these have them; by
                 default those from the state.
-            radius: within which s_N is of g_N [m]; negative where it may be anywhere.
         """
         problem = self._statement.problem
         if limits is None:
             limits = self._statement.limits(state, goals)
-        stated = self._statement.of(state, goals, limits, radius)
+        stated = self._statement.of(state, goals, limits)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)

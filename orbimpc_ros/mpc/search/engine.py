@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
-from orbimpc_ros.mpc.proof.tree import NOTHING, ProofTree
+from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.search.relax import Quadratic, Room, room_for
 from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import (
@@ -185,9 +185,4 @@ def proof_of(tree: Tree) -> ProofTree:
         np.zeros(leaves, np.int64),
         none,
         np.zeros(0),
-        NOTHING,
-        NOTHING,
-        NOTHING,
-        NOTHING,
-        np.zeros((0, 0)),
     )

@@ -434,10 +434,6 @@ class RoundFloor:
             none,
             np.zeros(0),
             pull[:leaves, None].copy() if self._stiff else NOTHING,
-            NOTHING,
-            NOTHING,
-            NOTHING,
-            np.zeros((0, 0)),
         )
 
     def _by_branches(self, request: Request, found: Found) -> Found:

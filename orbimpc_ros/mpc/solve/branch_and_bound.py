@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
 from orbimpc_ros.mpc.solve.regions import Held, Known, Regions
-from orbimpc_ros.mpc.solve.relaxation import Relaxed
+from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
@@ -42,6 +42,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 NEAR = 0.05  # a dive is tried where round constraints are violated by less
 NOTHING = 'no trajectory satisfies the constraints'
 MAX_NODES = 20_000
+MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 WORST_CONDITION = 1e12
 HALFWAY = (
     50.0  # factor on the tolerance where many nodes cost alike: half of a plan's gap tolerance
@@ -92,6 +93,20 @@ class BranchAndBound:
         traffic = traffic_of(self.problem, request.state)
         if traffic is None and not self._chooses:
             return self._relaxed(request)
+        run = self._run(request, guided=traffic is not None)
+        planar = [] if self._plane is None else [self._plane.way(request)]
+        return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
+
+    def exceeding(self, request: Request, cost: float) -> ProofTree | None:
+        """Return a proof that every trajectory costs more than a value; None if none was found.
+
+        Args:
+            request: state and goals.
+            cost: the value; infinity for a proof that there is no trajectory.
+        """
+        return self._run(request, guided=True).exceeding(cost)
+
+    def _run(self, request: Request, *, guided: bool) -> _Run:
         ordered = _steps_are_exchangeable(self.problem)
         known = self.problem, self._statement, request, self._inverse, self.turns
         regions = Regions(*known, ordered=ordered)
@@ -99,9 +114,7 @@ class BranchAndBound:
         leaves = ProofWriter(
             self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins
         )
-        run = _Run(posed, leaves, self.tolerance, guided=traffic is not None)
-        planar = [] if self._plane is None else [self._plane.way(request)]
-        return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
+        return _Run(posed, leaves, self.tolerance, guided=guided)
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of a problem without disjunctions, which one relaxation solves."""
@@ -241,21 +254,55 @@ class _Run:
             return self._best.cutoff
         return min(self._best.cutoff, self._closed)
 
-    def _expand(self, node: Node) -> None:
-        """Solve a node; branch on it, or offer its solution as the incumbent."""
-        posed, rows = self._posed, self._rows(node)
+    def exceeding(self, cost: float) -> ProofTree | None:
+        """Return a proof that every trajectory costs more than a value; None if none was found.
+
+        No trajectory is looked for. A node with a lower bound is split where its solution violates
+        a choice, or else at the widest sector, which ends turns that are too wide.
+        """
+        posed = self._posed
+        if self._nodes[0].known is None:
+            return None
+        while self._open and self._open[0].bound <= cost:
+            if posed.solved == MAX_REFUTED or posed.request.late:
+                return None
+            node = heapq.heappop(self._open)
+            relaxed = self._bounded(node, self._rows(node))
+            if relaxed is None or node.bound > cost:
+                continue
+            if relaxed.x is None:
+                return None
+            trajectory, known = posed.flown(relaxed.x), self._known(node)
+            cut = self._cut(known, posed.missed(trajectory))
+            if cut is None and not posed.turns_in_time(trajectory):
+                cut = self._regions.widest(known)
+            if cut is None:
+                return None
+            self._part(node, cut, relaxed.bound, trajectory.headings[1:])
+        return self._leaves.tree(self._nodes)
+
+    def _bounded(self, node: Node, rows: dict[int, Held]) -> Relaxation | None:
+        """Solve a node and keep its multipliers; return None if it is infeasible."""
         try:
-            relaxed = posed.relax(rows.values())
+            relaxed = self._posed.relax(rows.values())
         except Infeasible:
             self._note(node, rows, empty=True)
-            if posed.solved == 1:
-                raise Infeasible(NOTHING, self._leaves.tree(self._nodes)) from None
-            return
-        if node.above is None:
-            self._root = relaxed.bound
+            return None
         node.better = relaxed.bound >= node.bound
         node.bound = max(node.bound, relaxed.bound)
         self._note(node, rows)
+        return relaxed
+
+    def _expand(self, node: Node) -> None:
+        """Solve a node; branch on it, or offer its solution as the incumbent."""
+        posed, rows = self._posed, self._rows(node)
+        relaxed = self._bounded(node, rows)
+        if relaxed is None:
+            if posed.solved == 1:
+                raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
+            return
+        if node.above is None:
+            self._root = relaxed.bound
         if relaxed.x is None:  # neither solved nor proved infeasible
             self._give_up(node)
             return
@@ -311,14 +358,19 @@ class _Run:
         self, node: Node, missed: dict[int, float], dual_value: float, headings: Array
     ) -> None:
         """Split the choice that promises the greatest bound; close a node without a split."""
-        regions, known = self._regions, self._known(node)
+        cut = self._cut(self._known(node), missed)
+        if cut is not None:
+            self._part(node, cut, dual_value, headings)
+        else:  # an imposed face is violated: the solve was not accurate enough
+            self._close(node.bound)
+
+    def _cut(self, known: Known, missed: dict[int, float]) -> Cut | None:
+        """Return the split of the choice that promises the greatest bound; None without one."""
+        regions = self._regions
         promises = {c: (regions.promise(c, by), by) for c, by in missed.items()}
-        for choice in sorted(missed, key=promises.__getitem__, reverse=True):
-            cut = regions.cut(choice, known)
-            if cut is not None:
-                self._part(node, cut, dual_value, headings)
-                return
-        self._close(node.bound)  # an imposed face is violated: the solve was not accurate enough
+        ranked = sorted(missed, key=promises.__getitem__, reverse=True)
+        cuts = (regions.cut(choice, known) for choice in ranked)
+        return next((cut for cut in cuts if cut is not None), None)
 
     def _give_up(self, node: Node) -> None:
         """Close a node that was not solved; split the root, since its children may be solved."""

@@ -254,7 +254,6 @@ class ProofWriter:
             slide=_used(slide),
             tether=_used(tether),
             share=_used([leaf.share for leaf in every]),
-            meet=np.zeros((0, 0)),
             origins=self._origins,
             ordered=len(self._origins) > 0,
         )

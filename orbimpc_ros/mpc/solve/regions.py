@@ -437,6 +437,23 @@ class Regions:
         apart = self._stated.sets.narrow if heading and self._faces else FINEST
         return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
 
+    def widest(self, known: Known) -> Cut | None:
+        """Return the split of the heading with the widest sector or patch; None without one."""
+        found = dict[int, Cut]()
+        for k in range(self.first, self.problem.horizon):
+            cut = self.cut(k, known)
+            if cut is not None:
+                found[k] = cut
+        k = max(found, key=lambda each: self._width(each, known), default=-1)
+        return found.get(k)
+
+    def _width(self, k: int, known: Known) -> float:
+        """Return how wide a sector [rad], or how large a patch is."""
+        if known.part[k] == WHOLE:
+            return np.inf
+        wide = known.span[k] if self.problem.dimension == 2 else known.corners[k]
+        return float(np.ptp(wide, axis=0).max())
+
     def sides(self, known: Known, cut: Cut) -> Sides:
         """Return the half-spaces of the parts of a split."""
         choice, every = cut.choice, np.arange(cut.parts)
