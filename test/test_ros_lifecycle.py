@@ -226,9 +226,6 @@ class Worker(Managed):
     def deactivate(self):
         self._do('deactivate')
 
-    def clean_up(self):
-        self._do('clean up')
-
 
 @pytest.fixture
 def worker(domain, default_context):

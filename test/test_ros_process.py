@@ -35,9 +35,6 @@ BROKEN = """
             if {refused}:
                 raise BadInput('mass', 0, '1')
 
-        def clean_up(self):
-            raise ValueError('not clean')
-
         def trigger_configure(self):
             super().trigger_configure()
             if {refused}:

@@ -60,8 +60,8 @@ class Managed(LifecycleNodeMixin, Node):
     """A node with a life cycle and guarded callbacks.
 
     A subclass declares its parameters when it is made, and does the rest in ``configure``,
-    ``activate``, ``deactivate``, ``clean_up`` and ``safe``. What it creates while it is configured
-    is destroyed when that ends, however it ends.
+    ``activate``, ``deactivate`` and ``safe``. What it creates while it is configured is destroyed
+    when that ends, however it ends.
 
     Attributes:
         kind: what it is called unless it is renamed.
@@ -99,9 +99,6 @@ class Managed(LifecycleNodeMixin, Node):
 
     def deactivate(self) -> None:
         """Do for the last time what is safe; the node is still active."""
-
-    def clean_up(self) -> None:
-        """Let go of what is not an endpoint of this node."""
 
     def safe(self, reason: Reason) -> None:
         """Do what is safe right now; the farewell and every failure call it."""
@@ -192,12 +189,12 @@ class Managed(LifecycleNodeMixin, Node):
             if self._error is not None:
                 raise self._error
 
-    def on_configure(self, _state: LifecycleState) -> Ended:
+    def on_configure(self, state: LifecycleState) -> Ended:
         """Set up, or clear away what was set up of it."""
         self._lasting = self._endpoints()
         result = self._tried(self.configure)
         if result != Ended.SUCCESS:
-            self._clear_away()
+            self.on_cleanup(state)
         return result
 
     def on_activate(self, _state: LifecycleState) -> Ended:
@@ -213,29 +210,28 @@ class Managed(LifecycleNodeMixin, Node):
         return result
 
     def on_cleanup(self, _state: LifecycleState) -> Ended:
-        """Become as it was before it was configured."""
-        return self._clear_away()
+        """Destroy what was created since the node was configured, if it is."""
+        lasting = self._endpoints() if self._lasting is None else self._lasting
+        for kind in ENDPOINTS:
+            for each in [*getattr(self, f'{kind}s')]:
+                if each not in lasting:
+                    getattr(self, f'destroy_{kind}')(each)
+        self._lasting = None
+        return Ended.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> Ended:
         """End all work for good; the process stays until a signal ends it."""
         self.on_deactivate(state)
-        return self._clear_away()
+        return self.on_cleanup(state)
 
     def on_error(self, state: LifecycleState) -> Ended:
         """After a transition that went wrong: silent and unconfigured."""
         return self.on_shutdown(state)
 
-    def _clear_away(self) -> Ended:
-        """Destroy what was created since the node was configured."""
-        if self._lasting is None:
-            return Ended.SUCCESS
-        result = self._tried(self.clean_up)
-        for kind in ENDPOINTS:
-            for each in [*getattr(self, f'{kind}s')]:
-                if each not in self._lasting:
-                    getattr(self, f'destroy_{kind}')(each)
-        self._lasting = None
-        return result
+    @property
+    def configured(self) -> bool:
+        """Return whether it is set up, or just being so."""
+        return self._lasting is not None
 
     def _endpoints(self) -> set[Any]:
         return {each for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}

@@ -43,22 +43,29 @@ class DynamicParameters(Generic[S]):
         node: that has the parameters.
         specs: its table.
         settings_of: makes settings of values, or raises BadInput.
+        prepare: makes of changed settings what the node works with, or raises BadInput; it must
+            not change anything, for the change may still be refused.
+        install: takes that over, once the change is certain.
 
     Raises:
         BadInput: a parameter is unknown or its value is not allowed.
     """
 
     def __init__(
-        self, node: Managed, specs: Sequence[ParameterSpec], settings_of: Callable[[Values], S]
+        self,
+        node: Managed,
+        specs: Sequence[ParameterSpec],
+        settings_of: Callable[[Values], S],
+        prepare: Callable[[S], Any] = lambda settings: settings,
+        install: Callable[[Any], None] = lambda _prepared: None,
     ) -> None:
         self._node, self._specs, self._settings_of = node, specs, settings_of
+        self._prepare, self._install = prepare, install
         _refuse_unknown(node, specs)
         given = {name: each.value for name, each in node._parameter_overrides.items()}
         for spec in specs:
             _declare(node, replace(spec, default=spec.default_beside(given)))
         self.settings()
-        self._prepare: Callable[[S], Any] | None = None
-        self._install: Callable[[Any], None] | None = None
         self._pending: Any = None
         node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
@@ -70,18 +77,6 @@ class DynamicParameters(Generic[S]):
     def settings(self) -> S:
         """Return the settings as they are now."""
         return self._settings_of(self._values())
-
-    def keep(
-        self, prepare: Callable[[S], Any] | None, install: Callable[[Any], None] | None
-    ) -> None:
-        """From now on install what is made of changed settings; without, only check changes.
-
-        Args:
-            prepare: makes of settings what the node works with, or raises BadInput; it must not
-                change anything, for the change may still be refused.
-            install: takes that over, once the change is certain.
-        """
-        self._prepare, self._install = prepare, install
 
     def _values(self) -> dict[str, Any]:
         return {spec.name: self._node.get_parameter(spec.name).value for spec in self._specs}
@@ -97,8 +92,7 @@ class DynamicParameters(Generic[S]):
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            settings = self._settings_of(self._merged(changes))
-            self._pending = None if self._prepare is None else self._prepare(settings)
+            self._pending = self._prepare(self._settings_of(self._merged(changes)))
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:  # a raising callback would end the node from afar
@@ -115,7 +109,7 @@ class DynamicParameters(Generic[S]):
         return values
 
     def _on_changed(self, _changes: list[Parameter]) -> None:
-        if self._install is not None and self._pending is not None:
+        if self._pending is not None:
             self._install(self._pending)
         self._pending = None
 

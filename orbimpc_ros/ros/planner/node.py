@@ -141,7 +141,7 @@ class PlannerNode(Managed):
         report_compilation(self.get_logger().info)
         if not COMPILED:
             self._log(without_compiler(), warn=True)
-        self._live = DynamicParameters(self, PLANNER, planner_settings)
+        self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of, self._install)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))
 
@@ -176,7 +176,6 @@ class PlannerNode(Managed):
         self._core.inputs.lag = settings.step if self._time.simulated else 0.0
         self._create_subscriptions(settings)
         self._create_timers(settings)
-        self._live.keep(planner_of, self._install)
         self.get_logger().info(summary(settings, self._time.simulated))
         given = {name: each.value for name, each in self._parameter_overrides.items()}
         for doubt in doubts(settings, given):
@@ -193,12 +192,9 @@ class PlannerNode(Managed):
         """Command what is safe for the last time."""
         self.safe(core.INACTIVE)
 
-    def clean_up(self) -> None:
-        """Let changed parameters wait for the next time."""
-        self._live.keep(None, None)
-
     def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
-        self._core.install(*prepared)
+        if self.configured:
+            self._core.install(*prepared)
         self.get_logger().info(f'from now on {summary(prepared[0], self._time.simulated)}')
 
     # --- wiring
