@@ -39,7 +39,7 @@ from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
-NEAR = 0.05  # a dive is tried where round constraints are violated by less
+NEAR = 0.05  # a dive is tried if only circular floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
@@ -248,7 +248,7 @@ class _Run:
     def _limit(self) -> float:
         """Return the bound from which on nodes are not worth solving.
 
-        A leaf that was closed with too wide a turn limits what other nodes can add to the bound.
+        A leaf closed with too wide a turn caps the bound of the tree: no other node can raise it.
         """
         if self._best.x is None or self._posed.turns is None:
             return self._best.cutoff
@@ -386,7 +386,7 @@ class _Run:
     def _part(
         self, node: Node, cut: Cut, dual_value: float = -np.inf, headings: Array | None = None
     ) -> None:
-        """Create the children of a node and open those that are neither empty nor cut off.
+        """Create the children of a node and open those that are neither empty nor pruned.
 
         Args:
             node: the node to split.
@@ -418,7 +418,7 @@ class _Run:
                 heapq.heappush(self._open, part)
 
     def _is_nearly_round(self, missed: dict[int, float]) -> bool:
-        """Return True if only round floors and balls are violated, and by little."""
+        """Return True if only circular floors and balls are violated, and by little."""
         return all(self._regions.is_round(c) and by < NEAR for c, by in missed.items())
 
     def _close(self, bound: float) -> None:

@@ -30,7 +30,7 @@ PASSING_STEPS = 10  # of a dive among balls and moving obstacles
 BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
 FOLLOWED = 8  # solves along a path, each with the solution before as its path
 WORTH = 1e-3  # relative reduction of the cost that is worth another solve
-ACCURATE = 1e-6  # of orbitopes, and of arrivals in units of a step's length; the same as the check
+ACCURATE = 1e-6  # the check's tolerance of orbitopes, and of arrivals in units of a step's length
 ROUNDING = 1e-15  # relative to the coordinates of goals far from the origin
 LEAST = 1e-9  # smallest denominator of a relative gap
 
@@ -70,7 +70,7 @@ class NodeProgram:
             chords: as in :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`.
 
         Raises:
-            Infeasible: proved that no trajectory satisfies the constraints.
+            Infeasible: it was proved that no trajectory satisfies the constraints.
         """
         self.solved += 1
         return self.program.relax(self.request, [row for each in held for row, _ in each], chords)
@@ -148,7 +148,7 @@ class Dives:
 
     Args:
         posed: the request with its regions and relaxation.
-        best: the incumbent, which trajectories are offered to.
+        best: the incumbent, to which trajectories are offered.
         passing: whether there are balls or moving obstacles.
     """
 
@@ -159,7 +159,7 @@ class Dives:
     def follow(self, headings: Array, rows: Rows) -> None:
         """Solve with the sides on which a path passes; repeat with the solution as the path.
 
-        The cost does not rise, since a path within its half-spaces is feasible in its solve.
+        A path that satisfies its half-spaces is feasible in that solve, so the cost cannot rise.
 
         Args:
             headings: R_1 e1..R_N e1 of the path, shape (N, n).

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A limit of the change of speed on top of any other method.
+"""The limit of the change of speed, added to any other method by successive convex programs.
 
-Without that limit a problem costs no more, so the bound of another method for it holds with it.
-Where its trajectory changes speed too fast, others are sought near its directions, again and again.
+The lower bound of a method that ignores this limit remains valid with it. If its trajectory changes
+speed too fast, a convex restriction about its directions is solved, then about the solution's.
 
 Mathematics: docs/mathematics.md, 3.10.
 """
@@ -34,19 +34,19 @@ from orbimpc_ros.mpc.solve.relaxation import Row
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
-ACCURATE = 1e-9  # of Clarabel
-NARROW = 1e-4  # [rad] half a cone that is a ray to Clarabel
-WIDEST = 1.5  # [rad] half a cone that is a half-space otherwise
+ACCURATE = 1e-9  # tolerance of Clarabel
+NARROW = 1e-4  # [rad] thinner cones are replaced by their axes, for Clarabel's accuracy
+WIDEST = 1.5  # [rad] largest half-angle of a cone, since tan grows without limit towards pi / 2
 
 
 class PacedSpeeds:
-    """Solves problems with a limit of the change of speed that no search knows by itself.
+    """Solver of problems with a limit of the change of speed that no search handles itself.
 
     Args:
         problem: what to solve.
         tolerance: relative gap at which the search without the limit stops.
         coasting: whether states come with a ``coasted`` rotation.
-        among: whether states will come with hazards.
+        among: whether states come with hazards.
     """
 
     takes_guess = trusts_guess = True
@@ -62,14 +62,14 @@ class PacedSpeeds:
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether there is a limit, and no faster method for it."""
+        """Return True if there is a limit, and no faster method for it."""
         return problem.max_acceleration > 0.0 and not Engine.solves(problem)
 
     def solve(self, request: Request) -> Found:
-        """Return the best trajectory with the bound of the problem without the limit.
+        """Return the best trajectory found, with the bound of the problem without the limit.
 
         Raises:
-            Infeasible: not even without the limit is there a trajectory.
+            Infeasible: even without the limit no trajectory satisfies the constraints.
         """
         found = self._method.solve(request)
         known = [] if request.guess is None else [request.guess.x]
@@ -92,7 +92,7 @@ class PacedSpeeds:
         return bool(speed_margin(self._problem, request.state, rotations).min() >= 0.0)
 
     def _ways(self, request: Request, found: Found) -> Iterator[Array]:
-        """Yield R_1..R_N, shape (N, n, n), as found, of the guess or of what takes no search."""
+        """Yield R_1..R_N, shape (N, n, n), of the result, and of the guess or of fallbacks."""
         if found.x is not None:
             yield self._flown(request, found.x).rotations[1:]
         if request.guess is None:
@@ -103,7 +103,7 @@ class PacedSpeeds:
             yield self._flown(request, request.guess.x).rotations[1:]
 
     def _followed(self, request: Request, regions: Regions, way: Array) -> list[Array]:
-        """Return coordinates, shape (N, d), of trajectories each next to the one before, or way."""
+        """Return coordinates, shape (N, d), of solutions, each near the one before, or ``way``."""
         found, cost = list[Array](), np.inf
         while len(found) < FOLLOWED and not (found and request.late):
             x = self._beside(request, regions, way, min(max(cost, TINY), 1.0))
@@ -117,9 +117,9 @@ class PacedSpeeds:
         return found
 
     def _beside(self, request: Request, regions: Regions, way: Array, unit: float) -> Array | None:
-        """Return the best coordinates, shape (N, d), next to a way, shape (N, n, n), or None.
+        """Return the best coordinates, shape (N, d), near a path, shape (N, n, n), or None.
 
-        Bodies are passed on the sides that the way is beside, floors beyond its tangents or faces.
+        Bodies are passed on the path's sides, and floors satisfied beyond its tangents or faces.
         """
         state, headings, program = request.state, way[:, :, 0], self._program
         before = state.attitude if state.coasted is None else state.coasted
@@ -136,7 +136,7 @@ class PacedSpeeds:
             wide = half >= NARROW
             (held if wide else rays).extend(_cone(k, units, half * wide))
         data = extended(program.stated(request), *self._limits(state, units))
-        data |= {'P': data['P'] / unit, 'c': data['c'] / unit}  # as accurate near the goal
+        data |= {'P': data['P'] / unit, 'c': data['c'] / unit}  # for small costs near the goal
         data = program.cut(program.cut(data, held, equal=False), rays, equal=True)
         answer = run(solver_for(data, ACCURATE), None)
         if answer is None or str(answer.status) not in SOLVED:
@@ -144,9 +144,9 @@ class PacedSpeeds:
         return program.statement.coordinates(np.asarray(answer.x)[program.statement.x], state)
 
     def _spare(self, state: State, units: Array) -> Array:
-        """Return by how much the directions that are free can turn, whatever others do [rad].
+        """Return the angle that each free direction can deviate by, whatever others do [rad].
 
-        Empty where no turn is an angle, negative where one is too wide already.
+        Empty if turns are not limited as angles, negative where a turn is already too wide.
         """
         problem = self._problem
         if not problem.turns_are_angles:
@@ -154,11 +154,11 @@ class PacedSpeeds:
         turned = np.vstack([state.attitude[:, 0], units])[problem.rotation_order - 1 :]
         chords = np.linalg.norm(np.diff(turned, axis=0), axis=1)
         left = problem.widest_turn + LEEWAY - 2.0 * np.arcsin(np.minimum(1.0, 0.5 * chords))
-        left[1:] *= 0.5  # the first one is from a direction that stays
+        left[1:] *= 0.5  # shared by both directions; the first turn is from a fixed one
         return np.asarray(np.minimum(left, np.append(left[1:], np.inf)))
 
     def _limits(self, state: State, units: Array) -> tuple[Array, Array]:
-        """Return A and b of A x <= b: the changes of speed, near directions of shape (N, n)."""
+        """Return A and b of A x <= b: limits (3.10a), made convex about directions, (N, n)."""
         problem, statement, every = self._problem, self._program.statement, np.arange(len(units))
         most, entry = WITHIN * problem.speed_change, entry_speed(problem, state)
         sizes, along = np.zeros((2, len(units), statement.columns))
@@ -171,12 +171,12 @@ class PacedSpeeds:
 
 
 def _cone(k: int, units: Array, half: float) -> list[Row]:
-    """Return half-spaces within a cone about direction k of units, shape (N, n).
+    """Return half-spaces whose intersection is within a cone about direction k.
 
     Args:
-        k: the step.
-        units: directions.
-        half: the angle between axis and side [rad]; 0 for planes that leave the axis.
+        k: the step, from 0.
+        units: directions, shape (N, n).
+        half: half-angle of the cone [rad]; 0 for planes that intersect in its axis.
     """
     _, _, across = np.linalg.svd(units[k : k + 1])
     sides = np.vstack([across[1:], -across[1:]]) if half else across[1:]

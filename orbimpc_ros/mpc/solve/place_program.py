@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The convex program in the thrust axes alone, solved by a compiled active-set method.
 
-In the plane R e1 determines R; in space the cost depends on R e1 only if neither inputs nor
+In the plane R e1 determines R; in space it is all that the cost depends on if neither inputs nor
 attitude have a weight. Then the relaxation is a quadratic program in z_1..z_N with balls and
 half-spaces on *places*: linear functions of z_1..z_N, such as a thrust axis, a control point of
 the motion within a step, or the difference of two thrust axes. A place's map A_p and the Hessian

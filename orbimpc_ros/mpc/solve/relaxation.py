@@ -96,5 +96,5 @@ class Relaxed(Protocol):
                 that chord, shape (K,).
 
         Raises:
-            Infeasible: proved that no trajectory satisfies the constraints.
+            Infeasible: it was proved that no trajectory satisfies the constraints.
         """

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap tolerance
-SURELY = 1e-3  # in units of a step's length, or rad: infeasible without a search if farther away
+SURELY = 1e-3  # in units of a step's length, or rad: farther beyond reach no search is needed
 OUTWARD = 1e-9  # relative reduction of published bounds: plans satisfy constraints to a tolerance
 ROUNDED = 1e-15  # reduction in units of cost: states and goals are rounded
 NOTHING = Found(None, np.inf, -np.inf, 0)
@@ -241,12 +241,12 @@ class Solver:
     def _assembled(self, query: _Query, x: Array, proof: Proof) -> Plan:
         known = self.problem, query.state, query.goals
         plan = assemble(*known, x, projection=self._projection, proof=proof)
-        if plan.objective < proof.lower_bound:  # it may miss constraints by rounding
+        if plan.objective < proof.lower_bound:  # constraints may be violated by rounding
             plan = replace(plan, proof=replace(proof, lower_bound=plan.objective))
         return plan
 
     def _proof(self, query: _Query, found: Found) -> Proof:
-        """Return the proof of a result in natural units; its bound is >= 0 as are all cost terms.
+        """Return the proof of a result in natural units; no cost is negative, so no bound is.
 
         The bound is the verifier's for the method's tree; without a tree, or if the verifier runs
         out of time, the method's own.

@@ -119,7 +119,7 @@ def _ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
 def in_time(
     ways: Iterable[Array | None], out_of_time: Callable[[], bool] | None
 ) -> Iterator[Array]:
-    """Yield the trajectories that are not None until the deadline, and from few candidates later.
+    """Yield trajectories that are not None until the deadline, then at most a few more.
 
     Args:
         ways: R_1..R_N or None, as from :func:`turning`.

@@ -1,16 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The relaxed problem as the data of a cone program, R_k in conv SO(n).
+"""The relaxed problem, with R_k in conv SO(n), as data of a cone program.
 
-Rows read A x + s = b with s in a cone: zeros first, then what is not negative, second-order cones,
-and semidefinite ones. Variables are x_0..x_N, the rotation coordinates; the displacements
-v_k = s_k - d_k from d_k, where the disturbance alone takes s_0; for an inertial vehicle the
-velocities p_0..p_N, less what the disturbance adds to them; and, where a speed or a tilt needs
-them, t_1..t_N with t_k >= |R_k e1|. With those, the state is in b, but for the axes of cones and a
-coasted rotation, and the goals are in the linear cost: q_k |s_k - g_k|^2 = q_k |v_k|^2 +
-pull_k . v_k + a constant, pull_k = -2 q_k (g_k - d_k).
+Rows are A x + s = b with s in a cone: first the zero cone, then the non-negative, second-order and
+semidefinite ones. The variables are the rotation coordinates x_0..x_N; the displacements
+v_k = s_k - d_k, where d_k is s_0 moved by the disturbance alone; for an inertial vehicle the
+velocities p_0..p_N without the effect of the disturbance; and, if lengths, tilt or
+``max_acceleration`` need them, t_1..t_N with t_k >= |R_k e1|. The state then enters only b, except
+for the axes of cones and a coasted rotation, and the goals enter the linear cost:
+q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + const, pull_k = -2 q_k (g_k - d_k).
 
-In space, where neither inputs nor the attitude have a weight, cost and limits see the thrust axes
-alone: they take the place of the rotations, and balls that of the orbitopes.
+In space, without weights on inputs and attitude, cost and constraints depend on the thrust axes
+only: these replace the rotations, and balls replace the orbitopes.
 
 Mathematics: docs/mathematics.md, 4.8.
 """
@@ -42,13 +42,13 @@ from orbimpc_ros.mpc.solve.relaxation import Multipliers
 
 ORDER = 4  # of the matrices S(R)
 TINY = 1e-300
-OUTWARD = 1.0 + 1e-12  # so that what is on the rim of a cone is not outside by rounding
+OUTWARD = 1.0 + 1e-12  # margin that keeps multipliers inside their cone in spite of rounding
 
 Part = tuple[np.ndarray, np.ndarray, Any]  # rows counted from 0, columns, values or one for all
 
 
 class _Rows:
-    """The rows of a matrix, kind by kind, as they are written down."""
+    """A builder of the sparse matrix A and of b."""
 
     def __init__(self) -> None:
         self._entries: list[tuple[np.ndarray, np.ndarray, Array]] = []
@@ -56,7 +56,7 @@ class _Rows:
         self.count = 0
 
     def add(self, offsets: Array, *parts: Part) -> np.ndarray:
-        """Add rows with their right-hand sides, shape (K,), and return their numbers."""
+        """Add rows with right-hand sides of shape (K,), and return their indices."""
         numbers = self.count + np.arange(len(offsets))
         for rows, columns, values in parts:
             spread = np.broadcast_to(np.asarray(values, dtype=float), np.shape(columns)).ravel()
@@ -79,10 +79,10 @@ class ConicStatement:
 
     Args:
         problem: what to solve.
-        coasting: whether R_1 = rho times the coasted rotation, rho in [0, 1] free.
+        coasting: whether R_1 is rho times the coasted rotation, with rho in [0, 1] free.
 
     Attributes:
-        data: of the program without a state, as :func:`~.conic.solver_for` takes it.
+        data: of the program before a state is set, for :func:`~.conic.solver_for`.
         x: columns of x_1..x_N, shape (N, width).
         moved: columns of v_1..v_N, shape (N, n).
         last: columns of p_N, shape (n,) or (0,).
@@ -107,12 +107,12 @@ class ConicStatement:
         self._along = self._block(int(problem.first_turn_is_a_cone), 1)[:, 0]
         self._towards = self._block(int(problem.approach.exists), 1)[:, 0]
         self.last = self._p[-1] if problem.inertial else np.zeros(0, int)
-        begin = int(problem.turns_are_angles)  # such a first turn begins at an attitude
+        begin = int(problem.turns_are_angles)  # the first turn is from Q_0 e1: no chord of R_0 e1
         self._chords = max(0, steps - begin) if problem.max_rate else 0
         self.data = self._stated()
 
     def _block(self, count: int, size: int) -> np.ndarray:
-        """Return the numbers of new columns, shape (count, size)."""
+        """Return the indices of new columns, shape (count, size)."""
         first, self.columns = self.columns, self.columns + count * size
         return first + np.arange(count * size).reshape(count, size)
 
@@ -144,7 +144,7 @@ class ConicStatement:
         return a, b
 
     def _put_cones(self, b: Array, state: State, goals: Array, origins: Array) -> None:
-        """Put what is demanded of a state, and where the cone's tip is in displacements, in b."""
+        """Set the relief of tilt and glide slope, and the apex of the latter, in b."""
         eased = relief(self.problem, state, goals)
         if self.problem.tilt:
             b[self._tilted] = eased.tilt
@@ -154,7 +154,7 @@ class ConicStatement:
             b[self._sloped + 2] = sides[:, 1]
 
     def narrow(self, b: Array, chords: Array) -> None:
-        """Put how far each R e1 that a chord bounds may move, shape (K,), in b."""
+        """Set limits of the K bounded chords, shape (K,), in b."""
         b[self._tied] = chords
 
     def coordinates(self, x: Array, state: State) -> Array:
@@ -165,13 +165,13 @@ class ConicStatement:
     # --- multipliers
 
     def multipliers(self, x: Array, z: Array, sizes: Array, state: State) -> Multipliers:
-        """Return what multipliers come to.
+        """Return the multipliers of a solution in the form of proofs.
 
         Args:
-            x: solution, of all columns.
+            x: the solution, all columns.
             z: multipliers of all rows of the program.
-            sizes: those of half-spaces on top, shape (M,).
-            state: where plans start.
+            sizes: multipliers of the added half-spaces, shape (M,).
+            state: initial state of plans.
         """
         problem, n, steps = self.problem, self.problem.dimension, self.problem.horizon
         pull: Array = np.zeros((0, n))
@@ -193,11 +193,11 @@ class ConicStatement:
         return Multipliers(x[self.x], sizes, pull, slide, tether, share)
 
     def _leaning(self, z: Array) -> Array:
-        """Return what a tilt, and lengths over rotations, hold of each R_k e1, shape (N, n).
+        """Return the multipliers of the tilt, and with d = 9 of lengths, on R_k e1, shape (N, n).
 
-        What t >= |z| holds, lengths and z_3 >= cos(tilt) t push; where t is the floor's, by more
-        than that. Of either the same share is taken for |z|. What is left of a tilt's is one of
-        z_3 >= cos(tilt) times the floor.
+        The multiplier of t >= |z| balances those of lengths and of z_3 >= cos(tilt) t; at t = floor
+        only part of them. It is shared between both in proportion; the rest of the tilt's is a
+        multiplier of z_3 >= cos(tilt) floor.
         """
         problem, n = self.problem, self.problem.dimension
         lean = math.cos(problem.tilt)
@@ -213,7 +213,7 @@ class ConicStatement:
         return held
 
     def _sliding(self, z: Array) -> Array:
-        """Return multipliers of the glide slope, surely in its cone's polar, shape (N, 3)."""
+        """Return multipliers of the glide slope, moved into the polar cone, shape (N, 3)."""
         x, y, height = slope_sides(self.problem)
         above = np.column_stack([z[self._sloped + 1], z[self._sloped + 2], z[self._sloped]])
         slide = -np.array([x, y, height]) * above
@@ -238,7 +238,7 @@ class ConicStatement:
         return {'P': quadratic, 'c': linear, 'A': a, 'b': b, 'dims': dims}
 
     def _locate(self, a: sparse.csc_matrix) -> None:
-        """Find the entries that change."""
+        """Locate the entries of A that depend on the state."""
         self._coasted = _entries(a, self._second, self._rho)
         self._turned = _entries(a, self._cones[:1].ravel(), self._along)
         self._approached = _entries(a, self._cones[-1:].ravel(), self._towards)
@@ -246,7 +246,7 @@ class ConicStatement:
             self._ahead = _entries(a, np.array([self._least]), self._z[-1])
 
     def _equalities(self, rows: _Rows) -> None:
-        """State x_0, the R_1 that a body rate decides, the model's steps, and an arrival."""
+        """Add x_0, the R_1 that the body rate determines, the dynamics, and an arrival."""
         problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
         each, known = np.arange(self.width), np.zeros(self.width)
         self._first = rows.add(known, (each, self._x[0], 1.0))
@@ -272,7 +272,7 @@ class ConicStatement:
             self._arrival = rows.add(np.zeros(len(ends)), (np.arange(len(ends)), ends, 1.0))
 
     def _inequalities(self, rows: _Rows) -> None:
-        """State floor <= t <= 1, z_3 >= cos(tilt) t, 0 <= rho <= 1, a least heading."""
+        """Add floor <= t <= 1, z_3 >= cos(tilt) t, 0 <= rho <= 1, and the approach's half-space."""
         problem, n = self.problem, self.problem.dimension
         every = np.arange(len(self.t))
         if len(every):
@@ -292,7 +292,7 @@ class ConicStatement:
             self._least = int(row[0])
 
     def _balls(self, rows: _Rows) -> None:
-        """State |z_k| <= t_k or 1, the glide slope, the cones of turn and approach, and chords."""
+        """Add |z_k| <= t_k or 1, the glide slope, the cones of turn and approach, and chords."""
         problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
         self._disks = np.zeros(0, int)
         if len(self.t):
@@ -330,10 +330,10 @@ class ConicStatement:
         """Add cones |z_k - w_k| <= size and return their first rows, shape (K,).
 
         Args:
-            rows: to add to.
-            z: columns, shape (K, n).
-            size: of each cone; 1 by default.
-            axis: the column of a scalar: w_k is that times an axis, which states bring.
+            rows: where to add them.
+            z: columns of z_k, shape (K, n).
+            size: the size of each cone; 1 by default.
+            axis: the column of a scalar: w_k is this scalar times an axis set by the state.
             before: columns of w_k, shape (K, n).
         """
         count, n = z.shape
@@ -352,11 +352,11 @@ class ConicStatement:
         return rows.add(offsets.ravel(), *parts)[heads]
 
     def _semidefinite(self, rows: _Rows) -> None:
-        """State S(R_k) >= 0: upper triangles by columns, off the diagonal times sqrt(2)."""
+        """Add S(R_k) >= 0: upper triangles column by column, off-diagonals times sqrt(2)."""
         if self.width < 9:
             return
         constant, linear = lmi_parts()
-        low, high = np.tril_indices(ORDER)  # of the transposes: column by column
+        low, high = np.tril_indices(ORDER)  # of the transpose, hence column by column
         scale = np.where(low == high, 1.0, math.sqrt(2.0))
         picked = ORDER * high + low
         parts = -scale[:, None] * linear.reshape(ORDER * ORDER, 9)[picked]
@@ -366,7 +366,7 @@ class ConicStatement:
         rows.add(offsets, (each.row, free.ravel()[each.col], each.data))
 
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
-        """Return P and c: distances, inputs and the last rotation squared; lengths."""
+        """Return P (of distances, inputs and the last rotation) and c (of lengths)."""
         problem = self.problem
         diagonal, linear = np.zeros(self.columns), np.zeros(self.columns)
         diagonal[self.moved] = 2.0 * position_weights(problem)[:, None]
@@ -382,7 +382,7 @@ class ConicStatement:
 
 
 def _entries(a: sparse.csc_matrix, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return where the entries of rows and columns, one of them perhaps of size 1, are stored."""
+    """Return the storage indices of entries by rows and columns, which are broadcast."""
     rows, columns = np.broadcast_arrays(rows, columns) if columns.size else (columns, columns)
     found = [
         a.indptr[c] + np.flatnonzero(a.indices[a.indptr[c] : a.indptr[c + 1]] == r)[0]
