@@ -13,7 +13,6 @@ from harness import python
 
 PACKAGE = Path(__file__).parents[1] / 'orbimpc_ros'
 ENGINES = PACKAGE / 'sim' / 'engines'
-MOVABLE = PACKAGE / 'mpc' / 'proof' / 'verifier'
 LAYERS = ('mpc', 'loop', 'ros', 'sim', 'tool')
 ROS = ('rclpy', 'rosidl_runtime_py', 'std_msgs', 'geometry_msgs', 'nav_msgs', 'rosbags')
 
@@ -23,11 +22,8 @@ def imports_of(file):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            # What may be copied elsewhere says where its own modules are by where it is.
-            assert not node.level or (node.level == 1 and file.parent == MOVABLE), file
-            folder = file.parent.relative_to(PACKAGE.parent).parts if node.level else ()
-            place = '.'.join(filter(None, (*folder, node.module)))
-            yield from (f'{place}.{alias.name}' for alias in node.names)
+            assert not node.level, file
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
 
 
 def all_modules():

@@ -12,7 +12,7 @@ from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.proof.document import OLD, WORD, Certificate, Unproved
+from orbimpc_ros.mpc.proof.document import WORD, Certificate, Unproved
 from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.tool import bags, recording
 from orbimpc_ros.tool.recording import replayed
@@ -116,12 +116,11 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path):
     sound = certificate.read_text()
     spoilt = json.loads(sound)
     too_high(spoilt)
-    old = json.dumps({'format': OLD})  # what it is about is proved anew
     made, layout = (STORE.types[f'std_msgs/msg/{name}'] for name in KINDS)
     kind = made.__msgtype__
     early = 3 * 10**9  # [ns] three ticks
     messages = [each for each in bags.raw(GOLDEN / 'spacecraft') if each.stamp < early]
-    for text in (*BROKEN, sound, json.dumps(spoilt), old):
+    for text in (*BROKEN, sound, json.dumps(spoilt)):
         message = made(layout([], 0), np.frombuffer(text.encode(), np.uint8))
         data = bytes(STORE.serialize_cdr(message, kind))
         messages.append(messages[0]._replace(topic='/certificate', type=kind, data=data))

@@ -140,9 +140,7 @@ def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
     for each in bags.read(path, {'certificate'}):
         if each.topic == f'{namespace}/certificate':
             try:
-                known = document.parsed(bytes(each.content.data))
-                if not (isinstance(known, dict) and known.get('format') == document.OLD):
-                    yield _verified(None, known)
+                yield _verified(None, document.parsed(bytes(each.content.data)))
             except document.Refused as error:
                 yield TickVerdict(None, COST).failed(str(error))
 

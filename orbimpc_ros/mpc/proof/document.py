@@ -37,7 +37,7 @@ from orbimpc_ros.mpc.proof.tree import (
 )
 from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
 
-FORMAT, OLD = 'orbimpc certificate 2', 'orbimpc certificate 1'
+FORMAT = 'orbimpc certificate 2'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
 OF = {'end': END, 'ends': ENDS, 'step': STEP}
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
@@ -170,8 +170,6 @@ def verified(document: Any) -> Verdict:
         Refused: it is malformed, too much work for its length, or of a problem that cannot be
             stated in fractions.
     """
-    if isinstance(document, dict) and document.get('format') == OLD:
-        raise Refused(f'format is {OLD!r}, which is read no more: {FORMAT!r} is')
     try:
         return _verdict(document)
     except (BadInput, TypeError, OverflowError) as error:
@@ -497,15 +495,6 @@ def patient() -> bool:
     return False
 
 
-def held(make: Callable[[], Made]) -> Made | None:
-    """Return the certificate that is made, if it holds in exact arithmetic; None without one."""
-    try:
-        made = make()
-        return made if holds(made) else None
-    except (Unproved, Refused, BadInput):  # of what is no model there; without Clarabel
-        return None
-
-
 def held_in_time(
     make: Callable[[OutOfTime], Made], clock: Callable[[], float], end: float
 ) -> Made | None:
@@ -523,7 +512,11 @@ def held_in_time(
     if now >= end:
         return None
     half = now + 0.5 * (end - now)
-    return held(lambda: make(lambda: clock() >= half))
+    try:
+        made = make(lambda: clock() >= half)
+        return made if holds(made) else None
+    except (Unproved, BadInput):  # of what is no model there; without Clarabel
+        return None
 
 
 def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate:
