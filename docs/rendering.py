@@ -29,8 +29,8 @@ def flown_again(path: Path) -> Iterator[Flight]:
     told = sim_settings(settings.of_sim(settings.of_bag(path, '') or settings.read('{}')))
     flight, given = departure(told.scenario, told.begin), {}
     orders = Orders(told.scenario.model, told.frames)
-    for topic, message in bags.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):
-        if topic == 'cmd_vel' and (order := orders.take_twist(message, LATER)):
+    for each in bags.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):
+        if each.topic == 'cmd_vel' and (order := orders.take_twist(each.content, LATER)):
             given[order.stamp] = order
     yield flight
     while not flight.over and (at := round(flight.vehicle.time * SECOND)) in given:

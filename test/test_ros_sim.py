@@ -21,7 +21,7 @@ from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.simulation import Orders
 from orbimpc_ros.sim.vehicle import Model
-from orbimpc_ros.tool.recording import stamp_of
+from orbimpc_ros.tool.bags import stamp_of
 
 DISTURBED = {
     'faults.position_noise': 0.05,

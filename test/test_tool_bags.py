@@ -160,7 +160,7 @@ def test_a_bag_that_is_still_written_is_read_up_to_its_last_chunk(small, tmp_pat
 # --- too large, or no bag at all
 
 
-@pytest.mark.parametrize('name', ['LARGEST_FILE', 'LARGEST_RECORD', 'LARGEST_CONTENT'])
+@pytest.mark.parametrize('name', ['LARGEST_FILE', 'LARGEST_RECORD'])
 def test_sizes_are_capped(small, monkeypatch, name):
     monkeypatch.setattr(bags, name, 10)
     assert_refused(small)

@@ -5,7 +5,6 @@ import importlib
 import math
 from dataclasses import replace
 from functools import partial, reduce
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,10 +32,9 @@ from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool import bags, settings
-from orbimpc_ros.tool.bags import fields
+from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.recording import (
-    Input,
     RecordedTick,
     Recording,
     published,
@@ -409,7 +407,7 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     assert replay(path, '--namespace', '/uav1')[0] == 0
     code, _, err = replay(path)
     assert code == 2
-    assert '/uav1/odom' in err
+    assert 'without /odom; give --namespace /uav1' in err
 
 
 # --- among traffic, its goal in another frame: the same hazards, whatever came late
@@ -444,7 +442,10 @@ def inputs(second):
         'odom': messages.odometry_message(stamp, measured(vehicle)),
     }
     sent = second * SECOND
-    return [Input(t, sent, sent + k * MILLISECOND, m) for k, (t, m) in enumerate(found.items())]
+    return [
+        Message(t, '', sent, sent + k * MILLISECOND, b'', m)
+        for k, (t, m) in enumerate(found.items())
+    ]
 
 
 def flown(late):
@@ -456,7 +457,7 @@ def flown(late):
     told, answers, pending, clearances = [], [], [], []
 
     def hear(each):
-        planner.inputs.update(each.topic, each.message, each.sent / SECOND, each.sent)
+        planner.inputs.update(each.topic, each.content, each.sent / SECOND, each.sent)
 
     for second in range(1, 4):
         for each in inputs(second):
@@ -473,7 +474,7 @@ def flown(late):
         for each in pending:
             hear(each)
         pending.clear()
-    return Recording(Path('none'), '/uav1', tuple(told), tuple(answers)), clearances
+    return Recording('/uav1', tuple(told), tuple(answers)), clearances
 
 
 @pytest.mark.parametrize('late', [(), ('obstacles',), (OTHER,)], ids=['none', 'markers', 'plans'])
@@ -506,6 +507,6 @@ def test_frames_are_read_from_a_bag(tmp_path):
     data = bytes(bags.store().serialize_cdr(tree(1), kind))
     heard = raw[0]._replace(topic=TF, type=kind, data=data)
     path = write(tmp_path / 'bag', [heard, *raw], bags.notes(RETRIEVAL))
-    (found,) = (each.message for each in recording_of(path).inputs if each.topic == TF)
+    (found,) = (each.content for each in recording_of(path).inputs if each.topic == TF)
     assert found.transforms[0].child_frame_id == 'odom'
     assert found.transforms[0].transform.translation.x == 0.5

@@ -63,7 +63,7 @@ def drawn():
 
 def test_every_odometry_moves_the_vehicle_at_its_own_time(drawn):
     drawing, flight = drawn['retrieval']
-    odometry = [content for topic, content in flight.messages if topic == 'odom']
+    odometry = [each.content for each in flight.messages if each.topic == 'odom']
     moves = drawing.drawn['world/vehicle']
     assert [at['duration'] for at, _ in moves] == [m.header.stamp.sec for m in odometry]
     for number, message in enumerate(odometry):
@@ -96,7 +96,7 @@ def test_what_the_planner_would_refuse_is_not_drawn(drawn):
     from orbimpc_ros.tool.scene import Scene
 
     _, flight = drawn['retrieval']
-    hostile = dict(flight.messages)['odom']
+    hostile = [each.content for each in flight.messages if each.topic == 'odom'][-1]
     hostile.pose.pose.position.x = float('nan')
     drawing = Drawing()
     scene = Scene(drawing, settings.read('{}'))

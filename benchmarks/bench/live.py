@@ -31,8 +31,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.recording import stamp_of
+from orbimpc_ros.tool.bags import fields, stamp_of
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed

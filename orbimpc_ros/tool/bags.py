@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
@@ -27,6 +27,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.ros import topics
+from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer
 from orbimpc_ros.ros.topics import Topic
 from orbimpc_ros.tool.files import opened
 
@@ -36,11 +37,10 @@ NOTES = 'orbimpc_ros'  # the MCAP record with the recorder's notes
 WRITTEN_CHUNK = 1 << 16  # [bytes]: what a recorder that is killed may lose
 LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
-LARGEST_CONTENT = 1 << 28  # [bytes] of the messages that are read
 LATEST = 2**63  # [ns]: stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
-FLOWN = 'odom and goal are needed'
+FLOWN = ('odom',), ('goal',)
 MCAP, SQLITE = '.mcap', '.db3'
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 QOS = {
@@ -70,9 +70,21 @@ class Message(NamedTuple):
 # --- the content of messages, from bags and from DDS alike
 
 
+def stamp_of(message: Any) -> int | None:
+    """Return the stamp that a message carries [ns]; None if it has none that is valid.
+
+    It is that of its header or of its first marker, or the time on ``/clock``.
+    """
+    for part in getattr(message, 'markers', [message])[:1]:
+        stamp = part.header.stamp if hasattr(part, 'header') else getattr(part, 'clock', None)
+        if stamp is not None and stamp.sec >= 0 and stamp.nanosec < SECOND:
+            return int(stamp.sec) * SECOND + int(stamp.nanosec)
+    return None
+
+
 def seconds(message: Any) -> float:
-    """Return the stamp of a message with a header [s]."""
-    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+    """Return the stamp that a message carries [s]; 0 without."""
+    return (stamp_of(message) or 0) / SECOND
 
 
 def point(vector: Any) -> Array:
@@ -123,26 +135,56 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
             yield each._replace(content=content)
 
 
-def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
+def of_vehicle(
+    path: Path,
+    namespace: str,
+    names: Collection[str] = (),
+    others: Collection[str] = (),
+    needed: Sequence[Collection[str]] = FLOWN,
+) -> list[Message]:
     """Return one vehicle's messages, topics named without its namespace, in the order of stamps.
+
+    Odometry that comes as a pose and a twist is joined.
 
     Args:
         path: of the bag.
         namespace: of the vehicle, such as ``/uav1``.
         names: of the topics wanted; by default all that we know.
+        others: topics of anybody's that are wanted too, by their full names.
+        needed: topics of which the bag has to have one each.
 
     Raises:
-        BadInput: no bag, or one without odometry and goal of this vehicle.
+        BadInput: no bag, or one without what is needed.
     """
-    found = list(read(path, names))
-    there = {message.topic for message in found}
-    for topic in (f'{namespace}/odom', f'{namespace}/goal'):
-        if topic not in there:
-            places = {name.rpartition('/')[0] for name in there if name.endswith('/odom')} - {''}
-            others = f'give --namespace {" or ".join(sorted(places))}'
-            raise BadInput.stating(str(path), f'without {topic}', others if places else FLOWN)
-    parted = ((*message.topic.rpartition('/'), message.content) for message in found)
-    return [(name, content) for before, _, name, content in parted if before == namespace]
+    wanted = (*names, *(other.rpartition('/')[2] for other in others)) if names else ()
+    found, own = list(read(path, wanted)), list[Message]()
+    for each in found:
+        before, _, name = each.topic.rpartition('/')
+        if each.topic in others:
+            own.append(each)
+        elif before == namespace:
+            own.append(each._replace(topic=name))
+    if not any(each.topic == 'odom' for each in own):
+        own += _joined(each for each in own if each.topic in POSE_TWIST)
+    for topics_needed in needed:
+        if not any(each.topic in topics_needed for each in own):
+            there = sorted({each.topic for each in found})
+            places = {name.removesuffix('/odom') for name in there if name.endswith('/odom')} - {''}
+            hint = f'give --namespace {" or ".join(sorted(places))}'
+            missing = ' or '.join(f'{namespace}/{name}' for name in topics_needed)
+            has = hint if places else f'it has {", ".join(there) or "none of its topics"}'
+            raise BadInput.stating(str(path), f'without {missing}', has)
+    return own
+
+
+def _joined(halves: Iterable[Message]) -> Iterator[Message]:
+    """Yield the odometry that the planner made of pairs, each when its second message was sent."""
+    synchronizer = PoseTwistSynchronizer()
+    for each in sorted(halves, key=lambda each: each.sent):
+        with suppress(BadInput):
+            joined = synchronizer.take(each.topic, each.content)
+            if joined is not None:
+                yield each._replace(topic='odom', content=joined)
 
 
 def raw(path: Path) -> list[Message]:
@@ -154,13 +196,9 @@ def raw(path: Path) -> list[Message]:
         BadInput: missing, damaged, too large, of another version, or not a bag.
     """
     files, closed = _files(path)
-    found, size = list[Message](), 0
     with _reading(path):
-        for each in _of_mcap(files, closed) if files[0].suffix == MCAP else _of_rosbags(path):
-            size += len(each.data)
-            if size > LARGEST_CONTENT:
-                raise BadInput.stating(str(path), f'{size} bytes of messages', ALLOWED)
-            found.append(each)
+        of_mcap = files[0].suffix == MCAP
+        found = list(_of_mcap(files, closed) if of_mcap else _of_rosbags(path))
     if not closed:
         cut = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
         print(f'orbimpc: {cut}', file=sys.stderr)

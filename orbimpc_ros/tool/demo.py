@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -17,6 +16,7 @@ from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
@@ -28,7 +28,7 @@ from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
 from orbimpc_ros.sim.fleet import FLEETS, separations
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import history, settings
-from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool.bags import BagWriter, stamp_of
 from orbimpc_ros.tool.files import new_folder, shown, writing_to
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.processes import Process, Processes, ProgressLine, interruptions, isolate
@@ -51,12 +51,6 @@ PATIENCE = 120.0  # [s] for the answers to a step
 STARTING = 600.0  # [s] and to the first one, before which machine code may be compiled
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
-STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
-UNSTAMPED = ('std_msgs/msg/Bool', 'std_msgs/msg/Float64', 'std_msgs/msg/UInt8MultiArray')
-STAMP_ELSEWHERE = {
-    **dict.fromkeys(UNSTAMPED),
-    'visualization_msgs/msg/MarkerArray': 8,
-}
 CALL_AGAIN = 5.0  # [s] until a planner that has not answered is called again
 
 
@@ -286,20 +280,6 @@ class Pacer:
 # --- the bag: messages byte by byte as they come, under the stamps they carry
 
 
-def carried(data: bytes, kind: str) -> int | None:
-    """Return the stamp [ns] that a serialised message carries; None if it has none that is valid.
-
-    Args:
-        data: the message in CDR.
-        kind: its type.
-    """
-    place = STAMP_ELSEWHERE.get(kind, STAMP_AT)
-    if place is None or len(data) < place + 8:
-        return None
-    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, place)
-    return seconds * SECOND + nanoseconds if seconds >= 0 and nanoseconds < SECOND else None
-
-
 class Recorder:
     """A node that writes what it hears into a bag.
 
@@ -372,7 +352,7 @@ class Recorder:
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, about: dict[str, Any]) -> None:
             self.counts[topic.name] += 1
-            own = carried(data, topic.type)
+            own = stamp_of(deserialize_message(data, topic.message))
             self.latest[topic.name] = own or 0
             self._now = self._now if own is None else own
             if self._now is not None:

@@ -173,8 +173,8 @@ def of_bag(path: Path, namespace: str = '') -> History:
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
     found: dict[str, list[Any]] = defaultdict(list)
-    for topic, content in bags.of_vehicle(path, namespace, WANTED):
-        found[topic].append(content)
+    for each in bags.of_vehicle(path, namespace, WANTED):
+        found[each.topic].append(each.content)
     frames = Frames(thrust_axis=values['thrust_axis'])
     measured = _valid(read_odometry, found['odom'], frames)
     sighted = _valid(read_sighting, found['goal'], frames)

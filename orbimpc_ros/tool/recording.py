@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,33 +21,22 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
-from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, pushed
-from orbimpc_ros.ros.messages import stamp_of as stamp_of_markers
+from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.bags import Message, fields, point
+from orbimpc_ros.tool.bags import Message, fields, point, stamp_of
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 
-CLOCK = 'clock'
+CLOCK = '/clock'
 TREE = tuple(topic.name for topic in topics.TREE)
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
 COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
+NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
+UNDATED = -1  # [ns] for a stamp that is none
 Messages = Mapping[str, Any]  # by topic
 Answer = dict[str, Any]  # what the planner published on a tick; what is not known is not in it
-
-
-@dataclass(frozen=True, eq=False)
-class Input:
-    """A message to the planner, or the time."""
-
-    # without its namespace, or ``clock``; with it, if it is another vehicle's plan or one of
-    # transforms
-    topic: str
-    stamp: int  # that it carries [ns]
-    sent: int  # when, on the recording machine's clock or under which stamp [ns]
-    message: Any  # its content
 
 
 NUMBER = (int, float)
@@ -110,9 +98,8 @@ class RecordedTick:
 class Recording:
     """What a bag holds of one planner."""
 
-    path: Path  # of the bag
     namespace: str  # of the vehicle, such as ``/uav1``
-    inputs: tuple[Input, ...]  # in the order in which they were sent
+    inputs: tuple[Message, ...]  # under the stamps they carry, in the order in which they were sent
     answers: tuple[RecordedTick, ...]  # in the order in which they were sent
 
     @property
@@ -137,78 +124,36 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
     Raises:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
     """
-    wanted = {other.rpartition('/')[2] for other in (*others, *TREE)}
-    found = list(bags.read(path, {CLOCK, *INPUTS, *COMPARED, *wanted}))
-    own: dict[str, list[Message]] = defaultdict(list)
-    for each in found:
-        before, _, name = each.topic.rpartition('/')
-        if each.topic in (*others, *TREE):
-            own[each.topic].append(each)
-        if each.topic == f'/{CLOCK}' or (before == namespace and name != CLOCK):
-            own[name].append(each)
-    if not own['odom']:
-        own['odom'] = list(_joined([*own['pose'], *own['twist']]))
-    for names in (('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')):
-        if not any(own[name] for name in names):
-            missing = ' or '.join(f'{namespace}/{name}' for name in names)
-            has = ', '.join(sorted({each.topic for each in found})) or 'none of its topics'
-            raise BadInput.stating(str(path), f'without {missing}', f'it has {has}')
-    inputs = [
-        Input(topic, stamp_of(each.content), each.sent, each.content)
-        for topic in (CLOCK, *INPUTS, *others, *TREE)
-        for each in own[topic]
-        if topic not in POSE_TWIST
-    ]
-    inputs.sort(key=lambda each: each.sent)
-    answers = sorted(_answers(own), key=lambda each: each.sent)
-    return Recording(path, namespace, tuple(inputs), tuple(answers))
+    shared = (CLOCK, *others, *TREE)
+    found = bags.of_vehicle(path, namespace, (*INPUTS, *COMPARED), shared, NEEDED)
+    found.sort(key=lambda each: each.sent)
+    dated = [each._replace(stamp=_own_stamp(each)) for each in found]
+    heard = {*INPUTS, *shared}.difference(POSE_TWIST)
+    inputs = tuple(each for each in dated if each.topic in heard)
+    answers = _answers(each for each in dated if each.topic in COMPARED)
+    return Recording(namespace, inputs, tuple(sorted(answers, key=lambda each: each.sent)))
 
 
-def _joined(halves: Iterable[Message]) -> Iterator[Message]:
-    """Yield the odometry that the planner made of pairs, each when its second message was sent."""
-    synchronizer = PoseTwistSynchronizer()
-    for each in sorted(halves, key=lambda each: each.sent):
-        name = each.topic.rpartition('/')[2]
-        with suppress(BadInput):
-            joined = synchronizer.take(name, each.content)
-            if joined is not None:
-                yield each._replace(topic=each.topic.removesuffix(name) + 'odom', content=joined)
+def _own_stamp(each: Message) -> int:
+    stamp = stamp_of(each.content)
+    return UNDATED if stamp is None else stamp
 
 
-def stamp_of(message: Any) -> int:
-    """Return the stamp [ns] in a message's header, or of ``/clock``, however nonsensical."""
-    if hasattr(message, 'markers'):
-        return stamp_of_markers(message)
-    if hasattr(message, 'transforms'):  # each has its own
-        return 0
-    stamp = message.header.stamp if hasattr(message, 'header') else message.clock
-    return int(stamp.sec) * SECOND + int(stamp.nanosec)
-
-
-def _answers(own: Mapping[str, list[Message]]) -> Iterator[RecordedTick]:
-    """Yield every answer; one that was merely repeated counts once."""
-    by_stamp: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
-    for topic in COMPARED:
-        for each in own.get(topic, ()):
-            by_stamp[stamp_of(each.content)].append((each.sent, topic, each.content))
-    for stamp, sent_messages in by_stamp.items():
-        before: Messages = {}
-        for sent, contents in _grouped(sorted(sent_messages, key=lambda each: each[0])):
-            if any(repr(before.get(topic)) != repr(each) for topic, each in contents.items()):
-                yield RecordedTick(stamp, sent, published(contents))
-            before = contents
-
-
-def _grouped(messages: Iterable[tuple[int, str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield messages by topic, and when the first of them was sent: each topic once an answer."""
-    begun, contents = 0, dict[str, Any]()
-    for sent, topic, content in messages:
-        if topic in contents:
-            yield begun, contents
-            contents = {}
-        begun = begun if contents else sent
-        contents[topic] = content
-    yield begun, contents
+def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
+    """Yield every answer, of which each topic has one message; a mere repetition counts once."""
+    by_stamp: dict[int, list[dict[str, Message]]] = defaultdict(lambda: [{}, {}])
+    for each in sent:
+        groups = by_stamp[each.stamp]
+        if each.topic in groups[-1]:
+            groups.append({})
+        groups[-1][each.topic] = each
+    for stamp, groups in by_stamp.items():
+        for before, now in pairwise(groups):
+            known = {topic: repr(each.content) for topic, each in before.items()}
+            if any(known.get(topic) != repr(each.content) for topic, each in now.items()):
+                contents = {topic: each.content for topic, each in now.items()}
+                begun = min(each.sent for each in now.values())
+                yield RecordedTick(stamp, begun, published(contents))
 
 
 # --- solved again
@@ -291,31 +236,31 @@ class Feed:
         rest = [each for k, each in enumerate(sent) if k > latest.get(each.topic, -1)]
         self._inputs[: len(sent)] = rest
 
-    def _lost(self, came: Sequence[Input], counts: Mapping[str, int]) -> set[Input]:
+    def _lost(self, came: Sequence[Message], counts: Mapping[str, int]) -> list[Message]:
         """Return the goals that the planner never saw, by how many it reports to have taken in.
 
         Its queues hold one message: of several, the newest are those that it took.
         """
-        lost: set[Input] = set()
+        lost: list[Message] = []
         for topic, count in counts.items():
             goals = (each for each in came if each.topic == topic)
             good = _increasing(goals, self._planner.settings)
             surplus = len(good) - (count - self._counts[topic])
-            lost.update(good[: max(0, surplus)])
+            lost += good[: max(0, surplus)]
             self._counts[topic] = count
         return lost
 
-    def _take(self, each: Input) -> str:
+    def _take(self, each: Message) -> str:
         if each.topic == CLOCK:
             self._clock = each.stamp
             return ''
         shown = self._clock if self._simulated else each.sent
-        return self._planner.inputs.update(each.topic, each.message, each.sent / SECOND, shown)
+        return self._planner.inputs.update(each.topic, each.content, each.sent / SECOND, shown)
 
 
-def _increasing(inputs: Iterable[Input], settings: PlannerSettings) -> list[Input]:
+def _increasing(inputs: Iterable[Message], settings: PlannerSettings) -> list[Message]:
     """Return the valid inputs, without those that come behind a later stamp or repeat one."""
-    good: list[Input] = []
+    good: list[Message] = []
     for each in inputs:
         unset = each.topic == 'goal' and each.stamp == 0
         if (not good or unset or each.stamp > good[-1].stamp) and acceptable(each, settings):
@@ -323,7 +268,7 @@ def _increasing(inputs: Iterable[Input], settings: PlannerSettings) -> list[Inpu
     return good
 
 
-def acceptable(each: Input, settings: PlannerSettings) -> bool:
+def acceptable(each: Message, settings: PlannerSettings) -> bool:
     """Return whether an input is a message that the planner's validators take."""
     if each.topic not in READ:
         return False
@@ -331,7 +276,7 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
         # Whether a goal of another frame could be moved is not known.
         if each.topic in GOALS and (settings.tf or settings.transforms):
             settings = replace(settings, frame_id='')
-        _, value = read(each.topic, each.message, settings)
+        _, value = read(each.topic, each.content, settings)
         if each.topic in GOALS:
             require_attitude(value, settings)
     except BadInput:
@@ -339,7 +284,7 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
     return True
 
 
-def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
+def _latest(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
     """Return the index of the last input that was known, by topic.
 
     The stamps on a tick are those of the messages that it was made of. Where it has none, the times
@@ -362,7 +307,7 @@ def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     return latest
 
 
-def _last(sent: Sequence[Input], topic: str, stamp: int) -> int:
+def _last(sent: Sequence[Message], topic: str, stamp: int) -> int:
     """Return the last index under which a topic has a stamp; -1 for none."""
     found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)

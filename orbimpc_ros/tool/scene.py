@@ -16,17 +16,10 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import sphere
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros.messages import (
-    SECOND,
-    Frames,
-    nanoseconds,
-    read_itinerary,
-    read_odometry,
-    read_sighting,
-)
+from orbimpc_ros.ros.messages import Frames, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import attitude, fields, point, seconds
+from orbimpc_ros.tool.bags import Message, attitude, fields, point, seconds, stamp_of
 from orbimpc_ros.tool.plot import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 
 TIMELINE = 'ros_time'
@@ -111,21 +104,21 @@ class Scene:
         )
         self._to.log(f'{WORLD}/obstacles', boxes, static=True)
 
-    def draw(self, messages: Iterable[tuple[str, Any]]) -> None:
-        """Draw messages, each with its topic, in the order of their stamps."""
-        for topic, message in messages:
-            self.take(topic, message)
+    def draw(self, messages: Iterable[Message]) -> None:
+        """Draw the messages of a bag, in the order of their stamps."""
+        for each in messages:
+            self.take(each.topic, each.content)
         self._to.flush()
 
     def take(self, topic: str, message: Any) -> None:
         """Draw a message, unless the planner would refuse it; ``topic`` has no namespace."""
         if topic not in self._takers:
             return
+        if stamp_of(message) is not None:
+            now = seconds(message)
+            kind = 'timestamp' if now > WALL_CLOCK else 'duration'
+            self._to.set_time(TIMELINE, **{kind: now})
         with suppress(BadInput):
-            for header in _headers(message):
-                now = nanoseconds(header.stamp, 'header.stamp') / SECOND
-                kind = 'timestamp' if now > WALL_CLOCK else 'duration'
-                self._to.set_time(TIMELINE, **{kind: now})
             self._takers[topic](message)
 
     def _take_odometry(self, message: Any) -> None:
@@ -214,12 +207,6 @@ class Scene:
             radius, place = 0.3 * self._unit, self._swing[-1]
             star = rr.Points3D([place], radii=radius, colors=[rgb(GREEN)], labels=[self._done])
             self._to.log(f'{WORLD}/done', star)
-
-
-def _headers(message: Any) -> list[Any]:
-    """Return the header that dates a message: that of its first marker, or none."""
-    stamped = getattr(message, 'markers', [message])[:1]
-    return [each.header for each in stamped if hasattr(each, 'header')]
 
 
 def _numbers(value: Any) -> Array:

@@ -59,7 +59,7 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
 
     from orbimpc_ros.tool.scene import Scene
 
-    values, messages = settings.read('{}'), list[tuple[str, Any]]()
+    values, messages = settings.read('{}'), list[bags.Message]()
     if bag is not None:
         values = settings.of_bag(Path(bag), namespace) or values
         messages = bags.of_vehicle(Path(bag), namespace)
