@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.tool.processes import PROGRAM, Child, claimed, free
+from orbimpc_ros.tool.processes import Child, claimed, free
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 240.0  # [s] for anything awaited: enough with ten processes for each core, too
@@ -74,8 +74,8 @@ class LaunchedProcess(Child):
         files: list[Path],
         remapped: dict,
     ) -> None:
-        script = [PROGRAM, sys.executable, str(module)]
-        words = [*(script if isinstance(module, Path) else [PACKAGES[module]]), '--ros-args']
+        script = [str(module)] if isinstance(module, Path) else ['-m', PACKAGES[module]]
+        words = [sys.executable, *script, '--ros-args']
         for file in files:
             words += ['--params-file', str(file)]
         for name, value in parameters.items():

@@ -63,6 +63,7 @@ def started(tmp_path, domain):
 @pytest.mark.parametrize('begun', [True, False])
 def test_a_node_ends_when_who_started_it_is_killed(started, node, begun):
     starter, pid, log = started(node)
+    time.sleep(0.3)  # until it is tethered
     wait_for(lambda: not begun or RUNS[node] in log.read_text())
     starter.kill()
     wait_for(lambda: not alive(pid))

@@ -7,6 +7,7 @@ import itertools
 import math
 import random
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -72,7 +73,8 @@ def _slowest(harness: Harness, since: float) -> float:
 @contextmanager
 def flooded(harness: Harness, rate: float) -> Iterator[None]:
     """Have another process publish a harness's odometry, at a rate [Hz]."""
-    words, log = ['benchmarks.faults.stimulus', str(rate)], harness.folder / 'flood.log'
+    words = [sys.executable, '-m', 'benchmarks.faults.stimulus', str(rate)]
+    log = harness.folder / 'flood.log'
     with harness.muted():
         child = Child('the flood', words, log, harness.domain)
         try:

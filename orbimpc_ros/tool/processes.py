@@ -3,17 +3,12 @@
 
 They meet in a DDS domain of one run: its own number, this machine only, and at once. How far a run
 is shows a progress bar in plain text: redrawn in a terminal, a few lines elsewhere.
-
-``python -m`` this module runs another one, or a program, that ends with the process which started
-it.
 """
 
 from __future__ import annotations
 
-import ctypes
 import os
 import random
-import runpy
 import shutil
 import signal
 import socket
@@ -26,10 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.ros.entry import SIGNALS, leave_at_signals
+from orbimpc_ros.ros.entry import SIGNALS
 
-PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
-PROGRAM = '--program'  # instead of a module: its path and arguments follow
+# Of util-linux: runs a program that the kernel ends as soon as whoever started it is gone, even if
+# that was killed. By SIGTERM: a shell has its background jobs ignore SIGINT, and all they start.
+TETHER = ('setpriv', '--pdeathsig', 'TERM', '--')
 PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
 DOMAINS = range(1, 102)  # beyond them DDS ports meet those that Linux hands out
@@ -52,11 +48,11 @@ PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES
 
 
 class Child:
-    """A process of its own, which ends with this one, however that ends.
+    """A process of its own, which ends with this one, on Linux however that ends.
 
     Args:
         name: for complaints.
-        words: the module to run with its arguments, or :data:`PROGRAM`, a program and its own.
+        words: the program to run, and its arguments.
         log: takes what the process prints.
         domain: of ROS; this process's by default.
     """
@@ -65,12 +61,12 @@ class Child:
         self, name: str, words: Sequence[str], log: Path, domain: int | None = None
     ) -> None:
         self._name, self._log = name, log
-        tethered = [sys.executable, '-m', __spec__.name, str(os.getpid())]
+        tether = TETHER if shutil.which(TETHER[0]) else ()
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
             self._child = subprocess.Popen(
-                [*tethered, *words],
+                [*tether, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,
@@ -136,8 +132,8 @@ class Process(Child):
         namespace: str = '',
     ) -> None:
         remapped = ['-r', f'__ns:={namespace}'] if namespace else []
-        words = [module, '--ros-args', '--params-file', str(parameters), *remapped]
-        super().__init__(module.rpartition('.')[2], words, log, domain)
+        words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
+        super().__init__(module.rpartition('.')[2], [*words, *remapped], log, domain)
 
 
 class Processes(list[Process]):
@@ -214,7 +210,7 @@ def free(domain: int) -> bool:
     return True
 
 
-# --- signals, and the end of the parent
+# --- signals
 
 
 @contextmanager
@@ -230,19 +226,6 @@ def interruptions() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def tether(parent: int) -> None:
-    """Have this process stopped as soon as its parent is gone, even if that was killed.
-
-    By SIGTERM: a shell has its background jobs ignore SIGINT, and all that these start.
-    """
-    leave_at_signals()
-    if not sys.platform.startswith('linux'):
-        return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it went before we asked
-        sys.exit(1)
 
 
 # --- progress
@@ -279,11 +262,3 @@ class ProgressLine:
         if self._live and self._shown is not None:
             self._stream.write('\n')
             self._stream.flush()
-
-
-if __name__ == '__main__':
-    tether(int(sys.argv.pop(1)))
-    module = sys.argv.pop(1)
-    if module == PROGRAM:
-        os.execv(sys.argv[1], sys.argv[1:])  # what was arranged for this process stays
-    runpy.run_module(module, run_name='__main__', alter_sys=True)

@@ -34,7 +34,7 @@ from orbimpc_ros.ros.process import LATCHED, LATEST, RANGE, attached, qos
 from orbimpc_ros.ros.topics import VEHICLE
 from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import bags, settings
-from orbimpc_ros.tool.processes import PROGRAM, Child, interruptions
+from orbimpc_ros.tool.processes import Child, interruptions
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.scene import Scene
@@ -172,7 +172,7 @@ def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
     words = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
     numbers = ['--port', str(data), '--web-viewer-port', str(port)]
     with TemporaryDirectory() as place:
-        words = [PROGRAM, program, *words, *numbers]
+        words = [program, *words, *numbers]
         child = Child("rerun's server", words, Path(place) / 'log')
         try:
             end = time.monotonic() + PATIENCE
