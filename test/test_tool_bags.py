@@ -135,7 +135,9 @@ def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):
         assert bags.notes(path) == bags.notes(GOLDEN / 'retrieval')
         message = capsys.readouterr().err
         assert message.count('\n') == 1
-        cut_off = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
+        cut_off = (
+            f'{path / "bag.mcap"} was not closed: read up to its last chunk, {len(found)} messages'
+        )
         assert cut_off in message
     assert len(counts) > 1
     chunk = data.index(b'zstd') + 100

@@ -218,7 +218,7 @@ def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
     """A limit on the size of files stands for the disk: the bag is larger than that."""
     done = run('prlimit', '--fsize=40000', *TOOL, 'demo', 'retrieval', '--out', tmp_path)
     assert done.returncode == 1
-    assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: file too large'
+    assert done.stderr.splitlines()[-1] == 'orbimpc: output: file too large'
     assert 'Traceback' not in done.stderr
 
 

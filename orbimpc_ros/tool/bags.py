@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, NamedTuple, cast
+from typing import IO, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 from mcap.exceptions import EndOfFile
@@ -166,6 +166,7 @@ def of_vehicle(
             own.append(each._replace(topic=name))
     if not any(each.topic == 'odom' for each in own):
         own += _joined(each for each in own if each.topic in POSE_TWIST)
+        own.sort(key=lambda each: each.stamp)
     for topics_needed in needed:
         if not any(each.topic in topics_needed for each in own):
             there = sorted({each.topic for each in found})
@@ -195,13 +196,9 @@ def raw(path: Path) -> list[Message]:
     Raises:
         BadInput: missing, damaged, too large, of another version, or not a bag.
     """
-    files, closed = _files(path)
+    files = _files(path)
     with _reading(path):
-        of_mcap = files[0].suffix == MCAP
-        found = list(_of_mcap(files, closed) if of_mcap else _of_rosbags(path))
-    if not closed:
-        cut = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
-        print(f'orbimpc: {cut}', file=sys.stderr)
+        found = list(_of_mcap(files) if files[0].suffix == MCAP else _of_rosbags(path))
     return sorted(found, key=lambda each: each.stamp)
 
 
@@ -211,10 +208,10 @@ def notes(path: Path) -> dict[str, str]:
     Raises:
         BadInput: no bag, or damaged.
     """
-    files, closed = _files(path)
-    if files[0].suffix == MCAP:
-        with _reading(path), _mcap(files[0], closed) as reader:
-            found = (each for each in reader.iter_metadata() if each.name == NOTES)
+    file = _files(path)[0]
+    if file.suffix == MCAP:
+        with _reading(path), suppress(EndOfFile), opened(file, LARGEST_FILE) as stream:
+            found = (each for each in _mcap(stream).iter_metadata() if each.name == NOTES)
             return next((each.metadata for each in found), {})
     return {}  # or it ended before its notes
 
@@ -230,13 +227,11 @@ def _reading(path: Path) -> Iterator[None]:
         raise BadInput.stating(str(path), f'unreadable ({error!r})', ALLOWED) from None
 
 
-def _files(path: Path) -> tuple[list[Path], bool]:
-    """Return a bag's files, and whether its recorder came to close it."""
+def _files(path: Path) -> list[Path]:
     if path.is_dir():
         files = sorted(path.glob(f'*{MCAP}')) or sorted(path.glob(f'*{SQLITE}'))
-        closed = (path / METADATA).exists()
     elif path.suffix in (MCAP, SQLITE):
-        files, closed = [path], path.suffix == SQLITE or (path.parent / METADATA).exists()
+        files = [path]
     else:
         raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
     if not files:
@@ -244,7 +239,7 @@ def _files(path: Path) -> tuple[list[Path], bool]:
     for file in files:
         with opened(file, LARGEST_FILE):
             pass
-    return files, closed
+    return files
 
 
 def _of_rosbags(path: Path) -> Iterator[Message]:
@@ -254,26 +249,24 @@ def _of_rosbags(path: Path) -> Iterator[Message]:
             yield Message(each.topic, each.msgtype, stamp, stamp, bytes(data))
 
 
-def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Message]:
+def _of_mcap(files: Sequence[Path]) -> Iterator[Message]:
     """Yield the known messages of MCAP files in the order in which they were written."""
     for file in files:
-        with _mcap(file, closed) as reader:
-            for schema, channel, each in reader.iter_messages(log_time_order=False):
-                if schema is not None and topics.known(channel.topic, schema.name):
-                    sent = each.publish_time or each.log_time
-                    yield Message(channel.topic, schema.name, each.log_time, sent, each.data)
+        count = 0
+        with opened(file, LARGEST_FILE) as stream:
+            try:
+                for schema, channel, each in _mcap(stream).iter_messages(log_time_order=False):
+                    if schema is not None and topics.known(channel.topic, schema.name):
+                        sent, count = each.publish_time or each.log_time, count + 1
+                        yield Message(channel.topic, schema.name, each.log_time, sent, each.data)
+            except EndOfFile:
+                cut = f'{file} was not closed: read up to its last chunk, {count} messages'
+                print(f'orbimpc: {cut}', file=sys.stderr)
 
 
-@contextmanager
-def _mcap(file: Path, closed: bool) -> Iterator[NonSeekingReader]:
-    """Open an MCAP file; one that was not closed may end anywhere."""
-    with opened(file, LARGEST_FILE) as stream:
-        content, limit = cast(IO[bytes], stream), LARGEST_RECORD
-        try:
-            yield NonSeekingReader(content, validate_crcs=True, record_size_limit=limit)
-        except EndOfFile:
-            if closed:
-                raise BadInput.stating(str(file), 'damaged (cut off)', ALLOWED) from None
+def _mcap(stream: BinaryIO) -> NonSeekingReader:
+    content = cast(IO[bytes], stream)
+    return NonSeekingReader(content, validate_crcs=True, record_size_limit=LARGEST_RECORD)
 
 
 # --- writing

@@ -29,7 +29,7 @@ from orbimpc_ros.sim.fleet import FLEETS, separations
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.bags import BagWriter, stamp_of
-from orbimpc_ros.tool.files import new_folder, shown, writing_to
+from orbimpc_ros.tool.files import new_folder, shown
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.processes import Process, Processes, ProgressLine, interruptions, isolate
 from orbimpc_ros.tool.settings import Values
@@ -56,29 +56,26 @@ CALL_AGAIN = 5.0  # [s] until a planner that has not answered is called again
 
 def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -> int:
     """Fly, record, sum up, draw; 0 only if the job was done."""
+    flights, own = dict[str, Values](), dict[str, Values]()
     if scenario in FLEETS:
-        values, own = fleet(vehicles, changes, scenario)
-        flights = {'': values}
+        flights[''], own = fleet(vehicles, changes, scenario)
+    elif vehicles is not None:
+        raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
     else:
-        if vehicles is not None:
-            raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
-        flights, own = variants(scenario, changes), {}
+        flights = variants(scenario, changes)
         for values in flights.values():
             if values['vehicle'] in ENGINES:
                 class_of(values['vehicle'])  # raises, before anything is started
     folder = new_folder(out, scenario)
-    bags = {}
-    with writing_to(folder):
-        for name, values in flights.items():
-            place = folder / name
-            place.mkdir(exist_ok=True)
-            fly(values, place, own)
-            bags[name] = place / 'bag'
-        if own:
-            flown = {name: history.of_bag(bags[''], name) for name in own}
-        else:
-            flown = {name: history.of_bag(bag) for name, bag in bags.items()}
-        return report(folder, [*bags.values()], flown)
+    bags = {name: folder / name / 'bag' for name in flights}
+    for name, values in flights.items():
+        (folder / name).mkdir(exist_ok=True)
+        fly(values, folder / name, own)
+    if own:
+        flown = {name: history.of_bag(bags[''], name) for name in own}
+    else:
+        flown = {name: history.of_bag(bag) for name, bag in bags.items()}
+    return report(folder, [*bags.values()], flown)
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:

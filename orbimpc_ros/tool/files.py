@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import yaml
 
-from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.mpc.errors import BadInput
 
 LARGEST = 1 << 18  # [bytes] of a document
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
@@ -189,19 +189,6 @@ def new_folder(out: str, name: str) -> Path:
         number += 1
         folder = folder.with_name(f'{name}-{number}')
     return folder_at(folder)
-
-
-@contextmanager
-def writing_to(folder: Path) -> Iterator[None]:
-    """Name the folder of a job where a disk takes no more.
-
-    Raises:
-        OrbimpcError: in one line; what was written before stays.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise OrbimpcError(f'{folder}: {why(error)}') from None
 
 
 def shown(path: Path) -> Path:
