@@ -10,15 +10,11 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
 from pathlib import Path
-
-from matplotlib.figure import Figure
 
 from orbimpc_ros.sim.fleet import FLEETS
 from orbimpc_ros.tool import cli, history
-from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.plot import PATH, in_both_looks, of_runs, write_gif
+from orbimpc_ros.tool.plot import PATH, in_both_looks, look, of_runs, write_gif
 
 DOCS = Path(__file__).resolve().parent
 COUNT = 8  # vehicles of a fleet
@@ -32,11 +28,6 @@ OBSTACLES = {  # for plans larger by 0.1 m than they are
 }
 DEMOS = ('retrieval', 'obstacles', 'dubins', 'spacecraft', 'multirotor', 'lander', 'cessna', 'rope')
 FOLDED = (*FLEETS, 'cessna', 'rope')  # pictures in docs/pictures
-
-
-def drawn(flown: Mapping[str, History]) -> Callable[[bool], Figure]:
-    """Return what draws the paths of flights, for dark pages or not."""
-    return lambda dark: of_runs(flown, dark)[PATH]
 
 
 def fly(name: str, folder: Path) -> Path:
@@ -65,9 +56,10 @@ def draw(name: str, place: Path) -> None:
 
         render(place / 'bag', pictures / 'rope.gif')
     else:
-        in_both_looks(drawn(flown), pictures / f'{name}.png')
+        in_both_looks(lambda: of_runs(flown)[PATH], pictures / f'{name}.png')
     if name == 'retrieval':
-        write_gif(flown['retrieval'], DOCS / 'retrieval.gif')
+        with look():
+            write_gif(flown['retrieval'], DOCS / 'retrieval.gif')
 
 
 def main() -> None:

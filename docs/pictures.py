@@ -272,7 +272,7 @@ def main(folder: Path = FOLDER) -> None:
     """Draw every picture in both looks."""
     folder.mkdir(exist_ok=True)
     for name, draw in PICTURES.items():
-        in_both_looks(lambda _dark, draw=draw: draw(), folder / f'{name}.png')
+        in_both_looks(draw, folder / f'{name}.png')
 
 
 if __name__ == '__main__':

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from orbimpc_ros.ros.topics import Topic
 from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.history import History, Planned
+from orbimpc_ros.tool.history import History
 
 
 def check_pictures(folder, *names):
@@ -42,7 +42,7 @@ def made_up(positions, values, **others):
         'velocities': np.diff(positions, axis=0, append=2 * positions[-1:] - positions[-2:-1]),
         'rates': np.zeros((count, 3)),
         'ropes': np.tile(values['rope.center'], (count, 1)),
-        'plans': tuple(Planned(t, positions[k : k + 3]) for k, t in enumerate(times)),
+        'plans': tuple((t, positions[k : k + 3]) for k, t in enumerate(times)),
         'forces': tuple((t, 0.25) for t in times),
         'ticks': tuple((t, {'speed_fraction': [1.0, 0.6]}) for t in times),
         'captured': True,

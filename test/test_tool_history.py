@@ -166,6 +166,12 @@ def test_a_vehicle_of_a_fleet_is_asked_for_by_its_namespace(tmp_path):
 STILL = {'trajectory.png', 'data.png'}
 
 
+@pytest.fixture(autouse=True)
+def _for_print():
+    with plot.look():
+        yield
+
+
 @pytest.fixture(scope='module')
 def caught():
     return replace(of_bag(GOLDEN / 'retrieval'), captured=True)

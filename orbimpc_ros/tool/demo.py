@@ -142,7 +142,9 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
             print(f'{name}:\n{history.text(each)}' if name else history.text(each))
     for path in paths:
         print(f'bag           {shown(path)}')
-    for name in plot.written(flown, folder):
+    with plot.look():
+        pictures = plot.written(flown, folder)
+    for name in pictures:
         label = 'picture' if name == plot.PATH else Path(name).stem
         print(f'{label:<14}{shown(folder / name)}')
     return 0 if clear and all(each.captured for each in flown.values()) else 1

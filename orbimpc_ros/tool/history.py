@@ -9,6 +9,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -39,13 +41,6 @@ class Encounter(NamedTuple):
     rope: Array  # where the rope was, shape (3,) [m]
 
 
-class Planned(NamedTuple):
-    """A plan: when it was made [s] and its points, shape (N + 1, 3) [m]."""
-
-    time: float
-    points: Array
-
-
 @dataclass(frozen=True)
 class History:
     """A run."""
@@ -56,7 +51,9 @@ class History:
     velocities: Array  # in the world, shape (M, 3) [m/s]
     rates: Array  # about the body's axes, shape (M, 3) [rad/s]
     ropes: Array  # where the rope was at these times, shape (M, 3) [m]
-    plans: tuple[Planned, ...]  # in order of time
+    plans: tuple[
+        tuple[float, Array], ...
+    ]  # times [s], increasing, and points, shape (N + 1, 3) [m]
     forces: tuple[tuple[float, float], ...]  # times [s] and forces [N] of the topic ``cmd_thrust``
     ticks: Ticks  # times [s] and fields of the topic ``tick``, as long as there is odometry
     captured: bool  # whether the simulator reported the job as done
@@ -87,27 +84,27 @@ class History:
         apart = self.positions[-1] - self.ropes[-1]
         return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
 
-    @property
+    @cached_property
     def approaches(self) -> list[Encounter]:
         """Return the closest approach during each step, M - 1 of them."""
-        return [self._approach(k) for k in range(len(self.times) - 1)]
+        flown, swung = pairwise(self.positions), pairwise(self.ropes)
+        shares = [closest_approach(way, goal)[1] for way, goal in zip(flown, swung, strict=True)]
+        return self._encounters([k + share for k, share in enumerate(shares)])
 
-    def _approach(self, k: int) -> Encounter:
-        flown, swung = self.positions[k : k + 2], self.ropes[k : k + 2]
-        distance, share = closest_approach((flown[0], flown[1]), (swung[0], swung[1]))
-        when, vehicle, rope = (
-            a[k] + share * (a[k + 1] - a[k]) for a in (self.times, self.positions, self.ropes)
-        )
-        return Encounter(float(when), distance, vehicle, rope)
+    def _encounters(self, steps: Sequence[float]) -> list[Encounter]:
+        """Return moments after so many steps of odometry, between which all moves straight."""
+        known = np.column_stack([self.times, self.positions, self.ropes])
+        found = np.column_stack([np.interp(steps, np.arange(len(known)), c) for c in known.T])
+        return [
+            Encounter(float(row[0]), math.dist(row[1:4], row[4:]), row[1:4], row[4:])
+            for row in found
+        ]
 
     @property
     def moments(self) -> list[Encounter]:
         """Return distances over time, up to the capture: at odometry, and where closest between."""
-        seen = [
-            Encounter(float(time), float(np.linalg.norm(vehicle - rope)), vehicle, rope)
-            for time, vehicle, rope in zip(self.times, self.positions, self.ropes, strict=True)
-        ]
-        by_time = {moment.time: moment for moment in (*seen, *self.approaches)}
+        seen = (*self._encounters(range(len(self.times))), *self.approaches)
+        by_time = {moment.time: moment for moment in seen}
         end = self.end
         return [by_time[time] for time in sorted(by_time) if time <= end]
 
@@ -134,7 +131,7 @@ class History:
     def capture(self) -> Encounter | None:
         """Return the approach that caught the rope; None too where the job is to arrive."""
         caught = self.captured and not self.arrives and len(self.times) > 1
-        return self._approach(len(self.times) - 2) if caught else None
+        return self.approaches[-1] if caught else None
 
     @property
     def way(self) -> Array:
@@ -192,7 +189,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
         velocities=np.einsum('kij,kj->ki', attitudes, [each.body_velocity for each in measured]),
         rates=np.array([each.body_rate for each in measured]),
         ropes=_at(times, sighted),
-        plans=tuple(Planned(time, np.array(points)) for time, points in plans),
+        plans=tuple((time, np.array(points)) for time, points in plans),
         forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
         ticks=tuple(
             (seconds(m), fields(m)) for m in found['tick'] if m.status and seconds(m) <= times[-1]

@@ -66,10 +66,11 @@ def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> in
     if len(flight.times) < 2:
         raise BadInput.stating(bag, 'a single odometry message', 'two or more are needed')
     folder = folder_at(Path(out).resolve())
-    names = written({'': flight}, folder, dark)
-    if animated:
-        write_gif(flight, folder / ANIMATION, dark)
-        names.append(ANIMATION)
+    with look(dark):
+        names = written({'': flight}, folder)
+        if animated:
+            write_gif(flight, folder / ANIMATION)
+            names.append(ANIMATION)
     print(f'written: {", ".join(names)} in {shown(folder)}')
     return 0
 
@@ -104,28 +105,21 @@ DARK_STYLE = _style(DARK, PAGE, '#21262D')
 
 
 def look(dark: bool = False) -> AbstractContextManager:
-    """Return a context in which figures are drawn for print, or for dark pages."""
+    """Return a context in which figures are drawn and written for print, or for dark pages."""
     return mpl.rc_context(DARK_STYLE if dark else STYLE)
 
 
-def save(figure: Figure, file: Path, dark: bool = False) -> None:
-    """Write a figure as PNG, in the look in which it was drawn."""
+def save(figure: Figure, file: Path) -> None:
+    """Write a figure as PNG."""
     FigureCanvasAgg(figure)
-    with look(dark):  # some ticks are only made now
-        figure.savefig(file, dpi=DOTS_PER_INCH)
+    figure.savefig(file, dpi=DOTS_PER_INCH)
 
 
-def in_both_looks(draw: Callable[[bool], Figure], file: Path) -> None:
-    """Write a picture for print, and beside it, ``name-dark.png``, one for dark pages.
-
-    Args:
-        draw: makes the figure in the look that is set; its argument is whether that is dark.
-        file: for print.
-    """
+def in_both_looks(draw: Callable[[], Figure], file: Path) -> None:
+    """Write a picture for print and, beside it, ``name-dark.png``, one for dark pages."""
     for dark in (False, True):
         with look(dark):
-            figure = draw(dark)
-        save(figure, file.with_stem(f'{file.stem}-dark') if dark else file, dark)
+            save(draw(), file.with_stem(f'{file.stem}-dark') if dark else file)
 
 
 def rgb(color: str) -> tuple[int, int, int]:
@@ -149,23 +143,20 @@ def headline(figure: Figure, text: str) -> None:
     figure.suptitle(text, x=0.01, ha='left', fontsize=12.0, fontweight='bold')
 
 
-def of_runs(flown: Flights, dark: bool = False) -> dict[str, Figure]:
-    """Return the pictures of flights, by file name: their paths and, of a single one, its numbers.
+def of_runs(flown: Flights) -> dict[str, Figure]:
+    """Return the pictures of flights by file name: their paths and, of a single one, its numbers.
 
-    Args:
-        flown: the flights, by name.
-        dark: for dark pages, not for print.
+    They are drawn in a :func:`look`, as all that follows.
     """
-    with look(dark):
-        found = {PATH: paths(flown)}
-        return found if len(flown) > 1 else found | {DATA: data(*flown.values())}
+    found = {PATH: paths(flown)}
+    return found if len(flown) > 1 else found | {DATA: data(*flown.values())}
 
 
-def written(flown: Flights, folder: Path, dark: bool = False) -> list[str]:
+def written(flown: Flights, folder: Path) -> list[str]:
     """Draw the pictures of flights into a folder, and return their file names."""
-    pictures = of_runs(flown, dark)
+    pictures = of_runs(flown)
     for name, figure in pictures.items():
-        save(figure, folder / name, dark)
+        save(figure, folder / name)
     return [*pictures]
 
 
@@ -218,8 +209,8 @@ def _draw_boxes(axes: Any, history: History) -> None:
 
 def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) -> None:
     n, (color, line), path = history.values['dimension'], kind, history.way
-    for planned in history.plans[:: max(1, math.ceil(len(history.plans) / MOST_PLANS))]:
-        axes.plot(*planned.points.T[:n], color=SKY, lw=0.9, label='some plans')
+    for _, points in history.plans[:: max(1, math.ceil(len(history.plans) / MOST_PLANS))]:
+        axes.plot(*points.T[:n], color=SKY, lw=0.9, label='some plans')
     label = f'flown path, {name}' if name else 'flown path'
     axes.plot(*path.T[:n], line, color=color, lw=1.3, zorder=4, label=label)
     step, reach = math.ceil(len(path) / MOST_HEADINGS), NOSE * float(np.ptp(path, axis=0).max())
@@ -403,7 +394,7 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
     for moment in np.linspace(0.0, steps, steps * per_step + 1):
         k = min(int(moment), steps - 1)
         now, goal = (a[k] + (moment - k) * (a[k + 1] - a[k]) for a in (path, goals))
-        made = [planned.points for planned in history.plans if planned.time <= history.times[k]]
+        made = [points for time, points in history.plans if time <= history.times[k]]
         yield {
             'plan': made[-1] if made else np.zeros((0, 3)),
             'flown': np.vstack([path[: k + 1], now]),
@@ -412,10 +403,9 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
         }
 
 
-def write_gif(history: History, file: Path, dark: bool = False) -> None:
+def write_gif(history: History, file: Path) -> None:
     """Write a flight as an animation that repeats for ever."""
-    with look(dark):
-        shown = [Image.fromarray(frame) for frame in _frames(history)]
+    shown = [Image.fromarray(frame) for frame in _frames(history)]
     # One palette for all frames: colours must not flicker.
     palette = shown[len(shown) // 2].quantize(PALETTE, Image.Quantize.MAXCOVERAGE)
     images = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in shown]

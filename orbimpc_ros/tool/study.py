@@ -403,7 +403,7 @@ def draw(draws: Draws, rows: Rows, file: Path) -> None:
         shares = np.array([*range(len(times) + 1), len(times)]) / len(flights)
         lines[name] = np.array([0.0, *times, draws.limit]), shares
 
-    def drawn(_dark: bool) -> Figure:
+    def drawn() -> Figure:
         figure = Figure(figsize=(5.0, 3.8), layout='constrained')
         draw_panel(figure.subplots(), Panel(f'{draws.name}: share caught', '', lines, steps=True))
         return figure
