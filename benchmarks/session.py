@@ -15,7 +15,7 @@ from harness import Observer
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.processes import Process, Processes, isolate
+from orbimpc_ros.tool.processes import Child, Processes, isolate
 
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
 PLANNER = 'orbimpc_ros.ros.planner'  # the module of the node
@@ -43,7 +43,7 @@ class Session(Observer):
             self._stack.push(context)
         self._nodes = nodes
 
-    def launch(self, module: str, values: Mapping[str, Any], namespace: str = '') -> Process:
+    def launch(self, module: str, values: Mapping[str, Any], namespace: str = '') -> Child:
         """Return a new process of a node's module with parameters."""
         name = f'{module.rpartition(".")[2]}-{len(self.processes) + 1}'
         file = self.folder / f'{name}.yaml'

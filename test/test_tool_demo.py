@@ -202,8 +202,8 @@ def test_an_interrupted_demo_leaves_a_readable_bag_and_no_process(tmp_path, numb
 def test_a_node_that_fails_is_shown(tmp_path):
     script = (
         'import orbimpc_ros.tool.processes as p, sys;'
-        'start = p.Process.__init__;'
-        'p.Process.__init__ = lambda self, module, *a, **k: start(self, module + "x", *a, **k);'
+        'start = p.Processes.start;'
+        'p.Processes.start = lambda self, module, *a, **k: start(self, module + "x", *a, **k);'
         'from orbimpc_ros.tool import cli; sys.exit(cli.main(sys.argv[1:]))'
     )
     done = python(script, 'demo', '--out', tmp_path)

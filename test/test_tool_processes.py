@@ -26,11 +26,12 @@ from orbimpc_ros.tool.demo import Recorder
 STARTER = """
     import sys, time
     from pathlib import Path
-    from orbimpc_ros.tool.processes import Process
+    from orbimpc_ros.tool.processes import Processes
 
     folder = Path(sys.argv[1])
-    (folder / 'none.yaml').write_text('/**: {ros__parameters: {}}')
-    node = Process(sys.argv[2], folder / 'none.yaml', folder / 'node.log', int(sys.argv[3]))
+    file, log = folder / 'none.yaml', folder / 'node.log'
+    file.write_text('/**: {ros__parameters: {}}')
+    node = Processes().start(sys.argv[2], file, log, int(sys.argv[3]))
     print(node.pid, flush=True)
     time.sleep(600)
 """

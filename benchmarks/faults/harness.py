@@ -26,7 +26,7 @@ from benchmarks.session import PATIENCE, Session
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.processes import Process
+from orbimpc_ros.tool.processes import Child
 
 STEP = 0.2  # [s]
 EPOCH = 1000.0  # [s] at which simulated time begins
@@ -54,7 +54,7 @@ class Monitored(Session):
         planner: the process of the one that was started last.
     """
 
-    planner: Process
+    planner: Child
 
     def __init__(
         self, nodes: str, values: Mapping[str, Any], module: str = session.PLANNER

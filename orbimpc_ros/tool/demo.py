@@ -31,7 +31,7 @@ from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.bags import BagWriter, stamp_of
 from orbimpc_ros.tool.files import new_folder, shown
 from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.processes import Process, Processes, ProgressLine, interruptions, isolate
+from orbimpc_ros.tool.processes import Child, Processes, ProgressLine, interruptions, isolate
 from orbimpc_ros.tool.settings import Values
 
 # The clock of a fleet waits for the slowest answer, which makes nothing stale.
@@ -187,7 +187,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
     with interruptions() as received:
         with Processes() as started:
-            nodes: dict[str, dict[str, Process]] = {'planner': {}, 'sim': {}}
+            nodes: dict[str, dict[str, Child]] = {'planner': {}, 'sim': {}}
             for namespace, node in itertools.product(namespaces, nodes):
                 log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
                 known = PACKAGES[node], parameters, log
@@ -200,7 +200,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
 
 
 def _watch(
-    nodes: Mapping[str, Mapping[str, Process]],
+    nodes: Mapping[str, Mapping[str, Child]],
     recorder: Recorder,
     received: Sequence[int],
     values: Values,
@@ -235,7 +235,7 @@ def _flown(ticks: int, values: Values) -> str:
     return f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
 
 
-def _starting(planners: Mapping[str, Process]) -> str:
+def _starting(planners: Mapping[str, Child]) -> str:
     """Return what planners that have not answered yet are at: the last that they report of it."""
     printed = (each.output.splitlines() for each in planners.values())
     lines = [line for each in printed for line in each if COMPILING in line]

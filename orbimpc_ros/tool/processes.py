@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import SIGNALS
@@ -112,32 +111,8 @@ class Child:
                 self._child.wait()
 
 
-class Process(Child):
-    """A node in a process.
-
-    Args:
-        module: to run, such as ``orbimpc_ros.sim``.
-        parameters: file of ROS parameters.
-        log: takes what the process prints.
-        domain: of ROS; this process's by default.
-        namespace: of the node, such as ``/uav1``.
-    """
-
-    def __init__(
-        self,
-        module: str,
-        parameters: Path,
-        log: Path,
-        domain: int | None = None,
-        namespace: str = '',
-    ) -> None:
-        remapped = ['-r', f'__ns:={namespace}'] if namespace else []
-        words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
-        super().__init__(module.rpartition('.')[2], [*words, *remapped], log, domain)
-
-
-class Processes(list[Process]):
-    """Nodes that are stopped, all at the same time, when a context ends."""
+class Processes(list[Child]):
+    """Nodes in processes, stopped all at the same time when a context ends."""
 
     def __enter__(self) -> Processes:
         return self
@@ -149,9 +124,26 @@ class Processes(list[Process]):
         for process in self:
             process.stop()
 
-    def start(self, *given: Any, **more: Any) -> Process:
-        """Start a node; arguments are those of :class:`Process`."""
-        self.append(Process(*given, **more))
+    def start(
+        self,
+        module: str,
+        parameters: Path,
+        log: Path,
+        domain: int | None = None,
+        namespace: str = '',
+    ) -> Child:
+        """Start a node.
+
+        Args:
+            module: to run, such as ``orbimpc_ros.sim``.
+            parameters: file of ROS parameters.
+            log: takes what the process prints.
+            domain: of ROS; this process's by default.
+            namespace: of the node, such as ``/uav1``.
+        """
+        words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
+        remapped = ['-r', f'__ns:={namespace}'] if namespace else []
+        self.append(Child(module.rpartition('.')[2], [*words, *remapped], log, domain))
         return self[-1]
 
 
