@@ -108,9 +108,10 @@ def test_what_both_nodes_and_the_simulator_alone_are_given_holds_in_either_order
 
 
 def test_a_simulator_may_have_values_of_its_own():
-    """Those that differ from the planner's, however they were given, and through a file."""
+    """However they were given, and through a file."""
     values = settings.read(OWN)
-    assert {name for name in values if name.startswith('sim.')} == {'sim.forward', 'sim.wind'}
+    own = {name for name in values if name.startswith('sim.')}
+    assert own == {'sim.forward', 'sim.step', 'sim.wind'}
     assert (values['forward'], values['step'], values['max_ticks']) == (15.0, 0.5, 9)
     told = settings.of_sim(values)
     assert (told['forward'], told['wind'], told['horizon']) == (14.0, (3.0, 0.0, 0.0), 7)

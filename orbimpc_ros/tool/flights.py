@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,6 @@ PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
 GLANCE = 0.2  # [s] between looks whether somebody asked to stop
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
-_made: dict[str, Planner] = {}  # the last controller, by its settings: making one takes long
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,15 @@ def _pilot(job: Job, given: PlannerSettings) -> Planner:
     if job.controller != OURS:
         made: Planner = baselines().baseline_named(job.controller, given, job.study)
         return made
-    key = repr(given)
-    if key not in _made:
-        _made.clear()
-        _made[key] = planner_of(given)[1]
-    _made[key].reset()
-    return _made[key]
+    known = _ours(given)
+    known.reset()
+    return known
+
+
+@lru_cache(maxsize=1)
+def _ours(given: PlannerSettings) -> Planner:
+    """Return this package's controller; making one takes long."""
+    return planner_of(given)[1]
 
 
 def baselines() -> Any:

@@ -39,17 +39,6 @@ Messages = Mapping[str, Any]  # by topic
 Answer = dict[str, Any]  # what the planner published on a tick; what is not known is not in it
 
 
-NUMBER = (int, float)
-KINDS: dict[str, type | tuple[type, ...]] = {
-    **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), str),
-    **dict.fromkeys(('objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'), NUMBER),
-    **dict.fromkeys(('advanced', 'solve_time_ms'), NUMBER),
-    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), dict),
-    'bound_checked': bool,
-    'speed_fraction': list,
-}  # of the values on ``tick`` that a replay needs; those of another kind are not known
-
-
 def published(messages: Messages) -> Answer:
     """Return what messages by topic hold: the values of a tick by their names on it.
 
@@ -66,8 +55,7 @@ def published(messages: Messages) -> Answer:
         q = messages['rotation'].quaternion
         found['rotation'] = np.array([q.w, q.x, q.y, q.z])
     if 'tick' in messages and messages['tick'].status:
-        values = fields(messages['tick'])
-        found |= {n: values[n] for n, kind in KINDS.items() if isinstance(values.get(n), kind)}
+        found |= fields(messages['tick'])
     return found
 
 

@@ -15,7 +15,7 @@ import yaml
 
 from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters.dynamic import OF_ROS
+from orbimpc_ros.ros.parameters.dynamic import OF_ROS, sections
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import ParameterSpec, completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
@@ -138,30 +138,26 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
         wanted = ('/**', f'{namespace}/')
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
     values: Values = {}
-    for given, value in sections(content, name):
+    for given, value in parameters_of(content, name):
         if given in ROWS:
             values[given] = _typed(ROWS[given], value)
         elif given in OF_ROS:
             values[given] = value
         elif not given.startswith('qos_overrides.'):
             raise BadInput.unknown('parameter', given, ROWS, name)
-    values = completed(ROWS.values(), values)
-    parted = _parted(values)
-    for name in [name for name, value in parted[1].items() if value == parted[0][name]]:
-        del values[f'{OF_SIM}{name}']
-    return values
+    return completed(ROWS.values(), values)
 
 
-def sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
+def parameters_of(content: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Yield the parameters of every section of a parameter file, nested names joined by dots."""
-    for title, section in content.items() if isinstance(content, dict) else (('', None),):
-        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
-            raise BadInput.stating(
-                name, 'not a parameter file', 'sections with ros__parameters are needed'
-            )
-        for given, value in _flat(section['ros__parameters']):
+    found = list(sections(content))
+    if not found and content != {}:
+        needed = 'sections with ros__parameters are needed'
+        raise BadInput.stating(name, 'not a parameter file', needed)
+    for title, section in found:
+        for given, value in _flat(section):
             own = f'{OF_SIM}{given}'
-            alone = str(title).rpartition('/')[2] == 'sim' and own in ROWS
+            alone = title.rpartition('/')[2] == 'sim' and own in ROWS
             yield (own if alone else given), value
 
 

@@ -241,7 +241,7 @@ def _content(file: Path) -> Values:
     """Return the fields of a study file; those of a parameter file without rules."""
     content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
-        names = {name for name, _ in settings.sections(content, str(file))}
+        names = {name for name, _ in settings.parameters_of(content, str(file))}
         lags = any(name.startswith('response.') for name in names)
         vehicle = ['vehicle=continuous'] if lags and 'vehicle' not in names else []
         about = f'goals all around, as in {file.name}'

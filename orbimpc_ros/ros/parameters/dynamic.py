@@ -169,15 +169,15 @@ def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[s
 def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
     """Return the sections of a file; none if only rcl can say what is wrong with it."""
     try:
-        return list(_below(yaml.safe_load(Path(file).read_text(errors='replace'))))
+        return list(sections(yaml.safe_load(Path(file).read_text(errors='replace'))))
     except yaml.YAMLError:
         return []
 
 
-def _below(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
+def sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield sections, which may be nested by namespace: names with a leading slash, and values."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
-        if name == PARAMETERS:
-            yield above, below if isinstance(below, dict) else {}
-        else:
-            yield from _below(below, f'{above}/{str(name).strip("/")}')
+        if name != PARAMETERS:
+            yield from sections(below, f'{above}/{str(name).strip("/")}')
+        elif isinstance(below, dict):
+            yield above, below
