@@ -152,9 +152,9 @@ class ReplayedTick:
     """A tick made anew."""
 
     recorded: RecordedTick  # what was answered then
-    messages: Messages  # what is answered now, by topic
+    answer: Answer  # what is answered now
     refusals: tuple[str, ...]  # complaints of the validators about the inputs since the tick before
-    decision: Decision  # behind the messages
+    decision: Decision  # behind it
 
 
 def replayed(
@@ -172,13 +172,13 @@ def replayed(
     feed = Feed(planner, recording, simulated)
     for recorded in recording.answers:
         refusals = tuple(feed.until(recorded))
-        messages = _answer(planner, recorded)
-        answer = recorded.answer
-        pushed = answer.get('force' if settings.problem.translation_order == 2 else 'speed')
+        answer = published(_answer(planner, recorded))
+        then = recorded.answer
+        pushed = then.get('force' if settings.problem.translation_order == 2 else 'speed')
         at = recorded.stamp if simulated else recorded.sent
-        planner.went_out(at / SECOND, pushed, answer.get('body_rate'))
+        planner.went_out(at / SECOND, pushed, then.get('body_rate'))
         assert planner.decision is not None
-        yield ReplayedTick(recorded, messages, refusals, planner.decision)
+        yield ReplayedTick(recorded, answer, refusals, planner.decision)
 
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:

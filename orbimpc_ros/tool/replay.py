@@ -21,14 +21,7 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.offline import resolved
-from orbimpc_ros.tool.recording import (
-    Answer,
-    Recording,
-    ReplayedTick,
-    published,
-    recording_of,
-    replayed,
-)
+from orbimpc_ros.tool.recording import Answer, Recording, ReplayedTick, recording_of, replayed
 
 LINES = 20  # differences printed one by one
 SAME, DIFFERENT = 0, 1
@@ -113,10 +106,9 @@ def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
         mark = '  differs' if each.differs else ''
         pair = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
         print(f'{each.quantity + unit:<20}{pair}{mark}')
-    answers = {'recorded': tick.recorded.answer, 'replayed': published(tick.messages)}
-    reasons = {name: each.get('reason', '') for name, each in answers.items()}
-    if any(reasons.values()):
-        print('\n'.join(f'{name:<14}{shown(each)}' for name, each in reasons.items()))
+    reasons = [each.get('reason', '') for each in (tick.recorded.answer, tick.answer)]
+    if any(reasons):
+        print('recorded      {}\nreplayed      {}'.format(*map(shown, reasons)))
     for refusal in tick.refusals:
         print(refusal)
 
@@ -151,7 +143,7 @@ class Comparison(NamedTuple):
 def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> Iterator[Comparison]:
     """Yield the comparisons of all ticks: one for every quantity that was recorded."""
     for tick, each in enumerate(replayed):
-        then, now = each.recorded.answer, published(each.messages)
+        then, now = each.recorded.answer, each.answer
         for quantity in QUANTITIES:
             before, after = then.get(quantity), now.get(quantity)
             if before is not None:
