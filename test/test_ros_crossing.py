@@ -49,7 +49,7 @@ def flown(values):
             planner, now = planners[name], flight.vehicle.time
             planner.sense(now, GoalObservation(now, flight.goal))
             planner.sense(now, measured(flight.vehicle))
-            said, command = planner.plan(now, 0.0, 1.0), planner.decision.command
+            said, command = planner.answer(planner.stamp, now), planner.decision.command
             planner.went_out(planner.at(now).nanoseconds / SECOND)
             for other, topics in avoided.items():
                 if 'plan' in said and f'{name}/plan' in topics:

@@ -466,7 +466,7 @@ def flown(late):
             else:
                 hear(each)
         sent = second * SECOND + 50 * MILLISECOND
-        answer = planner.plan(sent / SECOND, 0.0, 1.0)
+        answer = planner.answer(second * SECOND, sent / SECOND, solve_time_ms=1.0)
         planner.went_out(sent / SECOND)
         answers.append(RecordedTick(second * SECOND, sent, published(answer)))
         clearances.append(fields(answer['tick'])['clearance'])

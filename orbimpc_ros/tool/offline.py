@@ -74,29 +74,35 @@ class OfflinePlanner(Core):
 
     # --- answers as messages, at times that are given
 
-    def plan(
-        self, now: float, advanced: float, solve_time_ms: float | None = None
+    def answer(
+        self,
+        stamp: int,
+        now: float = 0.0,
+        advanced: float = 0.0,
+        stop: Reason | None = None,
+        solve_time_ms: float | None = None,
     ) -> dict[str, Any]:
-        """Answer the latest odometry with a plan, or with a fallback.
+        """Answer the latest odometry with a plan or a fallback.
 
         Args:
+            stamp: to answer with, that of the odometry [ns].
             now: on the steady clock [s].
             advanced: how far the measurement is advanced, to when the answer takes effect [s].
+            stop: why the answer is the safe command, a reason that is no solver's.
             solve_time_ms: to report; by default what was measured.
         """
         known = self.inputs.odometry
-        assert known is not None
-        at = known.stamp.nanoseconds + round(advanced * SECOND)
-        decision = self.decide(now, at, fresh=True)
+        ros = None if stop else stamp + round(advanced * SECOND)
+        decision = self.decide(now, ros, stop, fresh=True)
         if decision.solve_time_ms and solve_time_ms is not None:
             decision = replace(decision, solve_time_ms=solve_time_ms)
-        return self._messages(known.stamp, decision)
-
-    def be_safe(self, stamp: int, reason: Reason) -> dict[str, Any]:
-        """Answer with the safe command, for a reason that is no solver's."""
-        known = self.inputs.odometry
-        frames = self.settings.frames if known is None else known.stamp.frames
-        return self._messages(Stamp(stamp, frames), self.decide(0.0, None, reason))
+        self.decision = decision
+        at = Stamp(stamp, self.settings.frames if known is None else known.stamp.frames)
+        oriented = known is not None
+        return {
+            **command_messages(self.settings, at, decision.command),
+            **report_messages(self.settings, at, decision, self._node, oriented=oriented),
+        }
 
     def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
         """Note the command that was published; by default the last answer's.
@@ -114,14 +120,6 @@ class OfflinePlanner(Core):
         if rate is not None:
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
         self.planner.sent(command, at)
-
-    def _messages(self, stamp: Stamp, decision: Decision) -> dict[str, Any]:
-        self.decision = decision
-        known = self.inputs.odometry is not None
-        return {
-            **command_messages(self.settings, stamp, decision.command),
-            **report_messages(self.settings, stamp, decision, self._node, oriented=known),
-        }
 
     # --- aboard a flight in this process, at times since its start
 

@@ -188,12 +188,11 @@ def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     if cause in (Cause.AFRESH, Cause.RESET):
         planner.start_afresh(wind=cause is Cause.RESET)
     if not was_planned(answer):
-        return planner.be_safe(stamp, Reason(cause, answer.get('reason', '')))
+        return planner.answer(stamp, stop=Reason(cause, answer.get('reason', '')))
     if planner.stamp != stamp:
         refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
-        return planner.be_safe(stamp, refused)
-    advanced, took = answer.get('advanced', 0.0), answer.get('solve_time_ms', 0.0)
-    return planner.plan(recorded.sent / SECOND, advanced, took)
+        return planner.answer(stamp, stop=refused)
+    return planner.answer(stamp, recorded.sent / SECOND, answer.get('advanced', 0.0))
 
 
 class Feed:

@@ -162,10 +162,9 @@ class Loop:
     def _answer(self, tick: int) -> None:
         if self._pilot.stamp != self._at:
             return  # no odometry this time: the last command stays in force
-        if self._hostile and tick in SWITCHED_OFF:
-            told = self._pilot.be_safe(self._at, DISABLED)
-        else:
-            told = self._pilot.plan(self._said / SECOND, 0.0, SOLVE_TIME_MS)
+        stop = DISABLED if self._hostile and tick in SWITCHED_OFF else None
+        now = self._said / SECOND
+        told = self._pilot.answer(self._at, now, stop=stop, solve_time_ms=SOLVE_TIME_MS)
         self._said += round(1e6 * SOLVE_TIME_MS)
         for topic, message in told.items():
             if topic != 'plan_markers':  # large, and made of the plan
