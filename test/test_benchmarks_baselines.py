@@ -17,7 +17,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import flights, settings
 from orbimpc_ros.tool.flights import Job, flown
-from orbimpc_ros.tool.offline import EPOCH, aboard, closed_loop
+from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner, closed_loop
 from orbimpc_ros.tool.study import draws_of
 
 STEERING = [name for name in BASELINES if name != 'waypoint']
@@ -92,19 +92,22 @@ class Listener(Baseline):
         return super().step(snapshot, now, late)
 
 
-def flown_on(planner, values, steps, margin=0.0):
-    """Fly the first steps of a flight."""
+def flown_on(values, steps, clock=None, margin=0.0):
+    """Return a pilot that has flown the first steps of a flight."""
+    known = planner_settings(values)
+    pilot = Listener(known)
+    planner = OfflinePlanner(known, clock=clock, planner=pilot)
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     loop = closed_loop(planner, flight, View(NO_FAULTS, 0, 1.0), np.inf, 0, margin)
     assert len(list(itertools.islice(loop, steps))) == steps
+    return pilot
 
 
 def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
-    mission, pilots = draws_of('crossing'), []
+    mission = draws_of('crossing')
     values = mission.of(4, 0)
-    planner = aboard(values, pilot=lambda known: pilots.append(Listener(known)) or pilots[0])
-    flown_on(planner, values, 3, mission.margin)
-    time, state, *_ = pilots[0].seen[-1]
+    pilot = flown_on(values, 3, margin=mission.margin)
+    time, state, *_ = pilot.seen[-1]
     centres, velocities, radii = discs('crossing', 0)
     assert sorted(each.body.radius for each in state.hazards) == pytest.approx(sorted(radii + 0.3))
     for each in state.hazards:
@@ -118,14 +121,9 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
 
 @pytest.mark.parametrize(('hurry', 'late'), [(0.0, False), (1.0, True)])
 def test_deadlines_go_by_the_given_clock(hurry, late):
-    mission, pilots, ticks = draws_of('fixed_wing'), [], itertools.count()
-    planner = aboard(
-        mission.values,
-        pilot=lambda known: pilots.append(Listener(known)) or pilots[0],
-        clock=lambda: hurry * next(ticks),
-    )
-    flown_on(planner, mission.values, 1)
-    assert pilots[0].late == [late]
+    ticks = itertools.count()
+    pilot = flown_on(draws_of('fixed_wing').values, 1, lambda: hurry * next(ticks))
+    assert pilot.late == [late]
 
 
 def test_a_flight_ends_where_it_touches(monkeypatch):

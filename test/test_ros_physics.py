@@ -2,6 +2,7 @@
 """Vehicles in continuous time and in engines: parameters, flights over DDS, an engine that dies."""
 
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,13 @@ from problems import needs_machine_code
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.vehicle import Plant
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.offline import aboard
+from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.settings import config
 
 DEFAULTS = {row.name: row.default for row in SIM}
@@ -48,7 +50,8 @@ def test_a_planner_is_told_nothing_of_wind_and_swing(name):
 def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""
     values = settings.resolve(config('cessna.yaml')) | {'sideslip': believed}
-    planner, slip = aboard(values), 0.04
+    planner = OfflinePlanner(planner_settings(values), clock=time.perf_counter)
+    slip = 0.04
     turned = np.array([[math.cos(slip), -math.sin(slip)], [math.sin(slip), math.cos(slip)]])
     velocity = turned.T @ [45.0, 0.0]
     for k in range(5):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from pages import blocks_of
+from planners import settings as settings_of
 from problems import needs_machine_code
 from stepping import flown, started
 
@@ -22,7 +23,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Plant, measured
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.offline import aboard, closed_loop
+from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
 
@@ -36,7 +37,7 @@ def recipe(name):
 
 def flight(parameters, plant, vehicle, goal, seconds, band=0.0):
     """A vehicle at every tick from here on, with the commands."""
-    planner, log = aboard(parameters, clock=time.process_time), []
+    planner, log = OfflinePlanner(settings_of(**parameters), clock=time.process_time), []
     source = parameters.get('velocity_source', 'ground')
     for k in range(round(seconds / planner.settings.period)):
         now = k * planner.settings.period
@@ -115,9 +116,8 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     values = settings.resolve(settings.config('lander.yaml'))
     begun = departure(sim_settings(values).scenario)
     view = View(NO_FAULTS, 0, begun.scenario.model.step)
-    flights, ticks, _ = zip(
-        *closed_loop(aboard(values, clock=None), begun, view, math.inf), strict=True
-    )
+    planner = OfflinePlanner(planner_settings(values))
+    flights, ticks, _ = zip(*closed_loop(planner, begun, view, math.inf), strict=True)
     flight, vehicles = flights[-1], [each for flight in flights for each in flight.trail]
     assert flight.captured
     assert flight.distance < 0.1

@@ -27,14 +27,14 @@ from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.offline import aboard, closed_loop
+from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
 Row = dict[str, Any]
 Key = tuple[str, int]  # controller, and number of a flight
@@ -64,9 +64,9 @@ def flown(job: Job) -> Row:
     obstacle), ``failed`` (how an engine has failed, or an empty string); the rows of
     :func:`_of_way` and :func:`_of_ticks`.
     """
-    simulated = sim_settings(settings.of_sim(job.values))
+    simulated, given = sim_settings(settings.of_sim(job.values)), planner_settings(job.values)
     # Other processes may keep the machine busy: ticks are measured in processor time.
-    planner = aboard(job.values, time.thread_time, lambda given: _pilot(job, given))
+    planner = OfflinePlanner(given, clock=time.thread_time, planner=_pilot(job, given))
     view = View(simulated.faults, simulated.seed, simulated.model.step)
     way, ticks, failed = list[Flight](), list[tuple[Decision, float]](), ''
     known = view, simulated.command_timeout, simulated.goal_path_steps, job.margin

@@ -17,8 +17,7 @@ from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
-from orbimpc_ros.ros.parameters.spec import completed
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import PLAN, Core, others, planner_of
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
 from orbimpc_ros.sim.faults import View
@@ -148,23 +147,6 @@ class OfflinePlanner(Core):
 
 def _nanoseconds(now: float) -> int:
     return EPOCH + round(now * SECOND)
-
-
-def aboard(
-    parameters: dict[str, Any],
-    clock: Clock | None = time.perf_counter,
-    pilot: Callable[[PlannerSettings], Planner] | None = None,
-) -> OfflinePlanner:
-    """Return a planner for a flight in this process.
-
-    Args:
-        parameters: of the planner, by name.
-        clock: that deadlines are kept by [s]; None where a solve has none.
-        pilot: makes what decides, by default the planner of the package.
-    """
-    settings = planner_settings(completed(PLANNER, parameters))
-    planner = None if pilot is None else pilot(settings)
-    return OfflinePlanner(settings, clock=clock, planner=planner)
 
 
 def closed_loop(
