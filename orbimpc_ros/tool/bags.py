@@ -279,12 +279,15 @@ class BagWriter:
         folder: created; the MCAP file in it has its name.
         listed: topics of the bag, also those on which nothing comes.
         notes: kept in the bag, by name.
+
+    Attributes:
+        counts: messages written, by topic.
     """
 
     def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
         self.folder, self._topics = folder, listed
-        self._counts = dict.fromkeys((topic.name for topic in listed), 0)
+        self.counts = dict.fromkeys((topic.name for topic in listed), 0)
         self._first, self._last = LATEST, 0
         self._stream = (folder / f'{folder.name}.mcap').open('wb')
         self._writer = McapWriter(
@@ -311,9 +314,9 @@ class BagWriter:
             sent: when it was sent [ns], if that is known.
         """
         self._first, self._last = min(self._first, stamp), max(self._last, stamp)
-        self._counts[topic] += 1
+        self.counts[topic] += 1
         sent = stamp if sent is None else sent
-        self._writer.add_message(self._channels[topic], stamp, data, sent, self._counts[topic])
+        self._writer.add_message(self._channels[topic], stamp, data, sent, self.counts[topic])
         self._stream.flush()  # complete chunks outlive the recorder, however it ends
 
     def close(self) -> None:
@@ -330,7 +333,7 @@ class BagWriter:
         span = {
             'starting_time': {'nanoseconds_since_epoch': begin},
             'duration': {'nanoseconds': self._last - begin},
-            'message_count': sum(self._counts.values()),
+            'message_count': sum(self.counts.values()),
         }
         return {
             'version': METADATA_VERSION,
@@ -345,7 +348,7 @@ class BagWriter:
                         'offered_qos_profiles': _offered(topic),
                         'type_description_hash': store().hash_rihs01(topic.type),
                     },
-                    'message_count': self._counts[topic.name],
+                    'message_count': self.counts[topic.name],
                 }
                 for topic in self._topics
             ],

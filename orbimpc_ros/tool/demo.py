@@ -298,7 +298,7 @@ class Recorder:
         planners: nodes that must know the recorder before odometry is asked for.
 
     Attributes:
-        counts: messages taken, by topic.
+        counts: messages recorded, by topic.
         latest: stamp of the last message of a topic [ns].
     """
 
@@ -309,10 +309,10 @@ class Recorder:
         notes: dict[str, str],
         planners: Sequence[str] = ('/planner',),
     ) -> None:
-        self.counts = dict.fromkeys((topic.name for topic in topics), 0)
         self.latest: dict[str, int] = {}
         self._now: int | None = None  # the last stamp [ns]
         self._bag = BagWriter(folder, topics, notes)
+        self.counts = self._bag.counts
         self._stack = ExitStack()
         self._node, self._executor = self._stack.enter_context(
             attached('recorder', enable_rosout=False, start_parameter_services=False)
@@ -350,7 +350,6 @@ class Recorder:
 
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, about: dict[str, Any]) -> None:
-            self.counts[topic.name] += 1
             own = stamp_of(deserialize_message(data, topic.message))
             self.latest[topic.name] = own or 0
             self._now = self._now if own is None else own

@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, read, require_attitude
+from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import Message, fields, point, stamp_of
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
@@ -245,27 +245,23 @@ class Feed:
         return self._planner.inputs.update(each.topic, each.content, each.sent / SECOND, shown)
 
 
-def _increasing(inputs: Iterable[Message], settings: PlannerSettings) -> list[Message]:
-    """Return the valid inputs, without those that come behind a later stamp or repeat one."""
+def _increasing(goals: Iterable[Message], settings: PlannerSettings) -> list[Message]:
+    """Return the valid goals, without those that come behind a later stamp or repeat one."""
     good: list[Message] = []
-    for each in inputs:
+    for each in goals:
         unset = each.topic == 'goal' and each.stamp == 0
-        if (not good or unset or each.stamp > good[-1].stamp) and acceptable(each, settings):
+        if (not good or unset or each.stamp > good[-1].stamp) and _acceptable(each, settings):
             good.append(each)
     return good
 
 
-def acceptable(each: Message, settings: PlannerSettings) -> bool:
-    """Return whether an input is a message that the planner's validators take."""
-    if each.topic not in READ:
-        return False
+def _acceptable(goal: Message, settings: PlannerSettings) -> bool:
+    """Return whether a goal is a message that the planner's validators take."""
+    # Whether a goal of another frame could be moved is not known.
+    if settings.tf or settings.transforms:
+        settings = replace(settings, frame_id='')
     try:
-        # Whether a goal of another frame could be moved is not known.
-        if each.topic in GOALS and (settings.tf or settings.transforms):
-            settings = replace(settings, frame_id='')
-        _, value = read(each.topic, each.content, settings)
-        if each.topic in GOALS:
-            require_attitude(value, settings)
+        require_attitude(read(goal.topic, goal.content, settings)[1], settings)
     except BadInput:
         return False
     return True

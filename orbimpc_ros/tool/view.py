@@ -112,40 +112,31 @@ def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
                 profile = LATCHED if topic.latched else latest
                 take: Any = partial(scene.take, topic.name)
                 node.create_subscription(topic.message, topic.name, take, profile)
-        ParameterWatch(node, scene)
+        watch_parameters(node, scene)
         while going():
             executor.spin_once(timeout_sec=SPIN)
 
 
-class ParameterWatch:
-    """Asks a vehicle's nodes for their parameters, and has a scene show them.
+def watch_parameters(node: Node, scene: Scene) -> None:
+    """Ask a vehicle's nodes for their parameters again and again; show them if they change."""
+    learned: dict[str, settings.Values] = {name: {} for name in NODES}
+    clients = {name: AsyncParameterClient(node, name) for name in NODES}
 
-    Args:
-        node: that asks.
-        scene: of the vehicle.
-    """
-
-    def __init__(self, node: Node, scene: Scene) -> None:
-        self._scene = scene
-        self._learned: dict[str, settings.Values] = {name: {} for name in NODES}
-        self._clients = {name: AsyncParameterClient(node, name) for name in NODES}
-        node.create_timer(ASK, self._ask)
-
-    def _ask(self) -> None:
-        for name, client in self._clients.items():
+    def ask() -> None:
+        for name, client in clients.items():
             if client.services_are_ready():
                 answer = client.get_parameters([row.name for row in NODES[name]])
-                answer.add_done_callback(partial(self._learn, name))
+                answer.add_done_callback(partial(learn, name))
 
-    def _learn(self, node: str, answer: Future) -> None:
-        """Draw anew what depends on parameters, if they have changed."""
+    def learn(name: str, answer: Future) -> None:
         response: Any = answer.result()
         found = map(parameter_value_to_python, response.values if response is not None else ())
-        values = {row.name: value for row, value in zip(NODES[node], found, strict=False)}
-        if values and values != self._learned[node]:
-            self._learned[node] = values
-            known = self._learned['sim'] | self._learned['planner']
-            self._scene.configure(settings.read('{}') | known)
+        values = {row.name: value for row, value in zip(NODES[name], found, strict=False)}
+        if values and values != learned[name]:
+            learned[name] = values
+            scene.configure(settings.read('{}') | learned['sim'] | learned['planner'])
+
+    node.create_timer(ASK, ask)
 
 
 # --- the page
