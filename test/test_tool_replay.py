@@ -33,6 +33,7 @@ from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
+from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.recording import (
     RecordedTick,
@@ -221,6 +222,7 @@ def test_what_is_sent_otherwise_is_answered_as_it_was(
     assert code == 0, out
     assert f'replayed      {sum(each.topic == "/odom" for each in raw)} ticks' in out
     assert f'inputs        {inputs}, 0 refused' in out
+    assert len(of_bag(path).times) >= 26  # pictures read it, too
 
 
 def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp_path, monkeypatch):

@@ -20,14 +20,21 @@ from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
+from orbimpc_ros.ros.messages import (
+    POSE_TWIST,
+    Frames,
+    Stamp,
+    pushed,
+    read_odometry,
+    read_sighting,
+)
 from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
 T = TypeVar('T')
 Ticks = tuple[tuple[float, dict[str, Any]], ...]
-WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
+WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth', *POSE_TWIST)
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
 
