@@ -96,9 +96,9 @@ class History:
         """Return the closest approach during each step, M - 1 of them."""
         flown, swung = pairwise(self.positions), pairwise(self.ropes)
         shares = [closest_approach(way, goal)[1] for way, goal in zip(flown, swung, strict=True)]
-        return self._encounters([k + share for k, share in enumerate(shares)])
+        return self.encounters([k + share for k, share in enumerate(shares)])
 
-    def _encounters(self, steps: Sequence[float]) -> list[Encounter]:
+    def encounters(self, steps: Sequence[float] | Array) -> list[Encounter]:
         """Return moments after so many steps of odometry, between which all moves straight."""
         known = np.column_stack([self.times, self.positions, self.ropes])
         found = np.column_stack([np.interp(steps, np.arange(len(known)), c) for c in known.T])
@@ -110,7 +110,7 @@ class History:
     @property
     def moments(self) -> list[Encounter]:
         """Return distances over time, up to the capture: at odometry, and where closest between."""
-        seen = (*self._encounters(range(len(self.times))), *self.approaches)
+        seen = (*self.encounters(range(len(self.times))), *self.approaches)
         by_time = {moment.time: moment for moment in seen}
         end = self.end
         return [by_time[time] for time in sorted(by_time) if time <= end]

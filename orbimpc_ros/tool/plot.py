@@ -385,21 +385,19 @@ def planning(history: History) -> list[Panel]:
 
 def instants(history: History) -> Iterator[dict[str, Array]]:
     """Yield the points of what moves, shape (K, 3) each [m]; between odometry it moves straight."""
-    path, goals = history.way, history.ropes.copy()
-    if history.capture is not None:
-        goals[-1] = history.capture.rope
+    path, odometry = history.way, np.arange(len(history.times))
     reach = NOSE * float(np.ptp(path, axis=0).max())
-    steps = len(path) - 1
-    per_step = int(np.clip(FRAMES // max(1, steps), 1, PER_STEP))
-    for moment in np.linspace(0.0, steps, steps * per_step + 1):
-        k = min(int(moment), steps - 1)
-        now, goal = (a[k] + (moment - k) * (a[k + 1] - a[k]) for a in (path, goals))
+    per_step = int(np.clip(FRAMES // max(1, len(path) - 1), 1, PER_STEP))
+    end = float(np.interp(history.end, history.times, odometry))
+    steps = np.linspace(0.0, end, math.ceil(end * per_step) + 1)
+    for step, moment in zip(steps, history.encounters(steps), strict=True):
+        k, now = int(step), moment.vehicle
         made = [points for time, points in history.plans if time <= history.times[k]]
         yield {
             'plan': made[-1] if made else np.zeros((0, 3)),
             'flown': np.vstack([path[: k + 1], now]),
             'vehicle': np.array([now, now + reach * history.attitudes[k, :, 0]]),
-            'goal': goal[None],
+            'goal': moment.rope[None],
         }
 
 
