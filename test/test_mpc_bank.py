@@ -115,7 +115,7 @@ def test_every_family_is_recovered_exactly_without_noise(family, n):
         times, seen = sighted(motion, rng)
         bank, ahead = shown(times, seen), times[-1] + np.arange(0.0, AHEAD + 0.1, 0.5)
         np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-        assert bank.motion.model == family
+        assert bank.model == family
 
 
 @pytest.mark.parametrize('family', FAMILIES)
@@ -141,7 +141,7 @@ def test_forecasts_move_turn_and_wait_with_the_goal(family, n):
     ahead = times[-1] + np.arange(1.0, 4.0)
     turn, offset = exp(rng.normal(size=n * (n - 1) // 2)), 100.0 * rng.normal(size=n)
     before, after = shown(times, seen), shown(times + 64.0, seen @ turn.T + offset)
-    assert before.motion.model == after.motion.model
+    assert before.model == after.model
     moved = before.at(ahead) @ turn.T + offset
     np.testing.assert_allclose(after.at(ahead + 64.0), moved, atol=1e-4)
 
@@ -334,7 +334,7 @@ def test_a_long_watch_loses_nothing(family):
     times = START + 0.5 * np.arange(2 * MEMORY)
     bank, ahead = shown(times, motion(times)), times[-1] + np.arange(0.0, 4.0)
     np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-    assert bank.motion.model == family
+    assert bank.model == family
 
 
 @pytest.mark.parametrize('seed', range(8))

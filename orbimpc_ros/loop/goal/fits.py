@@ -19,7 +19,6 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -457,31 +456,3 @@ def data_evidence(
     shape = share + 0.5 * numbers
     prior = share * np.log(scale) - log_gamma(share) - 0.5 * numbers * math.log(2.0 * math.pi)
     return prior + log_gamma(shape) - shape * np.log(scale + 0.5 * misfit)
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """The families by their shares, as they are at one moment: K of them, in n dimensions."""
-
-    model: str  # name of the likeliest
-    epoch: float  # from which time is counted [s]
-    origin: Array  # from which places are counted, shape (n,) [m]
-    last: float  # when the goal was seen last [s]
-    fastest: float  # speed with which it was seen to move [m/s]
-    shares: Array  # of the families, shape (K,)
-    rates: Array  # angular frequencies, shape (K, 1) [rad/s]
-    dampings: Array  # shape (K, 1) [1/s]
-    fitted: Array  # coefficients, shape (K, 7, n)
-    now: Array  # places at the last sighting, shape (K, 1, n) [m]
-
-    def at(self, times: Array) -> Array:
-        """Return the mean of the families' places at ``times``, (N,) [s], shape (N, n) [m]."""
-        places = columns((times - self.epoch)[None], self.rates, self.dampings) @ self.fitted
-        # No farther from the present places than the fastest speed seen leads.
-        moved, reach = places - self.now, self.fastest * np.maximum(times - self.last, 0.0)
-        size = np.linalg.norm(moved, axis=2)
-        share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
-        share[:, times <= self.last] = 1.0
-        places = self.now + share[..., None] * moved
-        mean = self.shares @ places.reshape(len(self.shares), -1)
-        return np.asarray(mean.reshape(len(times), -1) + self.origin)

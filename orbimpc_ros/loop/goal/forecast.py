@@ -31,16 +31,17 @@ from orbimpc_ros.loop.goal.fits import (
     SPEED,
     SWING,
     THRUST,
+    TINY,
     TURN,
     UNKNOWN,
     Fits,
-    Mixture,
     Noise,
     Past,
     Placement,
     Spectrum,
     arc,
     circle,
+    columns,
     data_evidence,
 )
 from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
@@ -140,18 +141,13 @@ WORTHWHILE = 0.01  # units of the noise that a step should gain
 
 
 class Bank:
-    """Predicts a goal from its sightings by all families of motion at once.
-
-    Attributes:
-        motion: what is predicted by now; None before the first sighting.
-    """
+    """Predicts a goal from its sightings by all families of motion at once."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Forget every sighting."""
-        self.motion: Mixture | None = None
         self._last: float | None = None
         self._n = 0
         self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
@@ -171,27 +167,30 @@ class Bank:
         else:
             self._learn(time, position, time - self._last)
         self._last = time
-        self.motion = self._mixture(time)
+
+    @property
+    def model(self) -> str:
+        """Return the name of the likeliest motion; empty before the first sighting."""
+        return '' if self._last is None else NAMES[int(np.argmax(self._shares))]
 
     def at(self, times: Array) -> Array:
         """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m].
 
-        The mean of the families' mixture.
+        The mean of the families by their shares, each no farther from where it has the goal at the
+        last sighting than the fastest speed seen leads.
         """
-        assert self.motion is not None
-        return self.motion.at(times)
-
-    def _mixture(self, time: float) -> Mixture:
-        """Return what the goal does as far as it is known at a time [s]."""
-        used = np.flatnonzero(self._shares > NEGLIGIBLE)
-        rows = self._fits.rows(time - self._epoch)[used, None]
+        assert self._last is not None
+        used, fits = np.flatnonzero(self._shares > NEGLIGIBLE), self._fits
         shares, fitted = self._shares[used] / self._shares[used].sum(), self._fitted[used]
-        return Mixture(
-            NAMES[int(np.argmax(self._shares))],
-            *(self._epoch, self._origin, time, self._fastest, shares),
-            *(self._fits.rates[used, None], self._fits.dampings[used, None]),
-            *(fitted, rows @ fitted),
-        )
+        now = fits.rows(self._last - self._epoch)[used, None] @ fitted
+        rates, dampings = fits.rates[used, None], fits.dampings[used, None]
+        places = columns((times - self._epoch)[None], rates, dampings) @ fitted
+        moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
+        size = np.linalg.norm(moved, axis=2)
+        share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
+        share[:, times <= self._last] = 1.0
+        mean = shares @ (now + share[..., None] * moved).reshape(len(shares), -1)
+        return np.asarray(mean.reshape(len(times), -1) + self._origin)
 
     def _note_speed(self, time: float, position: Array) -> None:
         """Note how fast the goal has moved lately, over half a second or the last two sightings."""

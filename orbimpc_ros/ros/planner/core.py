@@ -504,12 +504,6 @@ class Inputs:
     # --- what decisions are made of
 
     @property
-    def _motion(self) -> GoalMotion | None:
-        """Return how the goal moves: the motion that a forecast has at the moment, or itself."""
-        found: GoalMotion | None = getattr(self.forecast, 'motion', self.forecast)
-        return found
-
-    @property
     def heard(self) -> dict[str, Any]:
         """Return which messages the next decision is made of, by the keys on ``tick``.
 
@@ -517,7 +511,7 @@ class Inputs:
         for some may be lost on the way; how the forecast takes the goal to move, if it chooses; and
         the stamps of what was heard last of obstacles and of other vehicles, by topic [ns].
         """
-        model = getattr(self._motion, 'model', '')
+        model = getattr(self.forecast, 'model', '')
         return {
             'goal_stamps': self.goal_stamps,
             'goal_counts': dict(self.goal_counts),
@@ -538,7 +532,7 @@ class Inputs:
         """
         known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
-        motion = None if goal is None else self._motion
+        motion: GoalMotion | None = None if goal is None else self.forecast
         wanted = None if goal is None else goal.value.attitude
         if path is not None:
             fresh = ages['goal_path'] <= self.settings.goal_timeout
