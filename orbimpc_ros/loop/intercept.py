@@ -155,8 +155,7 @@ class _Attempt(NamedTuple):
     That none does is ``checked`` where it was verified.
     """
 
-    task: Task | None = None
-    answer: Answer | None = None
+    found: tuple[Task, Answer] | None = None
     end: float = 0
     miss: float = math.inf
     never: bool = False
@@ -165,7 +164,7 @@ class _Attempt(NamedTuple):
     @property
     def plan(self) -> Plan | None:
         """Return the plan, if there is one."""
-        return None if self.answer is None else self.answer[0]
+        return None if self.found is None else self.found[1][0]
 
 
 MISSED = _Attempt()
@@ -204,10 +203,10 @@ class Interception:
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
         self.problem = lru_cache(maxsize=MEMORY)(self._problem)
-        self._made: dict[Target, Solver] = {}
+        self.solver = lru_cache(maxsize=MEMORY)(self._solver)
         for end in range(1, self._horizon + 1):  # what nearly every search tries
             for narrow in (False, True) if self._coned else (False,):
-                self._make(Target(end, narrow))
+                self.solver(Target(end, narrow))
 
     def _problem(self, target: Target) -> Problem:
         """Return the problem of :func:`catching` the goal."""
@@ -225,15 +224,13 @@ class Interception:
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
-    def _make(self, target: Target) -> Solver:
-        """Return the solver for a target, made now; past the horizon few are."""
-        self._made[target] = self._solvers.new(self.problem(target), self.enough(target.end))
-        return self._made[target]
+    def _solver(self, target: Target) -> Solver:
+        return self._solvers.new(self.problem(target), self.enough(target.end))
 
-    def earliest(self, query: InterceptQuery) -> tuple[Task | None, Answer | None, Intercept]:
+    def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
         """Return the task of the earliest catch with its answer, and how early one can be.
 
-        Without a catch, None and None. Where the catch that was flown towards has just been lost by
+        Without a catch, None. Where the catch that was flown towards has just been lost by
         little, it is the task of the nearest miss, without a time.
         """
         # Past the horizon that takes a search, which comes first; elsewhere it may not be needed.
@@ -244,13 +241,13 @@ class Interception:
         sought = Sought(self._tracked, query.task.state, goals, self._radius)
         never = Intercept(math.nan, self._step * bound, sought, self._step * counted)
         if near and 0 < query.expected <= self._horizon:
-            return best.task, best.answer, never
+            return best.found, never
         if best.miss > self._radius:  # not even nearly
             rest, kept = held or self._held(query)
             best = self._sooner(query, kept) if kept.plan else self._beyond(query)
             if best.plan is None:
                 lost = rest if rest.miss <= GRAZE * self._radius else MISSED
-                return lost.task, lost.answer, never
+                return lost.found, never
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(query, best)
         if self._centred and self._is_well(best):
@@ -259,7 +256,7 @@ class Interception:
         known = self._step * min(counted, first)
         when = best.end if best.miss <= self._radius else math.nan
         catch = Intercept(self._step * when, self._step * first, sought, known)
-        return best.task, best.answer, catch
+        return best.found, catch
 
     def _goals(self, query: InterceptQuery, end: float) -> Array:
         """Return where the goal is at the ends of the steps up to an end, shape (N or less, n)."""
@@ -314,7 +311,7 @@ class Interception:
             return MISSED
         answer = plan, plan.status, 'the catch planned before is flown on'
         miss = float(np.linalg.norm(self._off(query, Target(end), plan, goals)))
-        return _Attempt(task, answer, end, miss)
+        return _Attempt((task, answer), end, miss)
 
     def _held(self, query: InterceptQuery) -> tuple[_Attempt, _Attempt]:
         """Return what becomes of the goal when the plan before is flown on, and the catch to keep.
@@ -390,7 +387,7 @@ class Interception:
         miss = float(np.linalg.norm(self._off(query, target, through.plan, goals)))
         if miss > self._radius:
             return found
-        return found._replace(task=through.task, answer=through.answer, miss=miss)
+        return found._replace(found=through.found, miss=miss)
 
     def _off(self, query: InterceptQuery, target: Target, plan: Plan, goals: Array) -> Array:
         """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
@@ -469,7 +466,7 @@ class Interception:
         for _ in range(TRIES):
             if query.late():
                 return found
-            solver = self._made.get(target) or self._make(target)
+            solver = self.solver(target)
             task = query.task.within(solver.problem, aims, solver)
             answer = task.solved()
             query.tried += 1
@@ -481,9 +478,9 @@ class Interception:
             miss = float(np.linalg.norm(end + astray - goals[-1]))
             if aims is goals:  # what is proved is about the goal itself
                 never = plan.proof.lower_bound > self.enough(target.end).bound
-                found = _Attempt(task, answer, target.end, miss, never, plan.proof.checked)
+                found = _Attempt((task, answer), target.end, miss, never, plan.proof.checked)
             elif miss < found.miss:
-                found = found._replace(task=task, answer=answer, miss=miss)
+                found = found._replace(found=(task, answer), miss=miss)
             left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
             worth = min(near, miss - WORTH * self._radius)
             if self._is_well(found) or self._expected(target, left, change, miss) > worth:

@@ -518,17 +518,14 @@ class Planner:
             alone = replace(task, state=replace(task.state, hazards=()))
         most = CATCHES_AMONG if task.state.hazards else math.inf
         query = InterceptQuery(alone, motion, now, pause, expected, most)
-        chosen, answer, catch = interception.earliest(query)
+        found, catch = interception.earliest(query)
         words = ''
-        if chosen is None and self._approach.exists:
+        if found is None and self._approach.exists:
             unmet = f'found no turn that meets the cone of a catch before {catch.bound:.4g} s'
             words = f'approach: {unmet}'
-        if chosen is not None and answer is not None and answer[0] is not None:
-            chosen = replace(chosen, state=task.state)
-            free = not task.state.hazards or (
-                holds(*chosen.known, answer[0]) and is_clear(chosen, answer[0])
-            )
-            if free:
+        if found is not None:
+            chosen, answer = replace(found[0], state=task.state), found[1]
+            if not task.state.hazards or cheapest_clear(chosen, filter(None, answer[:1])):
                 memory.catch = now + chosen.problem.step * chosen.problem.horizon
                 memory.pace, memory.goals = chosen.problem.step, chosen.goals
                 return chosen, answer, catch
