@@ -26,7 +26,6 @@ from orbimpc_ros.loop.intercept import (
     defect,
     steps_before,
 )
-from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log
@@ -45,6 +44,7 @@ from orbimpc_ros.mpc.problem import (
 from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.proof.document import parsed, verified
 from orbimpc_ros.mpc.proof.refute import catches_refuted
+from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.vehicle import Plant, measured
 
 RADIUS = 3.0
@@ -54,7 +54,7 @@ WING = Problem(
 
 
 def farthest(problem):
-    return Interception(problem, 2.0, Solvers(problem)).farthest
+    return Interception(problem, 2.0, Solver).farthest
 
 
 def still(goal):

@@ -79,7 +79,7 @@ class Baseline(ABC):
         assert not isinstance(snapshot.goal, np.ndarray)
         ahead = snapshot.goal
         start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
-        time, wind = start.odometry.time, start.disturbance
+        time, wind = start.odometry.time, self._compensator.disturbance
         hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
         state = State.at(**start.state, hazards=hazards)
         goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))

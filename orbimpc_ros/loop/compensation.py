@@ -509,14 +509,11 @@ class Estimator:
 
 
 class Start(NamedTuple):
-    """Where a plan starts; ``advanced`` to ``innovation`` are fields of a decision, too."""
+    """Where a plan starts."""
 
     odometry: Odometry  # what to plan from
     state: dict[str, Any]  # the same as arguments of State.at
-    advanced: float  # [s]
-    led: float  # [s]
-    disturbance: Array | None  # shape (n,)
-    innovation: float | None
+    told: dict[str, Any]  # of how it was found: fields of a decision
     limited: str  # that the estimate was limited, in words; empty if not
     odd: str  # that the speed is not one that the model knows, in words; empty if it is
 
@@ -553,21 +550,12 @@ class Compensator:
             known = problem, self.response.speed, velocity_source, given
             self._estimator = Estimator(*known, measured=sideslip)
 
-    def start_afresh(self, *, wind: bool = False, commands: bool = False) -> None:
-        """Forget where the vehicle was and when commands were sent.
-
-        Args:
-            wind: whether to forget what was estimated, too.
-            commands: whether to forget the command in force, too.
-        """
+    def start_afresh(self, *, wind: bool = False) -> None:
+        """Forget where the vehicle was, when commands were sent and, with ``wind``, what blows."""
         self.history.forget()
         self.due = None
-        if commands:
-            self.history.last = None
         if self._estimator is not None:
-            self._estimator.start_afresh()
-            if wind:
-                self._estimator.reset()
+            (self._estimator.reset if wind else self._estimator.start_afresh)()
 
     def continue_from(self, other: Compensator) -> None:
         """Take over what another one remembers."""
@@ -602,11 +590,13 @@ class Compensator:
         known = self.disturbance, self._velocity_source
         odometry = self._settled(advanced(self._problem, odometry, coming, *known))
         led = self.response.lead(self._problem)
-        moved = odometry.time - measured.time - led
-        innovation = None if self._estimator is None else self._estimator.innovation
-        odd = self.odd_speed(odometry)
-        state = self.state(odometry)
-        return Start(odometry, state, moved, led, self.disturbance, innovation, limited, odd)
+        told = {
+            'advanced': odometry.time - measured.time - led,
+            'led': led,
+            'disturbance': self.disturbance,
+            'innovation': None if self._estimator is None else self._estimator.innovation,
+        }
+        return Start(odometry, self.state(odometry), told, limited, self.odd_speed(odometry))
 
     def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""

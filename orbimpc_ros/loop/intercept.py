@@ -42,7 +42,7 @@ Mathematics: docs/mathematics.md, 7.10.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -51,7 +51,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.loop.goal.motion import GoalMotion
-from orbimpc_ros.loop.task import Answer, Solvers, Task
+from orbimpc_ros.loop.task import Answer, Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log, turned
@@ -178,7 +178,7 @@ class Interception:
     Args:
         problem: what is solved where no catch is found, with the cone of approach of a catch.
         radius: within which the goal is caught [m].
-        solvers: make and pose what is to be solved.
+        solver_for: makes a solver of a problem; ``enough`` as of :class:`Solver`.
         lag: of the speed [s].
         centred: whether a catch leads through the middle of the goal, with a little to spare.
     """
@@ -187,12 +187,12 @@ class Interception:
         self,
         problem: Problem,
         radius: float,
-        solvers: Solvers,
+        solver_for: Callable[..., Solver],
         lag: float = 0.0,
         *,
         centred: bool = False,
     ) -> None:
-        self._solvers = solvers
+        self._solver_for = solver_for
         self._tracked, self._radius, self._lag = problem, radius, lag
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
@@ -225,7 +225,7 @@ class Interception:
         return Enough(well, (1.0 + EFFORT) * squared)
 
     def _solver(self, target: Target) -> Solver:
-        return self._solvers.new(self.problem(target), self.enough(target.end))
+        return self._solver_for(self.problem(target), enough=self.enough(target.end))
 
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
         """Return the task of the earliest catch with its answer, and how early one can be.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from orbimpc_ros.loop.fallback import (
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
-from orbimpc_ros.loop.task import Answer, Late, Solvers, Task
+from orbimpc_ros.loop.task import Answer, Late, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
@@ -41,11 +42,13 @@ from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
+from orbimpc_ros.mpc.solve.solver import Solver
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
     from orbimpc_ros.mpc.proof.document import Refutation
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
+ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
 CATCHES_AMONG = 16  # plans of a catch that are tried among hazards
 SNAP = 1e-3  # of a step: so exact are stamps, and steps begun
 WAITING = Reason(Cause.WAITING, 'waits for odometry')
@@ -207,8 +210,13 @@ class Planner:
         self._lags, self._shrinking = self._compensator.response.lags, shrinking
         self._timeouts = odom_timeout, goal_timeout
         self._counted = np.arange(1.0, problem.horizon + 1.0)
-        self._solvers = Solvers(problem, projection, gap_tolerance)
-        self._solvers.of(problem.horizon, problem.step)
+        self._projection = projection
+        self._solver_for = partial(
+            Solver, projection=projection, gap_tolerance=gap_tolerance, coasting=True
+        )
+        # Of steps that are cut short, none comes back: few solvers are kept.
+        self._solver = lru_cache(maxsize=2 * problem.horizon + 2)(self._made)
+        self._solver(problem.horizon, problem.step)
         self._scout: Scout | None = None
         self._interception: Interception | None = None
         self._approach = approach or Approach()
@@ -216,8 +224,10 @@ class Planner:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
-            known = caught, capture_radius, self._solvers, self._compensator.response.speed
-            self._interception = Interception(*known, centred=centred)
+            lag = self._compensator.response.speed
+            self._interception = Interception(
+                caught, capture_radius, self._solver_for, lag, centred=centred
+            )
         by_its_axis = self._interception is not None and self._approach.is_the_goals
         self._wants_attitude = problem.wants_attitude or by_its_axis
         self._memory = self._fresh()
@@ -231,8 +241,8 @@ class Planner:
 
     def reset(self) -> None:
         """Forget everything, for instance before another flight."""
-        self._compensator.start_afresh(wind=True, commands=True)
-        self._memory = self._fresh()
+        self._memory.reached = self._compensator.history.last = None
+        self.start_afresh(wind=True)
 
     def start_afresh(self, *, wind: bool = False) -> None:
         """Forget the previous plan, yet not the command in force; the horizon starts anew.
@@ -259,7 +269,7 @@ class Planner:
 
     def expect_hazards(self) -> None:
         """Compile what the first plan among hazards would have to wait for: that takes a second."""
-        self._solvers.expect_hazards()
+        self._solver(self.problem.horizon, self.problem.step).expect_hazards()
         if self._scout is None and cuts_turns(self.problem):
             self._scout = Scout(self.problem, steered=True)
 
@@ -305,6 +315,20 @@ class Planner:
         if before == step == self.problem.step:
             return passed + self._counted[:count]
         return (passed * self.problem.step + step * self._counted[:count]) / before
+
+    def _made(self, count: int, step: float, *, soft: bool = False) -> Solver:
+        """Return the solver of so many steps of a length [s], with a ``soft`` arrival if asked."""
+        problem = replace(self.problem, horizon=count, step=step)
+        if soft:
+            problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
+        return self._solver_for(problem)
+
+    def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
+        """Return the task of the steps that are left; arguments as of :class:`Task`."""
+        memory = self._memory
+        solver = self._solver(len(knots), memory.pace)
+        known = solver.problem, state, goals, knots, solver
+        return Task(*known, memory.previous, self._projection, late)
 
     # --- a decision
 
@@ -354,14 +378,7 @@ class Planner:
         memory.previous = decision.plan
         if start.limited:
             decision = replace(decision, reason=joined(decision.reason, start.limited))
-        return replace(
-            decision,
-            advanced=start.advanced,
-            led=start.led,
-            disturbance=start.disturbance,
-            innovation=start.innovation,
-            left_out=left_out,
-        )
+        return replace(decision, **start.told, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -405,7 +422,7 @@ class Planner:
         goals = np.array(given if motion is None else motion.at(ends), dtype=float)
         goals.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, goals)
-        task = self._solvers.task(state, goals, knots, memory.pace, memory.previous, late)
+        task = self._task(state, goals, knots, late)
         memory.goals = goals
         held, catch = '', None
         if state.hazards or self.problem.obstacles:
@@ -415,10 +432,8 @@ class Planner:
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        elif state.hazards:
-            task, (plan, status, words) = self._tracked(task)
         else:
-            plan, status, words = task.solved()
+            task, (plan, status, words) = self._tracked(task)
         reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
@@ -446,12 +461,12 @@ class Planner:
         """
         if not task.state.hazards:
             return task, task.solved()
-        if not self._reserve:
-            return task, self._clear(task, task, task.solved())
-        every = np.full(len(task.state.hazards), self._reserve)
-        wary = replace(task, state=with_clearance(task.state, every))
+        wary = task
+        if self._reserve:
+            every = np.full(len(task.state.hazards), self._reserve)
+            wary = replace(task, state=with_clearance(task.state, every))
         answer = wary.solved()
-        if answer[0] is None:
+        if answer[0] is None and self._reserve:
             left = achieved_clearance(task.problem, task.state, task.rest, self._reserve)
             wary = replace(task, state=with_clearance(task.state, left))
             answer = wary.solved()
@@ -543,7 +558,7 @@ class Planner:
         if unknown or memory.goals is None or not len(knots):
             return self._safe(state, Status.FAILED, reason)
         memory.goals = sealed(later(memory.goals, knots - 1.0))
-        task = self._solvers.task(state, memory.goals, knots, memory.pace, memory.previous)
+        task = self._task(state, memory.goals, knots)
         return self._fall_back(task, Status.FAILED, reason)
 
     def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
@@ -569,7 +584,7 @@ class Planner:
 
     def _arrive_softly(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
-        solver = self._solvers.of(len(task.knots), memory.pace, soft=True)
+        solver = self._solver(len(task.knots), memory.pace, soft=True)
         eased = replace(task, problem=solver.problem, solver=solver)
         plan, _, _ = eased.solved(guessing=True)
         if plan is None:

@@ -15,12 +15,10 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import told
-from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
 
 Answer = tuple[Plan | None, Status, str]  # a checked plan, the status of the solve, and the reason
 Late = Callable[[], bool]
-ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
 
 
 @dataclass(frozen=True)
@@ -99,58 +97,3 @@ class Task:
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
         reasons = unproved, plan.proof.reason, outside
         return plan, plan.status, '; '.join(filter(None, reasons))
-
-
-class Solvers:
-    """Solvers of one problem for every number and length of steps, each compiled once."""
-
-    def __init__(
-        self, problem: Problem, projection: str = 'thrust_aligned', gap_tolerance: float = 1e-4
-    ) -> None:
-        self._problem, self.projection, self._tolerance = problem, projection, gap_tolerance
-        self._made: dict[tuple[int, float, bool], Solver] = {}
-
-    def of(self, horizon: int, step: float, *, soft: bool = False) -> Solver:
-        """Return the solver of so many steps of a length [s], with a ``soft`` arrival if asked.
-
-        Of steps that are cut short, none comes back: only the solvers of the latest are kept.
-        """
-        key = horizon, step, soft
-        if key not in self._made:
-            usual = self._problem.step
-            if step != usual:
-                self._made = {k: s for k, s in self._made.items() if k[1] in (usual, step)}
-            problem = replace(self._problem, horizon=horizon, step=step)
-            if soft:
-                problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
-            self._made[key] = self.new(problem)
-        return self._made[key]
-
-    def task(
-        self,
-        state: State,
-        goals: Array,
-        knots: Array,
-        step: float,
-        previous: Plan | None,
-        late: Late | None = None,
-    ) -> Task:
-        """Return the task of steps of a length [s]; the other arguments as of :class:`Task`."""
-        solver = self.of(len(knots), step)
-        known = solver.problem, state, goals, knots, solver
-        return Task(*known, previous, self.projection, late)
-
-    def new(self, problem: Problem, enough: Enough | None = None) -> Solver:
-        """Return a new solver of a problem."""
-        return Solver(
-            problem,
-            projection=self.projection,
-            gap_tolerance=self._tolerance,
-            coasting=True,
-            enough=enough,
-        )
-
-    def expect_hazards(self) -> None:
-        """Compile what the first plan among moving obstacles would have to wait for."""
-        for solver in self._made.values():
-            solver.expect_hazards()

@@ -55,25 +55,22 @@ def layout(n: int) -> tuple[Array, Array, Array]:
         that are not used; and the part of the Jacobian that never changes, shape (K, P, 7, n).
     """
     first, second, rate = 2 * n, 3 * n, 4 * n
-    used = np.zeros((len(NAMES), 4 * n + 2), dtype=bool)
-    used[:, :n] = True
-    used[[VELOCITY, ACCELERATION, CARRIER], n:first] = True
-    used[ACCELERATION, first:second] = True
-    used[TURN, first : first + 1 + n * (n - 1) // 2] = True
-    used[[SWING, CARRIER, DAMPED], first:rate] = True
-    used[list(OSCILLATING), rate] = True
-    used[DAMPED, rate + 1] = True
-    width = np.full(used.shape, PULSE)
-    width[:, :n], width[:, n:first], width[:, first:rate] = PLACE, SPEED, SIZE
-    width[ACCELERATION, first:second] = THRUST
-    precision = np.where(used, 1.0 / width**2, 1.0)
-    constant = np.zeros((*used.shape, COLUMNS, n))
+    constant = np.zeros((len(NAMES), 4 * n + 2, COLUMNS, n))
     for i in range(n):
         constant[:, i, ONE, i] = 1.0
         constant[[VELOCITY, ACCELERATION, CARRIER], n + i, LINEAR, i] = 1.0
         constant[ACCELERATION, first + i, SQUARE, i] = 1.0
         constant[[SWING, CARRIER, DAMPED], first + i, COSINE, i] = 1.0
         constant[[SWING, CARRIER, DAMPED], second + i, SINE, i] = 1.0
+    used = np.zeros(constant.shape[:2], dtype=bool)
+    used[constant.any(axis=(2, 3))] = True
+    used[TURN, first : first + 1 + n * (n - 1) // 2] = True
+    used[list(OSCILLATING), rate] = True
+    used[DAMPED, rate + 1] = True
+    width = np.full(used.shape, PULSE)
+    width[:, :n], width[:, n:first], width[:, first:rate] = PLACE, SPEED, SIZE
+    width[ACCELERATION, first:second] = THRUST
+    precision = np.where(used, 1.0 / width**2, 1.0)
     return sealed(used), sealed(precision), sealed(constant)
 
 

@@ -26,8 +26,10 @@ from orbimpc_ros.loop.goal.fits import (
     DRIFTING,
     FIXED,
     NAMES,
+    ONE,
     OSCILLATING,
     PLACE,
+    SINE,
     SPEED,
     SWING,
     THRUST,
@@ -401,6 +403,7 @@ LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject 
 COARSE, FINE, ZOOMS = 40, 8, 3  # frequencies on the first grid, on a refinement, refinements
 NOISES = (1e-3, 1e-2, 3e-2, 1e-1)  # standard deviations considered [m]
 SWINGS = (0.3, 1.0)  # prior standard deviations of a and b considered [m]
+SWUNG = [ONE, COSINE, SINE]  # columns
 DRIFT = 10.0  # prior standard deviation of c about the last sighting [m]
 
 
@@ -503,7 +506,8 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> tuple[Ar
     -2 log evidence = M n log s^2 + n (log det S - log det L) + (y'y - y'X S^-1 X'y) / s^2.
     """
     count, n = seen.shape
-    x, x_ahead = _design(frequencies, past), _design(frequencies, ahead)
+    rates = 2.0 * np.pi * frequencies[:, None]
+    x, x_ahead = (columns(each, rates, 0.0)[..., SWUNG] for each in (past, ahead))
     gram, moments = np.swapaxes(x, 1, 2) @ x, np.swapaxes(x, 1, 2) @ seen
     noise, swing = (grid.ravel() for grid in np.meshgrid(NOISES, SWINGS))
     prior = noise[:, None] ** 2 / np.column_stack([np.full_like(swing, DRIFT), swing, swing]) ** 2
@@ -517,12 +521,6 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> tuple[Ar
     total = share.sum(axis=1)
     average = np.einsum('fk,fkcn->fcn', share / total[:, None], coefficients)
     return evidence.max(axis=1) + np.log(total), x_ahead @ average
-
-
-def _design(frequencies: Array, times: Array) -> Array:
-    """Return the columns 1, cos, sin, shape (F, M, 3)."""
-    phase = 2.0 * np.pi * frequencies[:, None] * times
-    return np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=2)
 
 
 FORECASTS: dict[str, Callable[[], Forecast]] = {
