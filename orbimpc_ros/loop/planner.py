@@ -323,13 +323,6 @@ class Planner:
             problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
         return self._solver_for(problem)
 
-    def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
-        """Return the task of the steps that are left; arguments as of :class:`Task`."""
-        memory = self._memory
-        solver = self._solver(len(knots), memory.pace)
-        known = solver.problem, state, goals, knots, solver
-        return Task(*known, memory.previous, self._projection, late)
-
     # --- a decision
 
     def unsafe(self, snapshot: Snapshot) -> Reason | None:
@@ -422,7 +415,9 @@ class Planner:
         goals = np.array(given if motion is None else motion.at(ends), dtype=float)
         goals.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, goals)
-        task = self._task(state, goals, knots, late)
+        solver = self._solver(len(knots), memory.pace)
+        before = memory.previous, self._projection
+        task = Task(solver.problem, state, goals, knots, solver, *before, late)
         memory.goals = goals
         held, catch = '', None
         if state.hazards or self.problem.obstacles:
@@ -432,8 +427,10 @@ class Planner:
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        else:
+        elif state.hazards:
             task, (plan, status, words) = self._tracked(task)
+        else:
+            plan, status, words = task.solved()
         reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
@@ -558,7 +555,9 @@ class Planner:
         if unknown or memory.goals is None or not len(knots):
             return self._safe(state, Status.FAILED, reason)
         memory.goals = sealed(later(memory.goals, knots - 1.0))
-        task = self._task(state, memory.goals, knots)
+        solver = self._solver(len(knots), memory.pace)
+        known = state, memory.goals, knots, solver, memory.previous, self._projection
+        task = Task(solver.problem, *known)
         return self._fall_back(task, Status.FAILED, reason)
 
     def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
