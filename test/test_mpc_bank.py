@@ -337,6 +337,19 @@ def test_a_long_watch_loses_nothing(family):
     assert bank.model == family
 
 
+@pytest.mark.parametrize('seed', range(2))
+def test_who_is_watched_for_long_is_as_well_known_when_the_oldest_sightings_are_dropped(seed):
+    """Noise always leaves an oscillation to be improved, at the moment that they are, too."""
+    rng = np.random.default_rng([18, seed])
+    motion, times = drawn('turn', 2, rng), START + 0.05 * np.arange(MEMORY + 10)
+    seen = motion(times) + 0.05 * rng.normal(size=(len(times), 2))
+    bank = shown(times[: MEMORY - 1], seen[: MEMORY - 1])
+    for time, place in zip(times[MEMORY - 1 :], seen[MEMORY - 1 :], strict=True):
+        shown([time], [place], bank)
+        ahead = np.array([time + AHEAD])
+        assert np.linalg.norm(bank.at(ahead) - motion(ahead)) < 0.05
+
+
 @pytest.mark.parametrize('seed', range(8))
 def test_whatever_is_seen_forecasts_are_finite(seed):
     """Jumps, gaps, bursts, equal and backward stamps, huge and NaN positions, in any order."""

@@ -305,6 +305,7 @@ class Bank:
         self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
         self._epoch, self._origin = self._epoch + by, self._origin + offset
         self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
+        self._waiting = []  # they count time from the epoch before
         self._fits.begin_later(by, self._past())
         self._conclude()
 
