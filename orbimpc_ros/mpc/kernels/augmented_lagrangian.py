@@ -7,10 +7,9 @@ every coordinate of the other two columns. To it come
 
 - R_k in conv SO(3): S(R_k) >= 0, with a multiplier matrix L_k >= 0;
 - c_k |R_k e1|, the length: the maximum of w . R_k e1 over |w| <= c_k;
-- rows a . R_k e1 >= b, with multipliers >= 0; and the same on positions, which are linear in all
-  R_j e1 (not where rho is there);
-- 0 <= rho <= 1, where the body rate decides R_1 up to its thrust fraction rho. That stands in the
-  place of R_1, as the first of its nine coordinates.
+- rows a . v >= b, with multipliers >= 0, on R_k e1 and on positions, which are linear in all
+  R_j e1 (not where rho is there). Two of them are 0 <= rho <= 1, where the body rate decides R_1 up
+  to its thrust fraction rho. That stands in the place of R_1, as the first of its nine coordinates.
 
 The augmented Lagrangian replaces each of them by its Moreau envelope of parameter 1/sigma (see
 :mod:`terms`). It is convex and once differentiable; its generalised Hessian is the quadratic's plus
@@ -44,7 +43,7 @@ from orbimpc_ros.mpc.kernels.penalty_terms import (
     value_of,
 )
 
-SETTLED, STALLED, PAUSED, PROVED = range(4)  # what a minimisation ends with; PROVED: a bound
+SETTLED, STALLED, PAUSED, REFUTED = range(4)  # what a minimisation ends with
 SIGMA, BEST, PROMISED = range(3)  # in Iterate.numbers
 STEPS, TAKEN = range(2)  # in Iterate.counts
 
@@ -63,8 +62,8 @@ class Iterate(NamedTuple):
     """A minimisation that can be interrupted.
 
     Attributes:
-        x: the point it is at, shape (N, d).
-        held: the multipliers held, or the force that they exert, shape (N, d).
+        x: the point it is at, x_0 - P F, shape (N, 9).
+        held: the force F that the multipliers held exert, shape (N, 9).
         numbers: sigma, the penalty's parameter; the greatest lower bound; how far the last Newton
             step promised to bring the merit down, shape (3,).
         counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
@@ -76,16 +75,15 @@ class Iterate(NamedTuple):
     counts: np.ndarray
 
 
-def begun(steps: int, width: int, sigma: float) -> Iterate:
+def begun(steps: int, sigma: float) -> Iterate:
     """Return the progress of a minimisation that has not begun.
 
     Args:
         steps: N.
-        width: d, the coordinates of a step.
         sigma: the penalty's first parameter.
     """
     numbers = np.array([sigma, -np.inf, np.inf])
-    x, held = np.zeros((steps, width)), np.zeros((steps, width))
+    x, held = np.zeros((steps, 9)), np.zeros((steps, 9))
     return Iterate(x, held, numbers, np.zeros(2, np.int64))
 
 
@@ -167,26 +165,20 @@ def _newton(terms, residual, moved_by, count, work, force):
     n = len(residual)
     for i in range(count):
         total = 0.0
-        if work.step[i] < n:
-            for c in range(9):
-                total += work.column[i, c] * moved_by[work.step[i], c]
-        else:
-            for k in range(n):
-                share = terms.reach[work.step[i] - n, k]
-                for c in range(3):
+        for k in range(n):
+            share = terms.shares[work.step[i], k]
+            if share != 0.0:
+                for c in range(9):
                     total += share * work.column[i, c] * moved_by[k, c]
         work.solution[i] = total
     if not solve_spd(work.matrix, work.solution, count):
         return False
     force[:] = residual
     for i in range(count):
-        if work.step[i] < n:
-            for c in range(9):
-                force[work.step[i], c] -= work.solution[i] * work.column[i, c]
-        else:
-            for k in range(n):
-                share = work.solution[i] * terms.reach[work.step[i] - n, k]
-                for c in range(3):
+        for k in range(n):
+            share = terms.shares[work.step[i], k] * work.solution[i]
+            if share != 0.0:
+                for c in range(9):
                     force[k, c] -= share * work.column[i, c]
     return True
 
@@ -207,7 +199,7 @@ def _begin(terms, start, held, force, x, work):
     x[:] = start - x
     least += value_of(terms, x, held, work.small[0])
     if least < 0.0:
-        _keep(multipliers(len(x), len(held.sides)), held)
+        _keep(multipliers(len(x), len(held.rows)), held)
         force[:], x[:], least = 0.0, start, 0.0
     _note(work, x, force, held)
     return least
@@ -217,7 +209,7 @@ def _begin(terms, start, held, force, x, work):
 def _note(work, lowest, forces, held):
     """Note what the greatest bound so far rests on."""
     work.lowest[:], work.forces[:], work.pushes[:] = lowest, forces, held.lengths
-    work.rows[:], work.sides[: len(held.sides)] = held.rows, held.sides
+    work.rows[: len(held.rows)] = held.rows
     for k in range(len(lowest)):
         work.tops[k] = 0.0
         for i in range(4):
@@ -227,9 +219,7 @@ def _note(work, lowest, forces, held):
 @compiled
 def _keep(new, held):
     """Hold the multipliers that the last projection gave."""
-    held.orbitopes[:], held.lengths[:] = new.orbitopes, new.lengths
-    held.rows[:], held.fraction[:] = new.rows, new.fraction
-    held.sides[:] = new.sides
+    held.orbitopes[:], held.lengths[:], held.rows[:] = new.orbitopes, new.lengths, new.rows
 
 
 @compiled
@@ -286,21 +276,19 @@ def minimise(terms, start, held, limits, work, progress, budget):
         start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
         held: the multipliers, updated in place.
         limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
-            of x_0; what rounding may make of it; the largest sigma; a bound that is enough.
+            of x_0; what rounding may make of it; the largest sigma.
         work: room to work in; takes what the greatest bound rests on.
-        progress: its x is x_0 - P F, shape (n, 9), its held the force F of the multipliers held;
-            updated in place.
+        progress: updated in place.
         budget: multiplications to do at most, though no less than a Newton step takes.
 
     Returns:
-        The cost of ``progress.x`` above that of x_0, and ``SETTLED``, ``STALLED``, ``PAUSED`` or
-        ``PROVED``, also where there is no solution.
+        ``SETTLED``, ``STALLED``, ``PAUSED``, or ``REFUTED`` where there is proved to be nothing.
     """
-    precision, proportion, least, rounding, largest, enough = limits
+    precision, proportion, least, rounding, largest = limits
     x, held_force, numbers, counts = progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
-    new = multipliers(len(start), len(held.sides))
+    new = multipliers(len(start), len(held.rows))
     if counts[STEPS] == 0:
         numbers[BEST] = _begin(terms, start, held, held_force, x, work)
         if numbers[BEST] > 0.0:
@@ -320,16 +308,14 @@ def minimise(terms, start, held, limits, work, progress, budget):
             _note(work, x - direction, force, new)
         gap = abs(cost - numbers[BEST])
         if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
-            return cost, SETTLED
-        if len(new.sides) and refuted(terms, new.sides):
-            numbers[BEST] = np.inf
-            work.rows[:], work.sides[: len(new.sides)] = 0.0, new.sides
-        if numbers[BEST] >= enough:
-            return cost, PROVED
+            return SETTLED
+        if len(terms.shares) > len(x) and refuted(terms, new.rows):
+            numbers[BEST], work.rows[: len(new.rows)] = np.inf, new.rows
+            return REFUTED
         if counts[STEPS] >= LIMIT:
-            return cost, STALLED
+            return STALLED
         if budget <= 0.0:
-            return cost, PAUSED
+            return PAUSED
         counts[STEPS] += 1
         near = min(left, numbers[PROMISED]) <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
         if near or counts[TAKEN] == STUCK:
@@ -342,7 +328,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
         count = set_columns(terms, x, held, numbers[SIGMA], new, work)
         budget -= count * count * (count / 6.0 + 9.0) + 40.0 * len(x) ** 2 + 500.0 * len(x)
         if not _newton(terms, residual, direction, count, work, change):
-            return cost, STALLED
+            return STALLED
         apply(terms, change, direction)
         bend, pull = inner(change, direction), inner(held_force, direction)
         numbers[PROMISED] = inner(residual, direction)

@@ -22,11 +22,11 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import diagonalise, is_positive
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, diagonalise, extend_factor
 
 NEGLIGIBLE = 1e-12  # share of sigma at which a part of the Hessian is left out
 REFUTED = 1e-9  # share of what cancels from which on a refutation is one
-ROOM = 14  # parts of the Hessian for a step: ten of the orbitope, three of the length, a row
+ROOM = 13  # parts of the Hessian for a step: ten of the orbitope, three of the length
 
 
 class Terms(NamedTuple):
@@ -34,28 +34,25 @@ class Terms(NamedTuple):
 
     Attributes:
         inverse: P, for R_k e1 and for the other columns, shape (2, n + K, n + K); beyond the n
-            steps for the K positions: P reach', reach P and reach P reach'.
+            steps for the K positions: P S', S P and S P S' with the positions' shares S.
         slide: P has this times its transpose on top, shape (n + K, 9): where rho takes everything.
         lengths: c_k, shape (n,).
-        rows: normals of the rows, shape (n, 3); row k is over R_k e1.
-        offsets: of the rows, shape (n,); with a zero normal and a negative offset a row is inert.
         coasting: whether rho stands in the first place.
-        reach: what R_1 e1..R_n e1 add to the positions, shape (K, n); without coasting only.
-        steps: of the rows on positions, counted from 0, shape (m,).
-        sides: their normals, shape (m, 3); row i is over what is added to position steps[i].
-        heights: their offsets, shape (m,).
+        shares: of R_1 e1..R_n e1 in the places of rows: the identity, and below it what they add to
+            the positions, shape (n + K, n); positions without coasting only.
+        places: of the rows, shape (m,).
+        normals: of the rows, shape (m, 3).
+        offsets: of the rows, shape (m,).
     """
 
     inverse: Array
     slide: Array
     lengths: Array
-    rows: Array
-    offsets: Array
     coasting: bool
-    reach: Array
-    steps: np.ndarray
-    sides: Array
-    heights: Array
+    shares: Array
+    places: np.ndarray
+    normals: Array
+    offsets: Array
 
 
 class Multipliers(NamedTuple):
@@ -64,16 +61,12 @@ class Multipliers(NamedTuple):
     Attributes:
         orbitopes: shape (n, 4, 4), symmetric, positive semidefinite.
         lengths: shape (n, 3), of norm at most c_k.
-        rows: shape (n,), not negative.
-        fraction: shape (1,), of 0 <= rho <= 1.
-        sides: shape (m,), not negative.
+        rows: shape (m,), not negative.
     """
 
     orbitopes: Array
     lengths: Array
     rows: Array
-    fraction: Array
-    sides: Array
 
 
 class Scratch(NamedTuple):
@@ -83,7 +76,7 @@ class Scratch(NamedTuple):
         bases: eigenvectors of the last projections on the cone, shape (n, 4, 4).
         values: their eigenvalues, shape (n, 4).
         sizes: |w + sigma R_k e1| of the last projections on the balls, shape (n,).
-        step: of every column of the terms' Hessian, shape (C,); n + k for position k.
+        step: the place of every column of the terms' Hessian, shape (C,).
         column: itself, shape (C, 9).
         weight: its weight, shape (C,).
         slid: the columns' components along ``Terms.slide``, shape (C,).
@@ -94,8 +87,7 @@ class Scratch(NamedTuple):
         forces: what the multipliers of that exert, shape (n, 9).
         pushes: those of the lengths, shape (n, 3).
         tops: the traces of those of the orbitopes, shape (n,).
-        rows: those of the rows on headings, shape (n,).
-        sides: those of the rows on positions; or, where nothing is feasible, what proves it.
+        rows: those of the rows; or, where nothing is feasible, what proves it.
     """
 
     bases: Array
@@ -113,7 +105,6 @@ class Scratch(NamedTuple):
     pushes: Array
     tops: Array
     rows: Array
-    sides: Array
 
 
 @entry_point
@@ -122,17 +113,17 @@ def multipliers(n, m):
 
     Args:
         n: how many steps they are for.
-        m: how many rows on positions.
+        m: how many rows.
     """
-    return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(n), np.zeros(1), np.zeros(m))
+    return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(m))
 
 
-def scratch(n: int, m: int = 0) -> Scratch:
+def scratch(n: int, m: int) -> Scratch:
     """Return room to work in.
 
     Args:
         n: how many steps it is for.
-        m: how many rows on positions at most.
+        m: how many rows at most.
     """
     room = ROOM * n + m
     return Scratch(
@@ -150,14 +141,8 @@ def scratch(n: int, m: int = 0) -> Scratch:
         np.empty((n, 9)),
         np.empty((n, 3)),
         np.empty(n),
-        np.empty(n),
         np.empty(m),
     )
-
-
-def no_sides() -> tuple[np.ndarray, Array, Array]:
-    """Return what :class:`Terms` has where there are no rows on positions."""
-    return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
 
 
 @compiled
@@ -236,82 +221,69 @@ def set_forces(terms, held, force):
     for k in range(len(force)):
         for c in range(9):
             force[k, c] = 0.0
-        if k == 0 and terms.coasting:
-            force[0, 0] = held.fraction[0]
-        else:
+        if not (k == 0 and terms.coasting):
             _add_adjoint(held.orbitopes[k], -1.0, force[k])
         for c in range(3):
-            force[k, c] += held.lengths[k, c] - held.rows[k] * terms.rows[k, c]
-    for i in range(len(held.sides)):
-        if held.sides[i] > 0.0:
+            force[k, c] += held.lengths[k, c]
+    for i in range(len(held.rows)):
+        if held.rows[i] > 0.0:
             for k in range(len(force)):
-                pulled = held.sides[i] * terms.reach[terms.steps[i], k]
+                pulled = held.rows[i] * terms.shares[terms.places[i], k]
                 for c in range(3):
-                    force[k, c] -= pulled * terms.sides[i, c]
+                    force[k, c] -= pulled * terms.normals[i, c]
 
 
 @compiled
-def _short_of_side(terms, i, x):
-    """Return by how much a row on a position is missed."""
-    short = terms.heights[i]
+def _short_of_row(terms, i, x):
+    """Return by how much a row is missed."""
+    short = terms.offsets[i]
     for k in range(len(x)):
-        along = 0.0
-        for c in range(3):
-            along += terms.sides[i, c] * x[k, c]
-        short -= terms.reach[terms.steps[i], k] * along
+        share = terms.shares[terms.places[i], k]
+        if share != 0.0:
+            for c in range(3):
+                short -= share * terms.normals[i, c] * x[k, c]
     return short
 
 
 @compiled
-def refuted(terms, sides):
-    """Return whether multipliers prove that no headings in their balls meet the rows on positions.
+def refuted(terms, rows):
+    """Return whether multipliers prove that no headings in their balls meet the rows.
 
     Whatever the headings z_k are, the rows' shortfalls, weighed by the multipliers, add up to at
     least what they are at z = 0, less the length of what pulls at each z_k (Farkas).
 
     Args:
         terms: give the rows.
-        sides: their multipliers, shape (m,).
+        rows: their multipliers, shape (m,).
     """
     value = magnitude = 0.0
-    for i in range(len(sides)):
-        value += sides[i] * terms.heights[i]
-        magnitude += abs(sides[i] * terms.heights[i])
-    for k in range(terms.reach.shape[1]):
+    for i in range(len(rows)):
+        value += rows[i] * terms.offsets[i]
+        magnitude += abs(rows[i] * terms.offsets[i])
+    for k in range(terms.shares.shape[1]):
         a = b = c = 0.0
-        for i in range(len(sides)):
-            pulled = sides[i] * terms.reach[terms.steps[i], k]
-            a += pulled * terms.sides[i, 0]
-            b += pulled * terms.sides[i, 1]
-            c += pulled * terms.sides[i, 2]
+        for i in range(len(rows)):
+            pulled = rows[i] * terms.shares[terms.places[i], k]
+            a += pulled * terms.normals[i, 0]
+            b += pulled * terms.normals[i, 1]
+            c += pulled * terms.normals[i, 2]
         size = np.sqrt(a * a + b * b + c * c)
         value, magnitude = value - size, magnitude + size
     return value > REFUTED * magnitude
 
 
 @compiled
-def _project_shortfalls(held, sigma, new):
-    """Project on what is not negative; return the terms' value, |new - held|^2, the violation.
-
-    ``new`` comes with what the rows are short of, and leaves with their multipliers.
-    """
+def _project_rows(terms, x, held, sigma, new):
+    """Project on what is not negative; return the terms' value, |new - held|^2, the violation."""
     value = moved = worst = 0.0
     for i in range(len(held)):
-        missed = new[i]
+        missed = _short_of_row(terms, i, x)
         new[i] = max(0.0, held[i] + sigma * missed)
         change = new[i] - held[i]
         value += new[i] * missed
         moved += change * change
         worst = max(worst, abs(change))
     return value, moved, worst / sigma
-
-
-@compiled
-def _project_sides(terms, x, held, sigma, new):
-    """Project the multipliers of rows on positions, see :func:`_project_shortfalls`."""
-    for i in range(len(held)):
-        new[i] = _short_of_side(terms, i, x)
-    return _project_shortfalls(held, sigma, new)
 
 
 @compiled
@@ -324,7 +296,7 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
     _set_lmi(x, s)
     if held[0, 0] == held[1, 1] == held[2, 2] == held[3, 3] == 0.0:
         t[:] = s
-        if is_positive(t):  # most steps: the constraint does not act
+        if extend_factor(t, t, 0, 4, SINGULAR):  # most steps: the constraint does not act
             new[:] = 0.0
             values[:] = -1.0
             return 0.0, 0.0, 0.0
@@ -355,14 +327,6 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
 
 
 @compiled
-def _project_fraction(rho, held, sigma, new):
-    """Project on [0, 1]; return the term's value, |new - held|^2, the violation."""
-    change = sigma * (rho - min(1.0, max(0.0, rho + held[0] / sigma)))
-    new[0] = held[0] + change
-    return new[0] * rho - max(0.0, new[0]), change * change, abs(change) / sigma
-
-
-@compiled
 def _project_lengths(x, held, sigma, limits, new, sizes):
     """Project w + sigma z on balls of radius c; return the terms' value and |new - w|^2."""
     value = moved = 0.0
@@ -383,17 +347,6 @@ def _project_lengths(x, held, sigma, limits, new, sizes):
 
 
 @compiled
-def _project_rows(x, rows, offsets, held, sigma, new):
-    """Project the multipliers of rows on thrust axes, see :func:`_project_shortfalls`."""
-    for k in range(len(x)):
-        short = offsets[k]
-        for c in range(3):
-            short -= rows[k, c] * x[k, c]
-        new[k] = short
-    return _project_shortfalls(held, sigma, new)
-
-
-@compiled
 def project(terms, x, held, sigma, new, work):
     """Project multipliers + sigma * what they multiply (Moreau envelopes) for every term.
 
@@ -408,19 +361,12 @@ def project(terms, x, held, sigma, new, work):
     Returns:
         The terms' value at the projections, |new - held|^2, the violation of the constraints.
     """
-    value, moved, worst = _project_rows(x, terms.rows, terms.offsets, held.rows, sigma, new.rows)
+    value, moved, worst = _project_rows(terms, x, held.rows, sigma, new.rows)
     v, m = _project_lengths(x, held.lengths, sigma, terms.lengths, new.lengths, work.sizes)
     value, moved = value + v, moved + m
-    if len(held.sides):
-        v, m, w = _project_sides(terms, x, held.sides, sigma, new.sides)
-        value, moved, worst = value + v, moved + m, max(worst, w)
-    first = 0
-    if terms.coasting:
-        v, m, w = _project_fraction(x[0, 0], held.fraction, sigma, new.fraction)
-        value, moved, worst, first = value + v, moved + m, max(worst, w), 1
     before, after = held.orbitopes, new.orbitopes
     bases, values, small = work.bases, work.values, work.small
-    for k in range(first, len(x)):
+    for k in range(1 if terms.coasting else 0, len(x)):
         v, m, w = _project_orbitope(x[k], before[k], sigma, after[k], bases[k], values[k], small)
         value, moved, worst = value + v, moved + m, max(worst, w)
     return value, moved, worst
@@ -436,19 +382,18 @@ def value_of(terms, x, held, s):
         held: the multipliers.
         s: room to work in, shape (4, 4).
     """
-    value = held.fraction[0] * x[0, 0] - max(0.0, held.fraction[0])
+    value = 0.0
     for k in range(len(x)):
         if not (k == 0 and terms.coasting):
             _set_lmi(x[k], s)
             for i in range(4):
                 for j in range(4):
                     value -= held.orbitopes[k, i, j] * s[i, j]
-        value += held.rows[k] * terms.offsets[k]
         for c in range(3):
-            value += (held.lengths[k, c] - held.rows[k] * terms.rows[k, c]) * x[k, c]
-    for i in range(len(held.sides)):
-        if held.sides[i] > 0.0:
-            value += held.sides[i] * _short_of_side(terms, i, x)
+            value += held.lengths[k, c] * x[k, c]
+    for i in range(len(held.rows)):
+        if held.rows[i] > 0.0:
+            value += held.rows[i] * _short_of_row(terms, i, x)
     return value
 
 
@@ -465,34 +410,27 @@ def set_columns(terms, x, held, sigma, new, work):
         work: its ``step``, ``column`` and ``weight`` are set.
 
     Returns:
-        How many parts there are; those of rows on positions come last.
+        How many parts there are.
     """
     step, column, weight = work.step, work.column, work.weight
-    count = first = 0
-    if terms.coasting:
-        first = 1
-        if new.fraction[0] != 0.0:
-            column[0] = 0.0
-            column[0, 0] = 1.0
-            step[0], weight[0] = 0, sigma
-            count = 1
-    count = _orbitope_columns(first, work.bases, work.values, sigma, step, column, weight, count)
+    first = 1 if terms.coasting else 0
+    count = _orbitope_columns(first, work.bases, work.values, sigma, step, column, weight)
     count = _length_columns(
         x, held.lengths, sigma, terms.lengths, work.sizes, step, column, weight, count
     )
-    count = _row_columns(terms.rows, new.rows, sigma, step, column, weight, count)
-    for i in range(len(new.sides)):
-        if new.sides[i] > 0.0:
+    for i in range(len(new.rows)):
+        if new.rows[i] > 0.0:
             column[count] = 0.0
-            column[count, :3] = terms.sides[i]
-            step[count], weight[count] = len(x) + terms.steps[i], sigma
+            column[count, :3] = terms.normals[i]
+            step[count], weight[count] = terms.places[i], sigma
             count += 1
     return count
 
 
 @compiled
-def _orbitope_columns(first, bases, values, sigma, step, column, weight, count):
-    """Add the Hessian of the orbitopes' envelopes, by pairs of eigenvectors."""
+def _orbitope_columns(first, bases, values, sigma, step, column, weight):
+    """Set the Hessian of the orbitopes' envelopes, by pairs of eigenvectors."""
+    count = 0
     for k in range(first, len(bases)):
         for i in range(4):
             if values[k, i] <= 0.0:
@@ -536,17 +474,5 @@ def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
                 column[count, c] -= d[i] * along / (1.0 + abs(d[pole]))
             step[count] = k
             weight[count] = sigma * limits[k] / sizes[k] if outside else sigma
-            count += 1
-    return count
-
-
-@compiled
-def _row_columns(rows, new, sigma, step, column, weight, count):
-    """Add the Hessian of the envelopes of the rows that act."""
-    for k in range(len(rows)):
-        if new[k] > 0.0:
-            for c in range(9):
-                column[count, c] = rows[k, c] if c < 3 else 0.0
-            step[count], weight[count] = k, sigma
             count += 1
     return count

@@ -23,13 +23,13 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     BEST,
     PAUSED,
-    PROVED,
+    REFUTED,
     SETTLED,
     Iterate,
     begun,
     minimise,
 )
-from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
+from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.model.condensed import (
     Condensed,
     knowns,
@@ -59,7 +59,9 @@ PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # relative to the largest terms that cancel in a cost
 INWARD = 1.0 - 1e-15  # factor on a direction: its length must not exceed 1 by rounding
-INERT = -1.0  # offset of a row that is always satisfied
+Placed = tuple[int, Array | tuple[float, float, float], float]  # a row's place, normal and offset
+FRACTION: tuple[Placed, ...] = (0, (1.0, 0.0, 0.0), 0.0), (0, (-1.0, 0.0, 0.0), -1.0)  # in [0, 1]
+INERT: Placed = 0, (0.0, 0.0, 0.0), -1.0  # a row that is always satisfied
 
 
 class SO3Multipliers:
@@ -87,7 +89,7 @@ class SO3Multipliers:
         self._others = other_axes(problem, condensed)
         self._length = length_weight(problem)
         reach = control_maps(problem)[:, :, 1:].reshape(-1, problem.horizon)
-        self._reach = reach.copy() if beside else np.zeros((0, 0))
+        self._reach = reach if beside else reach[:0]
         self._make_room()
         self._request: Request | None = None
         self._general: Relaxed | None = None
@@ -105,9 +107,10 @@ class SO3Multipliers:
         self._inverse = np.zeros((2, places, places))
         for whole, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
             whole[own, own] = maps.inverse
+        shares = np.eye(n)
         if len(self._reach):
-            moved = np.vstack([np.eye(n), self._reach])
-            whole = moved @ self._thrust.inverse @ moved.T
+            shares = np.vstack([shares, self._reach])
+            whole = shares @ self._thrust.inverse @ shares.T
             self._inverse[0] = 0.5 * (whole + whole.T)
         self._start, self._slide = np.zeros((n, 9)), np.zeros((places, 9))
         self._lengths = length_weights(self.problem)[-n:].copy()
@@ -115,11 +118,12 @@ class SO3Multipliers:
             self._lengths[0] = 0.0  # linear in rho
         self._axes = np.zeros((self.problem.horizon + 5, 3))
         self._rest = np.zeros((3, 6))
-        self._work, self._held = scratch(n), multipliers(n, 0)
+        self._own = FRACTION if self._coasting else ()
+        count = len(self._own)
+        self._work, self._held = scratch(n, count), multipliers(n, count)
         self._pressed = dict[int, tuple[Row, float]]()  # the last solve's multipliers of rows
-        rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
-        known = self._lengths, rows, offsets, self._coasting, self._reach
-        self._unbound = Terms(self._inverse, self._slide, *known, *no_sides())
+        known = self._inverse, self._slide, self._lengths, self._coasting, shares
+        self._unbound = Terms(*known, *_arrays(self._own))
 
     @property
     def _may_need_general(self) -> bool:
@@ -216,12 +220,12 @@ class SO3Multipliers:
             return self._leave(request, rows)
         terms, bound = self._terms(rows), -np.inf
         for warm in (True, False):
-            self._take_up(rows, terms, warm=warm)
+            self._take_up(rows, warm=warm)
             progress, status = self._minimise(terms, request)
             if progress.numbers[BEST] > bound:
                 bound = float(progress.numbers[BEST])
-                self.multipliers = self._told(request, rows, empty=status == PROVED)
-            if status == PROVED:
+                self.multipliers = self._told(request, rows, empty=status == REFUTED)
+            if status == REFUTED:
                 raise Infeasible('no headings in their balls are beyond the half-spaces')
             if status == SETTLED:
                 self._put_down(rows)
@@ -243,50 +247,40 @@ class SO3Multipliers:
 
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
-        limits = (PRECISION, GAP, self._least, self._rounding, largest, np.inf)
-        progress = begun(self._places, 9, first)
+        limits = PRECISION, GAP, self._least, self._rounding, largest
+        progress = begun(self._places, first)
         while True:
-            _, status = minimise(
-                terms, self._start, self._held, limits, self._work, progress, SLICE
-            )
+            status = minimise(terms, self._start, self._held, limits, self._work, progress, SLICE)
             if status != PAUSED or request.late:
                 return progress, status
 
-    def _take_up(self, rows: Sequence[Row], terms: Terms, *, warm: bool) -> None:
+    def _take_up(self, rows: Sequence[Row], *, warm: bool) -> None:
         """Set initial multipliers: of the last solve if ``warm``, else zero (that may mislead)."""
-        count = len(terms.heights)
-        held = self._held if warm else multipliers(self._places, 0)
-        known, sides = self._pressed if warm else {}, list[float]()
-        for row in rows:
-            if row.place >= self.problem.horizon:
-                sides.append(known.get(id(row), (row, 0.0))[1])
-        self._held = held._replace(sides=np.array(sides, float))
-        if count > len(self._work.sides):
-            self._work = scratch(self._places, 2 * count)
+        own, known = len(self._own), self._pressed if warm else {}
+        held = self._held if warm else multipliers(self._places, own)
+        pressed = [known.get(self._key(row), (row, 0.0))[1] for row in rows]
+        self._held = held._replace(rows=np.append(held.rows[:own], pressed))
+        if len(self._held.rows) > len(self._work.rows):
+            self._work = scratch(self._places, 2 * len(self._held.rows))
 
     def _put_down(self, rows: Sequence[Row]) -> None:
-        """Keep the multipliers of rows on control points for a warm start of the next solve."""
-        beside = [row for row in rows if row.place >= self.problem.horizon]
-        held = self._held.sides.tolist()
-        self._pressed = {id(row): (row, y) for row, y in zip(beside, held, strict=True)}
+        """Keep the multipliers of rows for a warm start of the next solve."""
+        held = self._held.rows[len(self._own) :].tolist()
+        self._pressed = {self._key(row): (row, y) for row, y in zip(rows, held, strict=True)}
+
+    def _key(self, row: Row) -> int:
+        """Return what a row's multiplier is kept by: a heading has one row, a position several."""
+        return row.place if row.place < self.problem.horizon else id(row)
 
     def _told(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
         """Return the multipliers of the last solve, or if ``empty`` of its infeasibility."""
-        steps, at, sizes = self.problem.horizon, 0, np.zeros(len(rows))
-        for i, row in enumerate(rows):
-            if row.place >= steps:
-                sizes[i], at = self._work.sides[at], at + 1
-            elif self._place(row) >= 0:
-                sizes[i] = self._work.rows[self._place(row)]
+        steps, own = self.problem.horizon, len(self._own)
+        sizes = self._work.rows[own : own + len(rows)].copy()
         point, share, tether = self._lowest(), np.zeros((steps, 3)), np.zeros((steps, 3))
         if len(self._ways) and not empty:
             share = -length_weights(self.problem)[1:, None] * self._ways
         pull = np.zeros((0, 3)) if empty else self._pull(request, point)
         return Multipliers(point, sizes, pull, np.zeros((0, 0)), tether, share)
-
-    def _place(self, row: Row) -> int:
-        """Return the variable that a half-space on a heading constrains; < 0 for a given R_1."""
-        return row.place - self._given + self._coasting
 
     def _lowest(self) -> Array:
         """Return the minimiser of the last Lagrangian, shape (N, 9)."""
@@ -331,24 +325,28 @@ class SO3Multipliers:
     def _terms(self, imposed: Sequence[Row]) -> Terms:
         if not imposed:
             return self._unbound
-        rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
-        beside = [row for row in imposed if row.place >= self.problem.horizon]
-        for row in imposed:
-            if row.place >= self.problem.horizon:
-                continue
-            place = self._place(row)
-            if place >= self._coasting:
-                rows[place], offsets[place] = row.normal, row.offset
-            elif self._coasting:
-                rows[0, 0], offsets[0] = row.normal @ self._first[:3], row.offset
-            elif row.normal @ self._first[:3] < row.offset - PRECISION:
-                raise Infeasible('R_1 is given, and on the wrong side of a half-space')
-        steps = np.array([row.place - self.problem.horizon for row in beside], np.int64)
-        sides = np.array([row.normal for row in beside]).reshape(-1, 3)
-        heights = np.array([row.offset for row in beside], float)
-        return self._unbound._replace(
-            rows=rows, offsets=offsets, steps=steps, sides=sides, heights=heights
-        )
+        known = [*self._own, *map(self._placed, imposed)]
+        places, normals, offsets = _arrays(known)
+        return self._unbound._replace(places=places, normals=normals, offsets=offsets)
+
+    def _placed(self, row: Row) -> Placed:
+        """Return a half-space on what is not given."""
+        place = row.place - self._given + self._coasting
+        if place >= self._coasting:
+            return place, row.normal, row.offset
+        along = float(row.normal @ self._first[:3])
+        if self._coasting:
+            return 0, (along, 0.0, 0.0), row.offset
+        if along < row.offset - PRECISION:
+            raise Infeasible('R_1 is given, and on the wrong side of a half-space')
+        return INERT
+
+
+def _arrays(rows: Sequence[Placed]) -> tuple[np.ndarray, Array, Array]:
+    """Return the places, shape (M,), the normals, shape (M, 3), and the offsets, shape (M,)."""
+    places = np.array([place for place, _, _ in rows], np.int64)
+    normals = np.array([normal for _, normal, _ in rows], float).reshape(-1, 3)
+    return places, normals, np.array([offset for _, _, offset in rows], float)
 
 
 def _within(x: Array) -> Array:
