@@ -13,25 +13,6 @@ SWEEPS = 12
 
 
 @compiled
-def quadratic(hessian, q, x):
-    """Return 1/2 sum_jk H_jk x_j . x_k + sum_j q_j . x_j.
-
-    Args:
-        hessian: H, shape (N, N).
-        q: shape (N, n).
-        x: points, shape (N, n).
-    """
-    value = 0.0
-    for j in range(len(q)):
-        for c in range(q.shape[1]):
-            total = q[j, c]
-            for k in range(len(q)):
-                total += 0.5 * hessian[j, k] * x[k, c]
-            value += x[j, c] * total
-    return value
-
-
-@compiled
 def add_product(matrix, x, share, out):
     """Add a share of the product of a matrix and points.
 
@@ -243,20 +224,3 @@ def _rotate(matrix, basis, p, q):
         a, b = basis[r, p], basis[r, q]
         basis[r, p] = c * a - s * b
         basis[r, q] = s * a + c * b
-
-
-@compiled
-def is_positive(matrix):
-    """Return whether a symmetric matrix is positive definite, by Gauss's elimination.
-
-    Args:
-        matrix: shape (4, 4), destroyed.
-    """
-    for k in range(4):
-        if matrix[k, k] <= SINGULAR:
-            return False
-        for i in range(k + 1, 4):
-            factor = matrix[i, k] / matrix[k, k]
-            for j in range(k + 1, i + 1):
-                matrix[i, j] -= factor * matrix[j, k]
-    return True

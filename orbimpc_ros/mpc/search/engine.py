@@ -17,23 +17,20 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.best_first import PAUSED
+from orbimpc_ros.mpc.kernels.best_first import LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
-from orbimpc_ros.mpc.proof.tree import ProofTree
+from orbimpc_ros.mpc.proof.tree import LEAF, NOTHING, ProofTree
 from orbimpc_ros.mpc.search.relax import Quadratic, Room, room_for
 from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import (
-    LEAST,
-    MADE,
-    NODES,
-    VALUE,
+    KIND,
+    ROW,
     Tree,
     begin,
-    number_leaves,
     search,
     tree_for,
 )
@@ -48,45 +45,6 @@ NONE: Array = np.zeros((0, 2))  # of guesses
 SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
 
 
-class PlanarCost:
-    """A problem as the search takes it: a quadratic of R_1 e1..R_N e1, and the limits of each step.
-
-    Args:
-        problem: in natural units, of the plane.
-
-    Attributes:
-        hessian: H, made regular, shape (N, N).
-        excess: what that adds to the cost at most.
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        self._problem, self._condensed = problem, Condensed(problem)
-        self.hessian, self._inverse, self.excess = regular(self._condensed.hessian)
-        self._lengths = length_weights(problem)[1:].astype(float)
-        floor = problem.floor
-        fraction = float(floor.fraction) if floor.exists else 0.0
-        self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0
-        self._widest = problem.widest_turn if floor.exists else math.pi
-        self._entering = problem.max_acceleration > 0.0
-
-    def quadratic(self, request: Request) -> Quadratic:
-        """Return the cost."""
-        q, constant = self._condensed.affine(request.state, request.goals)
-        return Quadratic(self.hessian, self._inverse, q, self._lengths, constant)
-
-    def ring(self, state: State) -> Ring:
-        """Return the floor, and what limits headings and speeds from a state on."""
-        problem, ahead = self._problem, state.attitude[:, 0]
-        entry = entry_speed(problem, state) if self._entering else 1.0
-        last, within = 0.0, math.pi
-        if problem.approach.exists:
-            axis = problem.approach.axis(state)
-            last, within = math.atan2(axis[1], axis[0]), problem.approach.cone + LEEWAY
-        first = math.atan2(ahead[1], ahead[0])
-        change = problem.speed_change if self._entering else np.inf
-        return Ring(*self._floor, self._widest, first, entry, change, last, within)
-
-
 class Engine:
     """Solves problems of the plane by branch and bound over stage sets.
 
@@ -98,15 +56,22 @@ class Engine:
     trusts_guess = False  # anywhere is good enough to start from
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        steps = self._steps = problem.horizon
-        self._cost, self._tolerance = PlanarCost(problem), tolerance
-        self.takes_guess = problem.floor.exists  # disks are relaxed from anywhere
-        if problem.max_rate or problem.max_acceleration or problem.floor.shape == 'circle':
+        self._problem, self._tolerance = problem, tolerance
+        self._condensed = Condensed(problem)
+        self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
+        self._lengths = length_weights(problem)[1:].astype(float)
+        floor = problem.floor
+        fraction = float(floor.fraction) if floor.exists else 0.0
+        self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0
+        self._widest = problem.widest_turn if floor.exists else math.pi
+        self.takes_guess = floor.exists  # disks are relaxed from anywhere
+        if problem.max_rate or problem.max_acceleration or floor.shape == 'circle':
             self._tolerance *= SETTLED
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
         with suppress(Infeasible):
-            self.solve(Request(start, np.ones((steps, 2)), out_of_time=lambda: True))
+            goals = np.ones((problem.horizon, 2))
+            self.solve(Request(start, goals, out_of_time=lambda: True))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -130,25 +95,40 @@ class Engine:
         Raises:
             Infeasible: no turn leads to a last heading that is allowed.
         """
-        ring, quad = self._cost.ring(request.state), self._cost.quadratic(request)
-        tree, room = _working_space(get_ident(), self._steps)
+        ring, quad = self._ring(request.state), self._quadratic(request)
+        tree, room = _working_space(get_ident(), self._problem.horizon)
         # A copy: code for arrays that are read-only or strided would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
         if not begin(quad, ring, tree, guess, room):
             raise Infeasible('no turn meets the cone of approach')
         asked = quad, ring, self._tolerance, tree, room, SLICE
         while search(*asked) == PAUSED:
-            if request.late or request.enough.met(self._found(quad, tree)):
+            if request.late or request.enough.met(self._found(tree, quad)):
                 break
-        return replace(self._found(quad, tree), proof=proof_of(tree))
+        made = int(tree.counts[MADE])
+        known = tree.nodes[:made], tree.at[:made], tree.point[:made]
+        proof = proof_of(*known, np.zeros((made, len(tree.best))))
+        return replace(self._found(tree, quad), proof=proof)
 
-    def _found(self, quad: Quadratic, tree: Tree) -> Found:
-        """Return the best of a search so far, with the bound that it has proved."""
-        numbers = tree.numbers
-        best = tree.best.copy() if numbers[VALUE] < np.inf else None
-        cost = float(numbers[VALUE]) + quad.constant
-        bound = float(numbers[LEAST]) - self._cost.excess + quad.constant
-        return Found(best, cost, bound, int(tree.counts[NODES]))
+    def _found(self, tree: Tree, quad: Quadratic) -> Found:
+        return found_of(tree.best, tree.numbers, tree.counts, quad.constant, self._excess)
+
+    def _quadratic(self, request: Request) -> Quadratic:
+        """Return the cost: a quadratic of R_1 e1..R_N e1."""
+        q, constant = self._condensed.affine(request.state, request.goals)
+        return Quadratic(self._hessian, self._inverse, q, self._lengths, constant)
+
+    def _ring(self, state: State) -> Ring:
+        """Return the floor, and what limits headings and speeds from a state on."""
+        problem, ahead = self._problem, state.attitude[:, 0]
+        entry, change, last, within = 1.0, np.inf, 0.0, math.pi
+        if problem.max_acceleration > 0.0:
+            entry, change = entry_speed(problem, state), problem.speed_change
+        if problem.approach.exists:
+            axis = problem.approach.axis(state)
+            last, within = math.atan2(axis[1], axis[0]), problem.approach.cone + LEEWAY
+        first = math.atan2(ahead[1], ahead[0])
+        return Ring(*self._floor, self._widest, first, entry, change, last, within)
 
 
 @lru_cache(maxsize=2 * LONGEST)
@@ -173,16 +153,45 @@ def _memory(thread: int) -> Tree:
     return tree_for(1, ROOM)
 
 
-def proof_of(tree: Tree) -> ProofTree:
-    """Return the tree of a search as the proof of its bound; the search is over then."""
-    made, leaves, steps = int(tree.counts[MADE]), number_leaves(tree), len(tree.best)
-    none = np.zeros(0, np.int64)
+def found_of(
+    best: Array, numbers: Array, counts: np.ndarray, constant: float, excess: float
+) -> Found:
+    """Return the best of a search so far, with the bound that it has proved.
+
+    Args:
+        best: the best trajectory, shape (N, n).
+        numbers: of its tree, see :mod:`orbimpc_ros.mpc.kernels.best_first`.
+        counts: so.
+        constant: what costs lack.
+        excess: what making H regular added to costs at most.
+    """
+    value, bound = float(numbers[VALUE]), float(numbers[LEAST])
+    found = best.copy() if value < np.inf else None
+    return Found(found, value + constant, bound - excess + constant, int(counts[NODES]))
+
+
+def proof_of(
+    nodes: np.ndarray, at: Array, point: Array, kept: Array, pull: Array = NOTHING
+) -> ProofTree:
+    """Return the tree of a search as the proof of its bound.
+
+    Args:
+        nodes: as proofs have them, but that leaves are not numbered, shape (M, 5).
+        at: as proofs have it, shape (M,).
+        point: where the tangent of each node's bound touches, shape (M, N, n).
+        kept: curvatures that steps keep there, shape (M, N).
+        pull: multipliers of the arrival there, shape (M, 1, n), if there is one.
+    """
+    nodes, none = nodes.copy(), np.zeros(0, np.int64)
+    (leaves,) = np.nonzero((nodes[:, KIND] == LEAF) & (nodes[:, ROW] == 0))
+    nodes[leaves, ROW] = np.arange(len(leaves))
     return ProofTree(
-        tree.nodes[:made].copy(),
-        tree.at[:made].copy(),
-        tree.point[:leaves].copy(),
-        np.zeros((leaves, steps)),
-        np.zeros(leaves, np.int64),
+        nodes,
+        at.copy(),
+        point[leaves],
+        kept[leaves],
+        np.zeros(len(leaves), np.int64),
         none,
         np.zeros(0),
+        pull[leaves] if len(pull) else NOTHING,
     )

@@ -34,9 +34,8 @@ from orbimpc_ros.mpc.search.interior import (
 from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
-ROUNDS = 60
 PATIENCE = 2  # rounds between two looks at whether the bound still rises
-KEY, TAKEN, BEFORE = range(3)  # of a node: its bound; rounds; its bound at the last look
+RISES = 0.1  # of the gap, if it does
 LONGEST = 1e7  # multiplications that are done without a look at the time
 ROUNDING = 1e-15  # of numbers that cancel
 HALVINGS, SHRINK = 6, 0.4
@@ -131,13 +130,12 @@ def set_slope(hessian, q, z, slope):
 
 
 @compiled
-def tangent_bound(quad, shapes, curvatures, z, slope):
+def tangent_bound(quad, shapes, z, slope):
     """Return the cost at a point and a lower bound on it over the sets: its tangent's least.
 
     Args:
-        quad: the cost, H being less the curvatures.
+        quad: the cost.
         shapes: outlines, shape (N, 12).
-        curvatures: b_k |z_k|^2 / 2 that the sets are to count, shape (N,).
         z: where the tangent touches, shape (N, 2).
         slope: H z + q, shape (N, 2).
     """
@@ -146,7 +144,7 @@ def tangent_bound(quad, shapes, curvatures, z, slope):
         gx, gy, x, y, length = slope[k, 0], slope[k, 1], z[k, 0], z[k, 1], quad.lengths[k]
         half = 0.5 * (x * (gx + quad.q[k, 0]) + y * (gy + quad.q[k, 1]))
         along = gx * x + gy * y
-        there = support(shapes[k], curvatures[k], length, gx, gy)
+        there = support(shapes[k], length, gx, gy)
         cost += half + length * np.sqrt(x * x + y * y)
         least += half + there - along
         size += abs(half) + abs(there) + abs(along)
@@ -264,41 +262,67 @@ def cost_at(quad, z, slope):
 
 
 @compiled
+def length_of(z, k):
+    """Return the length of a heading."""
+    square = 0.0
+    for c in range(z.shape[1]):
+        square += z[k, c] * z[k, c]
+    return np.sqrt(square)
+
+
+@compiled
 def cost_of(quad, z):
-    """Return the cost at a point, without the constant."""
-    slope = np.empty_like(z)
-    set_slope(quad.hessian, quad.q, z, slope)
-    return cost_at(quad, z, slope)
+    """Return the cost at a point of any dimension, without the constant."""
+    cost = 0.0
+    for j in range(len(z)):
+        for c in range(z.shape[1]):
+            slope = quad.q[j, c]
+            for k in range(len(z)):
+                slope += 0.5 * quad.hessian[j, k] * z[k, c]
+            cost += z[j, c] * slope
+        if quad.lengths[j] > 0.0:
+            cost += quad.lengths[j] * length_of(z, j)
+    return cost
 
 
 @compiled
 def rise_of(quad, z, there):
-    """Return by how much one point costs more than z.
+    """Return by how much one point of any dimension costs more than z.
 
     The difference of both costs would be lost in their rounding where they differ little.
     """
-    rise, hessian, q, lengths = 0.0, quad.hessian, quad.q, quad.lengths
+    rise, hessian = 0.0, quad.hessian
     for j in range(len(z)):
-        a, b = q[j, 0], q[j, 1]
-        for k in range(len(z)):
-            a += 0.5 * hessian[j, k] * (z[k, 0] + there[k, 0])
-            b += 0.5 * hessian[j, k] * (z[k, 1] + there[k, 1])
-        rise += (there[j, 0] - z[j, 0]) * a + (there[j, 1] - z[j, 1]) * b
-        if lengths[j] > 0.0:
-            longer = np.sqrt(there[j, 0] ** 2 + there[j, 1] ** 2)
-            rise += lengths[j] * (longer - np.sqrt(z[j, 0] ** 2 + z[j, 1] ** 2))
+        for c in range(z.shape[1]):
+            slope = quad.q[j, c]
+            for k in range(len(z)):
+                slope += 0.5 * hessian[j, k] * (z[k, c] + there[k, c])
+            rise += (there[j, c] - z[j, c]) * slope
+        if quad.lengths[j] > 0.0:
+            rise += quad.lengths[j] * (length_of(there, j) - length_of(z, j))
     return rise
 
 
 @compiled
-def _pass_through(quad, curvatures, node, limits, room):
+def _raise(quad, node, room):
+    """Raise a node's bound to what the tangent at its point proves; return the cost there."""
+    z, best, key = node
+    cost, least = tangent_bound(quad, room.shapes, z, room.slope)
+    if least > key[0]:
+        key[0] = least
+        copy_to(best, z)
+    return cost
+
+
+@compiled
+def _pass_through(quad, node, limits, room):
     """Minimise through the interior of the hulls; return what becomes of the node."""
-    z, best, known = node
+    z, _, key = node
     cutoff, gap = limits
     inside = set_inside(room.shapes, z)
     multipliers = np.zeros((len(z), LIMITS))
     set_slope(quad.hessian, quad.q, z, room.slope)
-    cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
+    cost, least = tangent_bound(quad, room.shapes, z, room.slope)
     aim, share = (cost - least) / max(1, inside), 0.0
     set_multipliers(room.shapes, z, aim, multipliers)
     for _ in range(STEPS):
@@ -309,61 +333,52 @@ def _pass_through(quad, curvatures, node, limits, room):
             break
         share = move_inside(room.shapes, z, room.right, multipliers, aim)
         set_slope(quad.hessian, quad.q, z, room.slope)
-        cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
-        if least > known[KEY]:
-            known[KEY] = least
-            copy_to(best, z)
-        if known[KEY] >= cutoff:
+        cost = _raise(quad, node, room)
+        if key[0] >= cutoff:
             return PRUNED
-        if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
+        if cost - key[0] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
             _sweep(quad, z, room)
             return SOLVED
     return STALLED
 
 
 @compiled
-def relax(quad, curvatures, node, limits, room, work):
+def relax(quad, node, limits, room, work):
     """Minimise over the hulls, on from a point.
 
     Args:
         quad: the cost.
-        curvatures: zeros, shape (N,).
         node: where to begin, and where it ends, shape (N, 2); the point of its bound, shape (N, 2);
-            that bound, and what is known from slices before, shape (3,); all updated.
+            that bound, shape (1,); all updated.
         limits: the bound at which the node is of no use, and the relative gap that is enough.
         room: with the outlines of the sets.
-        work: multiplications to do, though no less than one round takes.
+        work: multiplications to do, though no less than a few rounds take.
 
     Returns:
         What becomes of the node, and the multiplications left.
     """
-    z, best, known = node
+    z, _, key = node
     cutoff, gap = limits
     count = len(z)
     set_slope(quad.hessian, quad.q, z, room.slope)
-    for _ in range(ROUNDS):
-        _sweep(quad, z, room)
-        for turn in range(2):
-            cost, least = tangent_bound(quad, room.shapes, curvatures, z, room.slope)
-            if least > known[KEY]:
-                known[KEY] = least
-                copy_to(best, z)
-            if known[KEY] >= cutoff:
-                return PRUNED, work
-            if cost - known[KEY] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
-                return SOLVED, work
-            if turn == 0:
-                _newton(quad, z, cost, room)
-        work -= 10.0 * count * count + count**3
-        known[TAKEN] += 1.0
-        if known[TAKEN] % PATIENCE == 0.0:  # as high as rounding lets it be, or nearly
-            if known[TAKEN] >= ROUNDS or known[KEY] - known[BEFORE] < 0.1 * (cost - known[KEY]):
-                status, spent = STALLED, STEPS * 2.0 * count**3
-                if spent <= LONGEST:
-                    status = _pass_through(quad, curvatures, node, limits, room)
-                    work -= spent
-                return status, work
-            known[BEFORE] = known[KEY]
-        if work <= 0.0:
+    cost, before = 0.0, -np.inf
+    while True:
+        for _ in range(PATIENCE):
+            _sweep(quad, z, room)
+            for turn in range(2):
+                cost = _raise(quad, node, room)
+                if key[0] >= cutoff:
+                    return PRUNED, work
+                if cost - key[0] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
+                    return SOLVED, work
+                if turn == 0:
+                    _newton(quad, z, cost, room)
+            work -= 10.0 * count * count + count**3
+        if not key[0] - before >= RISES * (cost - key[0]):  # as high as rounding lets it be, nearly
+            spent = STEPS * 2.0 * count**3
+            if spent > LONGEST:
+                return STALLED, work
+            return _pass_through(quad, node, limits, room), work - spent
+        if work <= 0.0 and before > -np.inf:
             return GOING, work
-    return STALLED, work
+        before = key[0]

@@ -6,7 +6,7 @@ max(slow, rho(a)) <= t <= fast, rho being the least speed of the floor along a. 
 a sector that is the disk. The set answers three questions, and the search needs no other:
 
 - ``prox``: where h |z|^2 / 2 + c . z + l |z| is least over its convex hull;
-- ``support``: the least of g . z + l |z| + b |z|^2 / 2 over the set itself;
+- ``support``: the least of g . z + l |z| over the set itself;
 - the face of the hull that such a point lies on, along which it may move.
 
 Mathematics: docs/mathematics.md, 4.3.
@@ -137,34 +137,22 @@ def is_within(shape, x, y):
 
 
 @compiled
-def least_along(slope, curvature, slow, fast):
-    """Return the least of slope t + curvature t^2 / 2 over speeds from slow to fast."""
-    if curvature > 0.0:
-        t = min(fast, max(slow, -slope / curvature))
-        return (slope + 0.5 * curvature * t) * t
-    return min((slope + 0.5 * curvature * slow) * slow, (slope + 0.5 * curvature * fast) * fast)
-
-
-@compiled
-def support(shape, curvature, length, gx, gy):
-    """Return the least of g . z + l |z| + b |z|^2 / 2 over the set.
+def support(shape, length, gx, gy):
+    """Return the least of g . z + l |z| over the set.
 
     Args:
         shape: its outline, shape (12,).
-        curvature: b; 0 over polygons.
         length: l >= 0; 0 over polygons.
         gx: of g.
         gy: of g.
     """
     inner, outer = shape[INNER], shape[OUTER]
     if is_within(shape, -gx, -gy):
-        return least_along(length - np.sqrt(gx * gx + gy * gy), curvature, inner, outer)
+        slope = length - np.sqrt(gx * gx + gy * gy)
+        return min(slope * inner, slope * outer)
     first = gx * shape[LX] + gy * shape[LY] + length
     last = gx * shape[UX] + gy * shape[UY] + length
-    return min(
-        least_along(first, curvature, shape[LEAST_L], outer),
-        least_along(last, curvature, shape[LEAST_U], outer),
-    )
+    return min(first * shape[LEAST_L], first * outer, last * shape[LEAST_U], last * outer)
 
 
 @compiled

@@ -43,14 +43,15 @@ from orbimpc_ros.mpc.kernels.best_first import (
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import adrift, length_weights
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, NOTHING, ProofTree
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, NOTHING, ProofTree
+from orbimpc_ros.mpc.search.engine import found_of, proof_of
+from orbimpc_ros.mpc.search.relax import cost_of
 from orbimpc_ros.mpc.search.ring import TURN, cut_near
 from orbimpc_ros.mpc.search.shells import (
     ACTIVE,
     ARRIVED,
     Descent,
     arrive,
-    cost_of,
     descend,
     land,
     misses,
@@ -315,19 +316,6 @@ def _search(posed, tolerance, tree, most, work):
     return status
 
 
-@entry_point
-def _number_leaves(tree):
-    """Number the leaves, gather their tangents at the front; return how many there are."""
-    count, made = 0, tree.made
-    for node in range(tree.counts[MADE]):
-        if tree.nodes[node, 0] == LEAF:
-            tree.nodes[node, 4] = count
-            made.point[count], made.kept[count] = made.point[node], made.kept[node]
-            made.pull[count] = made.pull[node]
-            count += 1
-    return count
-
-
 class RoundFloor:
     """Solves problems of rotation order 1 with a round floor and no limits but a terminal one.
 
@@ -355,7 +343,6 @@ class RoundFloor:
         posed = Posed(self._hessian, np.ones((steps, n)), self._lengths, *known)
         _begin(posed, tree, 0)
         _search(posed, 1.0, tree, 1, 0.0)
-        _number_leaves(tree)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -385,9 +372,9 @@ class RoundFloor:
         tree.starts[-1] = -(self._inverse @ posed.q)  # headings of any length
         _begin(posed, tree, 0 if guess is not None else 1)
         while _search(posed, tolerance, tree, self._most, SLICE) == PAUSED:
-            if request.late or request.enough.met(self._found(posed, tree)):
+            if request.late or request.enough.met(self._found(tree, posed)):
                 break
-        found = replace(self._found(posed, tree), proof=self._proof(tree))
+        found = replace(self._found(tree, posed), proof=self._proof(tree))
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
         # To set the general search up takes longer than those with a deadline can wait.
@@ -413,28 +400,14 @@ class RoundFloor:
         known = self._lengths, self._arrival, left, self._stiff, floor, constant
         return Posed(self._hessian, q, *known)
 
-    def _found(self, posed: Posed, tree: Tree) -> Found:
-        """Return the best of a search so far, with the bound that it has proved."""
-        value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
-        best = tree.best.copy() if value < np.inf else None
-        nodes, constant = int(tree.counts[NODES]), posed.constant
-        return Found(best, value + constant, bound - self._excess + constant, nodes)
+    def _found(self, tree: Tree, posed: Posed) -> Found:
+        return found_of(tree.best, tree.numbers, tree.counts, posed.constant, self._excess)
 
     def _proof(self, tree: Tree) -> ProofTree:
-        """Return the tree of a search as the proof of its bound; the search is over then."""
-        made, leaves, none = int(tree.counts[MADE]), _number_leaves(tree), np.zeros(0, np.int64)
-        point, kept, pull = tree.made.point, tree.made.kept, tree.made.pull
-        spare = 2.0 * self._excess / kept.shape[1]
-        return ProofTree(
-            tree.nodes[:made].copy(),
-            tree.at[:made].copy(),
-            point[:leaves].copy(),
-            kept[:leaves] - spare,
-            np.zeros(leaves, np.int64),
-            none,
-            np.zeros(0),
-            pull[:leaves, None].copy() if self._stiff else NOTHING,
-        )
+        made, spare = int(tree.counts[MADE]), 2.0 * self._excess / len(tree.best)
+        known = tree.nodes[:made], tree.at[:made], tree.made.point[:made]
+        pull = tree.made.pull[:made, None] if self._stiff else NOTHING
+        return proof_of(*known, tree.made.kept[:made] - spare, pull)
 
     def _by_branches(self, request: Request, found: Found) -> Found:
         """Return the better of what was found and where the general search leads."""

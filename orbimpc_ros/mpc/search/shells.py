@@ -18,8 +18,9 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
-from orbimpc_ros.mpc.kernels.linear import quadratic, solve_factored, solve_spd
+from orbimpc_ros.mpc.kernels.linear import solve_factored, solve_spd
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
+from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
 
 SWEEPS, STILL = 50, 1e-4  # of headings in turn; until none moves by more
 SWEEP = 10.0  # sweeps that a round takes, about
@@ -54,16 +55,6 @@ class Descent(NamedTuple):
 
 
 @compiled
-def cost_of(posed, z):
-    """Return the cost of headings, without the constant."""
-    value = quadratic(posed.hessian, posed.q, z)
-    for k in range(len(z)):
-        if posed.lengths[k] > 0.0:
-            value += posed.lengths[k] * _size(z, k)
-    return value
-
-
-@compiled
 def missed_by(posed, z, c):
     """Return by how much headings miss the arrival along an axis."""
     missed = -posed.left[c]
@@ -82,18 +73,10 @@ def misses(posed, z):
 
 
 @compiled
-def _size(z, k):
-    square = 0.0
-    for c in range(z.shape[1]):
-        square += z[k, c] * z[k, c]
-    return np.sqrt(square)
-
-
-@compiled
 def _put(posed, z):
     """Take headings to the shells."""
     for k in range(len(z)):
-        size = _size(z, k)
+        size = length_of(z, k)
         if size < TINY:
             z[k, :] = 0.0
             z[k, 0] = size = 1.0
@@ -165,19 +148,8 @@ def _sweep(posed, stiff, pull, z):
 
 @compiled
 def _rise(posed, stiff, pull, z, there):
-    """Return by how much headings cost more than z, with what an arrival comes to.
-
-    The difference of both costs would be lost in their rounding where they differ little.
-    """
-    rise, hessian = 0.0, posed.hessian
-    for j in range(len(z)):
-        for c in range(z.shape[1]):
-            slope = posed.q[j, c]
-            for k in range(len(z)):
-                slope += 0.5 * hessian[j, k] * (z[k, c] + there[k, c])
-            rise += (there[j, c] - z[j, c]) * slope
-        if posed.lengths[j] > 0.0:
-            rise += posed.lengths[j] * (_size(there, j) - _size(z, j))
+    """Return by how much headings cost more than z, with what an arrival comes to."""
+    rise = rise_of(posed, z, there)
     for c in range(z.shape[1] if stiff > 0.0 else 0):
         before, after = missed_by(posed, z, c), missed_by(posed, there, c)
         rise += (after - before) * (pull[c] + 0.5 * stiff * (after + before))
@@ -217,7 +189,7 @@ def _set_model(posed, stiff, pull, z, by, gradient, curved):
     """
     (count, n), slope = z.shape, np.empty(z.shape[1])
     for k in range(count):
-        size, a = _size(z, k), posed.arrival[k]
+        size, a = length_of(z, k), posed.arrival[k]
         for c in range(n):
             by[k, 0, c] = z[k, c] / size
             slope[c] = posed.q[k, c]
@@ -249,7 +221,7 @@ def _set_model(posed, stiff, pull, z, by, gradient, curved):
 def _move(posed, z, by, step, there):
     """Set headings moved by a step, the moduli kept within their bounds."""
     for k in range(len(z)):
-        n, size, square = z.shape[1], _size(z, k), 0.0
+        n, size, square = z.shape[1], length_of(z, k), 0.0
         for e in range(1, n):
             square += step[n * k + e] ** 2
         angle = np.sqrt(square)
@@ -320,7 +292,7 @@ def _newton_step(posed, descent, room):
     settled = SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE)
     scale, fall = 1e-300, 0.0
     for k in range(count):
-        y[n * k] = _size(z, k)
+        y[n * k] = length_of(z, k)
         scale = max(scale, posed.hessian[k, k])
     while numbers[DAMPING] <= STIFFEST:
         expected, square, tried = 0.0, np.inf, tried + 1

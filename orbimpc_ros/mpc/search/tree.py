@@ -32,15 +32,12 @@ from orbimpc_ros.mpc.kernels.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, SPEED
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, SPEED
 from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
 from orbimpc_ros.mpc.search.relax import (
-    BEFORE,
     GOING,
-    KEY,
     SOLVED,
     STALLED,
-    TAKEN,
     Quadratic,
     copy_to,
     cost_of,
@@ -66,13 +63,12 @@ from orbimpc_ros.mpc.search.ring import (
     prox,
 )
 
-STALLS, STARTS, PROMISES = range(3, 6)  # in Tree.counts
+PROMISES = 3  # in Tree.counts
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 MOST_ARCS = 5  # that all headings of a step are cut into
 NODE, STEP = 1500.0, 350.0  # what a node costs beside its relaxation, and each step of it
 NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
-UNSETTLED = 1e-3  # [rad], the widest sector that arithmetic could not settle and is not cut either
 ACCURATE = 0.02  # of the tolerance: the gap of a node's relaxation
 PULLS = (1.0, 30.0, 1000.0)  # on the last heading, in curvatures of the cost
 
@@ -84,7 +80,7 @@ class Tree(NamedTuple):
         sectors: low, high, slow, fast of each step, shape (M, N, 4).
         start: where a node's relaxation begins, or ended, shape (M, N, 2).
         point: whose tangent the node's bound is of, shape (M, N, 2).
-        known: of each, see the names of its entries in :mod:`relax`, shape (M, 3).
+        bounds: of each, shape (M, 1).
         nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
             are not numbered, shape (M, 5).
         at: the first angle [rad], or the speed, between a node's parts, shape (M,).
@@ -93,14 +89,14 @@ class Tree(NamedTuple):
         best: the best trajectory, shape (N, 2).
         speeds: of a trajectory being made, shape (N,).
         turns: shape (N,).
-        counts: see the names of its entries, shape (6,).
+        counts: see the names of its entries, shape (4,).
         numbers: shape (3,).
     """
 
     sectors: Array
     start: Array
     point: Array
-    known: Array
+    bounds: Array
     nodes: np.ndarray
     at: Array
     keys: Array
@@ -118,7 +114,7 @@ def tree_for(steps: int, nodes: int) -> Tree:
         np.empty((nodes, steps, SECTOR)),
         np.empty((nodes, steps, 2)),
         np.empty((nodes, steps, 2)),
-        np.empty((nodes, 3)),
+        np.empty((nodes, 1)),
         np.zeros((nodes, 5), np.int64),
         np.zeros(nodes),
         np.empty(nodes),
@@ -126,7 +122,7 @@ def tree_for(steps: int, nodes: int) -> Tree:
         np.zeros((steps, 2)),
         np.zeros(steps),
         np.zeros(steps),
-        np.zeros(6, np.int64),
+        np.zeros(4, np.int64),
         np.zeros(3),
     )
 
@@ -196,7 +192,7 @@ def _set_leaf(tree, node, key):
     """Set a node that is not split, and its bound."""
     for i in range(5):
         tree.nodes[node, i] = 0
-    tree.known[node, KEY], tree.known[node, TAKEN], tree.known[node, BEFORE] = key, 0.0, -np.inf
+    tree.bounds[node, 0] = key
 
 
 @compiled
@@ -300,20 +296,6 @@ def _branching(ring, inverse, z, sector):
 
 
 @compiled
-def _widest(ring, z, sector):
-    """Return a split of the widest sector, of what arithmetic could not settle; -1 for none."""
-    chosen, width = -1, UNSETTLED
-    for k in range(len(z) if ring.fraction > 0.0 else 0):
-        if sector[k, HIGH] - sector[k, LOW] > width:
-            chosen, width = k, sector[k, HIGH] - sector[k, LOW]
-    if chosen < 0:
-        return chosen, 0.0, 0
-    angle = np.arctan2(z[chosen, 1], z[chosen, 0])
-    cut, parts = _heading_parts(ring, angle, sector[chosen, LOW], sector[chosen, HIGH])
-    return chosen, cut, parts
-
-
-@compiled
 def _set_part(ring, sector, choice, cut, parts, i):
     """Set the sectors of a part, on from those of the whole; return whether anything is left."""
     count = len(sector)
@@ -353,7 +335,7 @@ def _moved(quad, shapes, changed, start, z):
 
 
 @compiled
-def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
+def _split(quad, ring, tree, node, choice, cut, parts, cutoff, room):
     """Make the parts of a node, each with the bound of its parent's point or of one moved."""
     counts = tree.counts
     kind = SPEED if choice >= len(quad.q) else ARCS if parts > 2 else CUT
@@ -369,9 +351,9 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
                 sector[k, e] = tree.sectors[node, k, e]
         copy_to(tree.start[made], tree.start[node])
         copy_to(tree.point[made], tree.point[node])
-        _set_leaf(tree, made, tree.known[node, KEY])
+        _set_leaf(tree, made, tree.bounds[node, 0])
         if not _set_part(ring, sector, choice, cut, parts, i):
-            tree.nodes[made, ROW], tree.known[made, KEY] = -1, np.inf  # nothing is left of it
+            tree.nodes[made, ROW], tree.bounds[made, 0] = -1, np.inf  # nothing is left of it
             continue
         for k in range(len(sector)):
             room.changed[k] = False
@@ -383,11 +365,11 @@ def _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room):
                 room.parts[k] = room.shapes[k]
         if _moved(quad, room.parts, room.changed, tree.start[made], room.trial):
             set_slope(quad.hessian, quad.q, room.trial, room.slope)
-            key = tangent_bound(quad, room.parts, flat, room.trial, room.slope)[1]
-            if key > tree.known[made, KEY]:
-                tree.known[made, KEY] = key
+            key = tangent_bound(quad, room.parts, room.trial, room.slope)[1]
+            if key > tree.bounds[made, 0]:
+                tree.bounds[made, 0] = key
                 copy_to(tree.point[made], room.trial)
-        leave_open(tree, made, tree.known[made, KEY], cutoff)
+        leave_open(tree, made, tree.bounds[made, 0], cutoff)
 
 
 @compiled
@@ -445,7 +427,6 @@ def improve(quad, ring, tree, room):
     curvature, sector = 0.0, np.empty((end + 1, SECTOR))
     for k in range(end + 1):
         curvature = max(curvature, hessian[k, k])
-    tree.counts[STARTS] += 1
     for attempt in range(len(PULLS)):
         legal = descend(pulled, ring, tree.speeds, tree.turns, z)
         angle, way = _way(ring, tree.turns)
@@ -515,7 +496,7 @@ def begin(quad, ring, tree, guess, room):
 
 
 @compiled
-def _choose(quad, ring, tree, node, status, room):
+def _choose(quad, ring, tree, node, room):
     """Use what a relaxation found; return what to split the node by, -1 for nothing more."""
     counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
     choice, cut, parts = _branching(ring, quad.inverse, z, sector)
@@ -524,14 +505,11 @@ def _choose(quad, ring, tree, node, status, room):
     elif ring.fraction > 0.0:
         share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # ever less often
         counts[PROMISES] = is_promising(quad, ring, tree, z, sector, share, room)
-    if choice < 0 and status == STALLED:
-        counts[STALLS] += 1
-        choice, cut, parts = _widest(ring, z, sector)
     return choice, cut, parts
 
 
 @compiled
-def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
+def _solve_node(quad, ring, tree, node, tolerance, room, work):
     """Relax a node, use what it found, and split it; return the multiplications left."""
     counts, numbers = tree.counts, tree.numbers
     first, ways = _aim(ring, tree.sectors[node])
@@ -540,22 +518,22 @@ def _solve_node(quad, ring, flat, tree, node, tolerance, room, work):
         outline(ring, tree.sectors[node, k], room.shapes[k])
     if ways == 1:
         limits = cutoff_of(numbers[VALUE], quad.constant, tolerance), ACCURATE * tolerance
-        relaxed = tree.start[node], tree.point[node], tree.known[node]
-        status, work = relax(quad, flat, relaxed, limits, room, work)
+        relaxed = tree.start[node], tree.point[node], tree.bounds[node]
+        status, work = relax(quad, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
-            choice, cut, parts = _choose(quad, ring, tree, node, status, room)
+            choice, cut, parts = _choose(quad, ring, tree, node, room)
     if status == GOING:
         if ring.fraction == 0.0:
             _take(quad, tree, tree.start[node])
-        leave_open(tree, node, tree.known[node, KEY], np.inf)
+        leave_open(tree, node, tree.bounds[node, 0], np.inf)
         return work
     counts[NODES] += 1
     if choice < 0:
-        close(tree, tree.known[node, KEY])
+        close(tree, tree.bounds[node, 0])
         return work
     cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
-    _split(quad, ring, flat, tree, node, choice, cut, parts, cutoff, room)
+    _split(quad, ring, tree, node, choice, cut, parts, cutoff, room)
     return work
 
 
@@ -575,7 +553,7 @@ def search(quad, ring, tolerance, tree, room, work):
         ``DONE``; ``FULL``, where there is no room for nodes; ``PAUSED``, where the work is done, or
         where the next call begins with a descent.
     """
-    counts, numbers, flat, status = tree.counts, tree.numbers, np.zeros(len(quad.q)), PAUSED
+    counts, numbers, status = tree.counts, tree.numbers, PAUSED
     if counts[PROMISES] > 0:
         improve(quad, ring, tree, room)
     counts[PROMISES] = 0
@@ -586,19 +564,7 @@ def search(quad, ring, tolerance, tree, room, work):
         elif counts[MADE] + max(MOST_ARCS, ring.faces) > len(tree.sectors):
             status = FULL
         else:
-            work = _solve_node(quad, ring, flat, tree, take(tree), tolerance, room, work)
-            work -= NODE + STEP * len(flat)
+            work = _solve_node(quad, ring, tree, take(tree), tolerance, room, work)
+            work -= NODE + STEP * len(quad.q)
     numbers[LEAST] = min(least_left(tree), numbers[VALUE])
     return status
-
-
-@entry_point
-def number_leaves(tree):
-    """Number the leaves, and gather their points at the front; return how many there are."""
-    count = 0
-    for node in range(tree.counts[MADE]):
-        if tree.nodes[node, KIND] == LEAF and tree.nodes[node, ROW] >= 0:
-            tree.nodes[node, ROW] = count
-            copy_to(tree.point[count], tree.point[node])
-            count += 1
-    return count
