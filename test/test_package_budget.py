@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 34_329,
-    'orbimpc_ros/mpc': 17_814,
+    'orbimpc_ros': 34_126,
+    'orbimpc_ros/mpc': 17_611,
     'orbimpc_ros/loop': 3_912,
     'orbimpc_ros/ros': 4_792,
     'orbimpc_ros/sim': 2_812,
