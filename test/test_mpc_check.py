@@ -16,15 +16,13 @@ from plans import (
     steered,
     straight,
 )
-from problems import ORDERS, case, floor, needs_machine_code, rotation, state
+from problems import ORDERS, floor, rotation, state
 from problems import goals as goals_of
 
-from orbimpc_ros.mpc import check
 from orbimpc_ros.mpc.check import margins, violations
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, matrix
 from orbimpc_ros.mpc.plan import UNPROVED, Plan
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
-from orbimpc_ros.mpc.solve.solver import Solver
 
 # As documented, not as imported: a check that allows more must not have its tests follow it.
 TOLERANCE, ORTHOGONAL, SUMMING, ROUNDING = 1e-6, 1e-9, 1e-9, 1e-15
@@ -387,13 +385,3 @@ def test_an_overflow_of_the_cost_excuses_nothing():
     with np.errstate(over='ignore'):
         found = only_complaint(endless, solved(Problem()))
     assert found.startswith('the objective is inf, not ')
-
-
-@needs_machine_code
-@pytest.mark.parametrize('family', ['hull', 'hull, inertia', 'space, attitude', 'space, coasting'])
-def test_a_check_in_a_tick_takes_no_other_machine_code_than_was_loaded_before(family):
-    problem, state, goals = case(family)
-    solver = Solver(problem)
-    loaded = list(check._strayed.signatures)
-    solver.solve(state, goals)
-    assert check._strayed.signatures == loaded != []

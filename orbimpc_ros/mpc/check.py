@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, margin
-from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import leaning, relief, strayed
@@ -53,214 +53,55 @@ def holds(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
     return next(_flaws(problem, state, goals, plan), None) is None
 
 
-def prepare() -> None:
-    """Compile, or load, what a check takes: at start-up, not in a tick."""
-    _strayed(np.zeros(64), np.zeros(12), False, True, 2, 1, 1, 1)
-
-
 def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
     """Yield why a plan must not be published, what takes long to find out last."""
-    strays = _strays(problem, state, plan)
-    if not (strays.finite and math.isfinite(plan.objective)):
+    parts = plan.rotations, plan.projected, plan.inputs, plan.positions, plan.velocities
+    numbers = np.concatenate([each.ravel() for each in parts])
+    if not (math.isfinite(plan.objective) and np.isfinite(numbers).all()):
         yield 'plan is not finite'
         return
-    yield from _dynamics_violations(problem, state, plan, strays)
+    yield from _dynamics_violations(problem, state, plan)
     yield from _terminal_violations(problem, goals, plan)
     yield from _proof_violations(problem, state, goals, plan)
-    yield from _rotation_violations(problem, state, plan, strays)
+    yield from _rotation_violations(problem, state, plan)
     yield from _limit_violations(problem, state, goals, plan)
-
-
-class _Strays(NamedTuple):
-    """How far a plan is from what it has to be.
-
-    Attributes:
-        finite: whether all of its numbers are.
-        rotations: by how much they differ from a rollout of the inputs.
-        positions: [m].
-        velocities: [m/s].
-        skewed: by how much Q_k'Q_k differ from the identity.
-        mirrored: -det Q_k, where that is greatest.
-        projected: by how much rotations differ from the projections that they claim to be.
-    """
-
-    finite: bool
-    rotations: float
-    positions: float
-    velocities: float
-    skewed: float
-    mirrored: float
-    projected: float
-
-
-def _strays(problem: Problem, state: State, plan: Plan) -> _Strays:
-    """Return how far a plan is from a rollout of its inputs, and its rotations from rotations."""
-    first_rate, known = state.rotation_rate, 1
-    if problem.rotation_order == 2 and state.coasted is not None:
-        first_rate, known = (plan.rotations[1] - state.rotation) / problem.step, 2
-    planned = plan.rotations, plan.projected, plan.inputs, plan.positions, plan.velocities
-    start = state.rotation, first_rate, state.position, state.velocity, state.disturbance
-    numbers = np.concatenate([each.ravel() for each in planned + start])
-    once = step_of(problem.translation, problem.step, problem.forward)
-    moved = *once.transition[0], *once.transition[-1], *once.push, *once.follow, *once.blow
-    moves = np.array([problem.step, problem.forward, *moved])
-    aligned = problem.dimension == 2 or plan.projection == 'thrust_aligned'
-    sizes = problem.dimension, len(plan.inputs), problem.rotation_order, known
-    found = _Strays(*_strayed(numbers, moves, problem.inertial, aligned, *sizes))
-    if aligned or not found.finite:
-        return found
-    return found._replace(projected=max(found.projected, _improvable(plan, known)))
-
-
-@compiled
-def _worse(worst, error):
-    """Return the greater of two errors; infinity where one is not a number."""
-    return error if error > worst else worst if error <= worst else np.inf
-
-
-@entry_point
-def _strayed(numbers, moves, inertial, aligned, n, count, order, known):
-    """Return what :class:`_Strays` has.
-
-    Args:
-        numbers: R_k, Q_k, k = 0..N, u_0..u_{N-1}, s_k, p_k; R_0, W_0, s_0, p_0 and w, one after
-            another.
-        moves: h, z, and the first and the last row of A, b, c and e of the model, one after
-            another.
-        inertial: whether the velocity is part of the state.
-        aligned: whether projected rotations have thrust axes along R_k e1.
-        n: dimension.
-        count: N.
-        order: of rotation.
-        known: how many rotations are not projections.
-    """
-    square, line = (count + 1) * n * n, (count + 1) * n
-    rotations = numbers[:square].reshape(count + 1, n, n)
-    projected = numbers[square : 2 * square].reshape(count + 1, n, n)
-    inputs = numbers[2 * square : 3 * square - n * n].reshape(count, n, n)
-    at = 3 * square - n * n
-    positions = numbers[at : at + line].reshape(count + 1, n)
-    velocities = numbers[at + line : at + 2 * line].reshape(count + 1, n)
-    start = numbers[at + 2 * line :]
-    finite = np.isfinite(numbers).all()
-    turned, moved, sped = _rolled_off(
-        rotations, inputs, positions, velocities, start, moves, inertial, order
-    )
-    skewed, mirrored, stray = 0.0, -np.inf, 0.0
-    for k in range(count + 1):
-        q = projected[k]
-        for i in range(n):
-            for j in range(i + 1):
-                inner = -1.0 if i == j else 0.0
-                for c in range(n):
-                    inner += q[c, i] * q[c, j]
-                skewed = _worse(skewed, abs(inner))
-        mirrored = _worse(mirrored, -_determinant(q))
-        if k >= known:
-            stray = _worse(stray, _off_projection(rotations[k], q, projected[k - 1], aligned))
-    return finite, turned, moved, sped, skewed, mirrored, stray
-
-
-@compiled
-def _rolled_off(rotations, inputs, positions, velocities, start, moves, inertial, order):
-    """Return by how much rotations, positions and velocities differ from a rollout of inputs."""
-    n, step, forward = positions.shape[1], moves[0], moves[1]
-    m = 2 if inertial else 1
-    rolled, rate = start[: n * n].copy(), start[n * n : 2 * n * n].copy()
-    rest = start[2 * n * n :]
-    s, p, w = rest[:n].copy(), rest[n : 2 * n].copy(), rest[2 * n :]
-    a, push, follow, blow = moves[2:], moves[2 + 2 * m :], moves[2 + 3 * m :], moves[2 + 4 * m :]
-    turned, moved, sped = 0.0, 0.0, 0.0
-    for k in range(len(positions)):
-        for i in range(n):
-            before = rolled[i * n]
-            for j in range(n):
-                c = i * n + j
-                if k > 0:
-                    rolled[c] += step * (inputs[k - 1, i, j] if order == 1 else rate[c])
-                    rate[c] += step * inputs[k - 1, i, j]
-                turned = _worse(turned, abs(rolled[c] - rotations[k, i, j]))
-            after = rolled[i * n]
-            if k > 0:
-                s[i] += push[0] * before + follow[0] * after + blow[0] * w[i]
-            if k > 0 and inertial:
-                s[i] += a[1] * p[i]
-                p[i] = a[3] * p[i] + push[1] * before + follow[1] * after + blow[1] * w[i]
-            elif not inertial:
-                p[i] = forward * after + w[i]
-            moved = _worse(moved, abs(s[i] - positions[k, i]))
-            sped = _worse(sped, abs(p[i] - velocities[k, i]))
-    return turned, moved, sped
-
-
-@compiled
-def _determinant(q):
-    """Return the determinant of a matrix, shape (n, n)."""
-    if len(q) == 2:
-        return q[0, 0] * q[1, 1] - q[0, 1] * q[1, 0]
-    first = q[0, 0] * (q[1, 1] * q[2, 2] - q[1, 2] * q[2, 1])
-    second = q[0, 1] * (q[1, 0] * q[2, 2] - q[1, 2] * q[2, 0])
-    return first - second + q[0, 2] * (q[1, 0] * q[2, 1] - q[1, 1] * q[2, 0])
-
-
-@compiled
-def _off_projection(r, q, before, aligned):
-    """Return how far a rotation Q is from the projection of R that it claims to be.
-
-    Where R e1 vanishes, Q is the rotation before it. Else a thrust-aligned Q has its first axis on
-    R e1, and M = Q'R is what no roll about it improves: M_23 = M_32, and M_22 + M_33 >= 0. For
-    n = 2 the nearest Q is thrust-aligned.
-    """
-    n, size, stray = len(q), 0.0, 0.0
-    for i in range(n):
-        size += r[i, 0] * r[i, 0]
-    size = np.sqrt(size)
-    if size < HEADING_UNDEFINED:
-        for i in range(n):
-            for j in range(n):
-                stray = _worse(stray, abs(q[i, j] - before[i, j]))
-        return stray
-    for i in range(n if aligned else 0):
-        stray = _worse(stray, abs(r[i, 0] - size * q[i, 0]))
-    if n == 2 or not aligned:
-        return stray
-    twist, gain = 0.0, 0.0
-    for c in range(n):
-        twist += q[c, 1] * r[c, 2] - q[c, 2] * r[c, 1]
-        gain += q[c, 1] * r[c, 1] + q[c, 2] * r[c, 2]
-    return _worse(_worse(stray, abs(twist)), -gain)
-
-
-def _improvable(plan: Plan, known: int) -> float:
-    """Return by how much rotations Q_k, k >= known, miss to be the nearest ones in space.
-
-    The nearest Q makes M = Q'R symmetric, with no two eigenvalues that add up to less than 0 (the
-    optimality conditions of Wahba's problem).
-    """
-    r, q = plan.rotations[known:], plan.projected[known:]
-    free = _sizes(r[:, :, 0]) >= HEADING_UNDEFINED
-    m = np.swapaxes(q[free], -1, -2) @ r[free]
-    transposed = np.swapaxes(m, -1, -2)
-    pairs = np.linalg.eigvalsh(0.5 * (m + transposed))[:, :2].sum(axis=1)
-    return max(float(np.abs(m - transposed).max(initial=0.0)), float(-pairs.min(initial=np.inf)))
 
 
 # --- dynamics
 
 
-def _dynamics_violations(
-    problem: Problem, state: State, plan: Plan, strays: _Strays
-) -> Iterator[str]:
+def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> Iterator[str]:
     if problem.rotation_order == 2 and state.coasted is not None:
         yield from _coasting_violations(problem, state.coasted, plan)
     length = _length_tolerance(problem, state)
-    for name, error, allowed in (
-        ('rotations', strays.rotations, TOLERANCE),
-        ('positions', strays.positions, length),
-        ('velocities', strays.velocities, length / problem.step),
+    tolerances = {
+        'rotations': TOLERANCE, 'positions': length, 'velocities': length / problem.step
+    }  # fmt: skip
+    for (name, allowed), rolled in zip(
+        tolerances.items(), _rolled_out(problem, state, plan), strict=True
     ):
-        if error > allowed:
+        error = np.abs(rolled - getattr(plan, name)).max()
+        if not error <= allowed:  # nor is what overflows
             yield f'{name} differ by {error:.2g} from a rollout of the inputs'
+
+
+def _rolled_out(problem: Problem, state: State, plan: Plan) -> tuple[Array, Array, Array]:
+    """Return R_0..R_N, s_0..s_N and p_0..p_N that the inputs of a plan lead to."""
+    rates = plan.inputs
+    if problem.rotation_order == 2:
+        first = state.rotation_rate
+        if state.coasted is not None:
+            first = (plan.rotations[1] - state.rotation) / problem.step
+        rates = np.concatenate([first[None], problem.step * plan.inputs[:-1]]).cumsum(axis=0)
+    rotations = np.concatenate([state.rotation[None], problem.step * rates]).cumsum(axis=0)
+    headings = rotations[:, :, 0]
+    transition, *moves = step_of(problem.translation, problem.step, problem.forward)
+    push, follow, blow = (each[:, None] for each in moves)
+    pushed = push * headings[:-1, None] + follow * headings[1:, None] + blow * state.disturbance
+    start = np.array([state.position, state.velocity][: len(push)])
+    rolled = np.array([*accumulate(pushed, lambda y, more: transition @ y + more, initial=start)])
+    velocities = problem.forward * headings + state.disturbance
+    return rotations, rolled[:, 0], rolled[:, 1] if problem.inertial else velocities
 
 
 def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterator[str]:
@@ -461,22 +302,46 @@ def _flown(problem: Problem, plan: Plan) -> float:
 # --- rotations and command
 
 
-def _rotation_violations(
-    problem: Problem, state: State, plan: Plan, strays: _Strays
-) -> Iterator[str]:
-    if strays.skewed > ORTHOGONAL:
+def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator[str]:
+    turned = plan.projected
+    skewed = np.swapaxes(turned, 1, 2) @ turned - np.eye(problem.dimension)
+    if np.abs(skewed).max() > ORTHOGONAL:
         yield 'a projected rotation is not orthogonal'
         return
-    if strays.mirrored > 0.0:
+    if np.linalg.det(turned).min() < 0.0:
         yield 'a projected rotation has not determinant +1'
         return
-    if np.abs(plan.projected[0] - state.attitude).max() > ORTHOGONAL:
+    if np.abs(turned[0] - state.attitude).max() > ORTHOGONAL:
         yield 'the first rotation is not the measured attitude'
     coasted = state.coasted if problem.rotation_order == 2 else None
-    if coasted is not None and np.abs(plan.projected[1] - coasted).max() > ORTHOGONAL:
+    if coasted is not None and np.abs(turned[1] - coasted).max() > ORTHOGONAL:
         yield 'the second rotation is not where the body rate carries the first'
-    if strays.projected > TOLERANCE:
-        yield f'a projected rotation strays {strays.projected:.2g} from its projection'
+    stray = _off_projection(plan, 1 if coasted is None else 2)
+    if stray > TOLERANCE:
+        yield f'a projected rotation strays {stray:.2g} from its projection'
+
+
+def _off_projection(plan: Plan, known: int) -> float:
+    """Return how far Q_k, k >= known, are from the projections of R_k that they claim to be.
+
+    Where R e1 vanishes, Q is the rotation before it. Else a thrust-aligned Q has its first axis on
+    R e1, and M = Q'R is what no roll about it improves: M_23 = M_32, and M_22 + M_33 >= 0. The
+    nearest Q makes M symmetric, with no two eigenvalues that add up to less than 0 (the optimality
+    conditions of Wahba's problem); in the plane it is thrust-aligned.
+    """
+    r, q, before = plan.rotations[known:], plan.projected[known:], plan.projected[known - 1 : -1]
+    sizes, plane = _sizes(r[:, :, 0]), r.shape[-1] == 2
+    free = sizes >= HEADING_UNDEFINED
+    strays = [np.abs(q - before)[~free]]
+    if plane or plan.projection == 'thrust_aligned':
+        strays.append(np.abs(r[:, :, 0] - sizes[:, None] * q[:, :, 0])[free])
+    if not plane:
+        m = np.swapaxes(q[free], 1, 2) @ r[free]
+        m = m[:, 1:, 1:] if plan.projection == 'thrust_aligned' else m
+        transposed = np.swapaxes(m, 1, 2)
+        pairs = np.linalg.eigvalsh(0.5 * (m + transposed))[:, :2].sum(axis=1)
+        strays += [np.abs(m - transposed), -pairs]
+    return max(float(each.max(initial=0.0)) for each in strays)
 
 
 def _sizes(vectors: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import holds, prepare, violations
+from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
@@ -96,7 +96,6 @@ class Solver:
         self.takes_guess = self._method.takes_guess
         self._among: Method | None = None  # the method for states with hazards, built when needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
-        prepare()
 
     def solve(
         self,
