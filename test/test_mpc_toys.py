@@ -1,20 +1,18 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A floor and a model of one file each, unknown to the package: all of it respects them."""
+"""A floor and a model that the package does not have: all of it respects them."""
 
 import numpy as np
 import pytest
 from oracles import enumerated
 from problems import CASES
 from scipy.optimize import minimize
-from toy_floor import Eastward
-from toy_model import DRAG, KEPT, Drag
 
 from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.mpc.check import flaw, violations
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS, Translation
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
@@ -23,14 +21,15 @@ from orbimpc_ros.mpc.proof.document import Unproved, certificate_of
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
+DRAG, KEPT = 3, 0.8  # its translation_order, and what is left of the velocity after a step
 BEHIND = np.tile([-3.0, 1.0], (5, 1))
 
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
     """Register both for the test alone: what is allowed elsewhere depends on what is registered."""
-    monkeypatch.setitem(SHAPES, 'eastward', Eastward())
-    monkeypatch.setitem(TRANSLATIONS, DRAG, Drag())
+    monkeypatch.setitem(SHAPES, 'eastward', lambda n, _: np.eye(n)[:1])
+    monkeypatch.setitem(TRANSLATIONS, DRAG, Translation((0, 1), (0, 0), kept=KEPT))
 
 
 def east(fraction=0.5):
@@ -98,7 +97,7 @@ def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
 
 
 def flown(problem, start, headings):
-    """Return positions and velocities, step by step as the toy's docstring says."""
+    """Return positions and velocities, step by step: s_{k+1} = s_k + h p_k, p_{k+1} = 0.8 p_k + h z R_k e1."""
     places, velocities = [start.position], [start.velocity]
     for heading in headings[:-1]:
         places.append(places[-1] + problem.step * velocities[-1])

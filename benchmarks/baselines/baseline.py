@@ -118,7 +118,7 @@ class Baseline(ABC):
         return self.problem.max_rate or math.pi / self.problem.step
 
     def _limited(self, state: State, fraction: float, rate: float) -> Command:
-        least = self.problem.floor.clearance(2)
+        least = self.problem.least_speed
         turn = np.array([min(max(rate, -self.fastest), self.fastest)])
         rotation = state.attitude @ exp(self.problem.step * turn)
         return Command(min(max(fraction, least), 1.0), turn, rotation)

@@ -48,7 +48,7 @@ class _Guided(Baseline):
         problem = self.problem
         times = problem.step * self.tuned['look'] * np.arange(1, POINTS + 1) / POINTS
         aside = math.pi * (2.0 * np.arange(COURSES) / COURSES - 1.0)
-        shares = np.maximum(np.array(SLOWER) * fraction, problem.floor.clearance(2))
+        shares = np.maximum(np.array(SLOWER) * fraction, problem.least_speed)
         each, speeds = (grid.ravel() for grid in np.meshgrid(aside, shares))
         flown = self._flown(sight, heading + each, speeds, times)
         deepest = depths(sight.state.hazards, flown, times).max(axis=1)

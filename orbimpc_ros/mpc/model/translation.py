@@ -1,22 +1,21 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Translation models: what thrust along R e1 does to position and velocity, as maps.
 
-A model is one class, registered under the value of ``translation_order`` that selects it. Along
+A model is a few numbers, registered under the value of ``translation_order`` that selects it. Along
 every axis of the world it says
 
     y_{k+1} = A y_k + b (R_k e1) + c (R_{k+1} e1) + e w,   y = (s) or (s, p),
 
-with A upper triangular and A_11 = 1: where a vehicle is has no influence on how it moves. w is the
-disturbance, the same at every step: a wind, or an acceleration. Rollouts, maps, the convex
-programs, the check and natural units follow from A, b, c and e. Proofs have them in fractions, too:
-the models here state no number that a double rounds.
+with A = (1) or (1, h; 0, kept): where a vehicle is has no influence on how it moves. w is the
+disturbance, the same at every step: a wind, or an acceleration, which acts as a steady thrust
+would. Rollouts, maps, the convex programs, the check and natural units follow from A, b, c and e.
+Proofs have them in fractions, too: the models here state no number that a double rounds.
 
 Mathematics: docs/mathematics.md, 1.1.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -25,112 +24,36 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 
 
-class Translation(ABC):
+class Translation(NamedTuple):
     """How a vehicle is pushed along R e1.
 
+    With a velocity in y it is inertial, and R e1 a thrust: y = (s, p), which full thrust z for all
+    of a step changes by the order of (h^2 z, h z). Otherwise y = (s), which full speed z changes by
+    (h z), and the velocity is z R e1.
+
     Attributes:
-        inertial: whether the velocity p is part of the state, y = (s, p), and R e1 a thrust.
-            Otherwise y = (s), and the velocity is z R e1.
+        push: what that is divided by to make b, for each entry of y; 0 where b is zero.
+        follow: the same for c, which is zero unless the turn within a step is felt in it.
         degree: of the motion of s within a step, as a polynomial of time.
+        kept: share of the velocity that is left after a step.
     """
 
-    inertial: bool
+    push: tuple[int, ...]
+    follow: tuple[int, ...]
     degree: int = 1
+    kept: float = 1.0
 
-    @abstractmethod
-    def transition(self, step: float) -> Array:
-        """Return A for steps of h [s], shape (m, m).
-
-        In other units of length and time it must describe the same motion: entry (1, 2) is a time,
-        the diagonal has no unit.
-        """
-
-    @abstractmethod
-    def push(self, step: float, forward: float) -> Array:
-        """Return b for full speed or thrust z, shape (m,) [m], [m/s]."""
-
-    def follow(self, step: float, forward: float) -> Array:
-        """Return c, shape (m,) [m], [m/s]; zero unless the turn within a step is felt in it."""
-        return np.zeros(len(self.push(step, forward)))
-
-    def blow(self, step: float) -> Array:
-        """Return e, shape (m,) [s], or [s^2], [s]; by default w acts as a steady thrust would."""
-        return self.push(step, 1) + self.follow(step, 1)
+    @property
+    def inertial(self) -> bool:
+        """Return whether the velocity p is part of the state."""
+        return len(self.push) == 2
 
 
-class FirstOrder(Translation):
-    """Order 1: s_{k+1} = s_k + h (z R_k e1 + w)."""
-
-    inertial = False
-
-    def transition(self, step: float) -> Array:
-        """Return (1)."""
-        return np.eye(1)
-
-    def push(self, step: float, forward: float) -> Array:
-        """Return (h z)."""
-        return np.array([step * forward])
-
-
-class SecondOrder(Translation):
-    """Order 2: p_{k+1} = p_k + h (z R_k e1 + w) and s_{k+1} = s_k + h p_k."""
-
-    inertial = True
-
-    def transition(self, step: float) -> Array:
-        """Return (1, h; 0, 1)."""
-        return np.array([[1.0, step], [0.0, 1.0]])
-
-    def push(self, step: float, forward: float) -> Array:
-        """Return (0, h z)."""
-        return np.array([0.0, step * forward])
-
-
-class FirstOrderExact(FirstOrder):
-    """Order 1, R e1 on the chord from R_k e1 to R_{k+1} e1 during the step."""
-
-    degree = 2
-
-    def push(self, step: float, forward: float) -> Array:
-        """Return (h z / 2)."""
-        return np.array([step * forward / 2])
-
-    def follow(self, step: float, forward: float) -> Array:
-        """Return (h z / 2)."""
-        return np.array([step * forward / 2])
-
-
-class SecondOrderExact(SecondOrder):
-    """Order 2, R e1 on the chord from R_k e1 to R_{k+1} e1 during the step."""
-
-    degree = 3
-
-    def push(self, step: float, forward: float) -> Array:
-        """Return (h^2 z / 3, h z / 2)."""
-        return np.array([step * step * forward / 3, step * forward / 2])
-
-    def follow(self, step: float, forward: float) -> Array:
-        """Return (h^2 z / 6, h z / 2)."""
-        return np.array([step * step * forward / 6, step * forward / 2])
-
-
-class SecondOrderHeld(SecondOrder):
-    """Order 2, R_{k+1} e1 attained as the step begins, and held: s moves along a parabola."""
-
-    degree = 2
-
-    def push(self, step: float, forward: float) -> Array:
-        """Return (0, 0): what the vehicle has been commanded before is over."""
-        return np.zeros(2)
-
-    def follow(self, step: float, forward: float) -> Array:
-        """Return (h^2 z / 2, h z)."""
-        return np.array([step * step * forward / 2, step * forward])
-
-
-TRANSLATIONS: dict[int, Translation] = {1: FirstOrder(), 2: SecondOrder()}
-EXACT: dict[int, Translation] = {1: FirstOrderExact(), 2: SecondOrderExact()}
-HELD: dict[int, Translation] = {2: SecondOrderHeld()}
+# Explicit Euler; R e1 on the chord from R_k e1 to R_{k+1} e1 during the step; R_{k+1} e1 attained
+# as the step begins, and held: s then moves along a parabola.
+TRANSLATIONS = {1: Translation((1,), (0,)), 2: Translation((0, 1), (0, 0))}
+EXACT = {1: Translation((2,), (2,), degree=2), 2: Translation((3, 2), (6, 2), degree=3)}
+HELD = {2: Translation((0, 0), (2, 1), degree=2)}
 DISCRETISATIONS = {'euler': TRANSLATIONS, 'exact': EXACT, 'held': HELD}
 
 
@@ -153,13 +76,16 @@ class Step(NamedTuple):
 @lru_cache(maxsize=256, typed=True)  # in fractions and in floats
 def step_of(model: Translation, step: float, forward: float) -> Step:
     """Return a step of a model; made once."""
-    made = (
-        model.transition(step),
-        model.push(step, forward),
-        model.follow(step, forward),
-        model.blow(step),
-    )
-    return Step(*map(sealed, made))
+
+    def moved(divisors: tuple[int, ...], full: float) -> Array:
+        sizes = (step * step * full, step * full)[-len(divisors) :]
+        pairs = zip(sizes, divisors, strict=True)
+        return np.array([size / by if by else 0.0 for size, by in pairs])
+
+    transition = np.array([[1.0, step], [0.0, model.kept]]) if model.inertial else np.eye(1)
+    push, follow = moved(model.push, forward), moved(model.follow, forward)
+    blow = moved(model.push, 1) + moved(model.follow, 1)
+    return Step(*map(sealed, (transition, push, follow, blow)))
 
 
 class Maps:

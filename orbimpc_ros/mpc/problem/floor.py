@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Floors: the least speed of a vehicle, as the set of thrust axes R e1 that it may fly.
 
-A shape of floor is one class, in one file, registered under the word that selects it. It covers
-the axes that it allows by half-spaces; methods, the check, safe commands, parameters and pictures
+A shape of floor is the normals of the half-spaces whose union is allowed, registered under the word
+that selects it; a round one has none. Methods, the check, safe commands, parameters and pictures
 know a floor by nothing else. Methods that are faster for some shapes say so themselves.
 
 Mathematics: docs/mathematics.md, 3.3 and 3.4.
@@ -11,7 +11,7 @@ Mathematics: docs/mathematics.md, 3.3 and 3.4.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -24,6 +24,14 @@ from orbimpc_ros.mpc.geometry.faces import Cell, Lines, edges, normals, sphere
 SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_FACES = 64
 
+# Of a dimension and a number of faces: unit normals of half-spaces, shape (m, n).
+SHAPES: dict[str, Callable[[int, int], Array] | None] = {
+    'none': None,
+    'polygon': normals,
+    'circle': None,
+}
+PARAMETERS = {'none': (), 'polygon': ('faces', 'fraction')}  # of other shapes the fraction alone
+
 
 @dataclass(frozen=True)
 class Floor:
@@ -31,8 +39,8 @@ class Floor:
 
     Attributes:
         shape: ``none``; ``polygon``, the paper's: v beyond one of the faces of a regular polygon
-            (n = 2) or solid (n = 3); ``circle``, the true floor |v| >= fraction; or the word of
-            another registered :class:`Shape`.
+            (n = 2) or solid (n = 3); ``circle``, the true floor |v| >= fraction; or another word
+            registered in ``SHAPES``: normal . v >= fraction for one of its normals.
         faces: of the polygon, >= 3, or of the solid, 6, 12 or 20.
         fraction: of full speed, in (0, 1]. The paper's det R > 0.3 is sqrt(0.3) for n = 2.
     """
@@ -48,16 +56,19 @@ class Floor:
         number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
 
     def validate(self, dimension: int) -> None:
-        """Refuse what vehicles of a dimension cannot have.
+        """Refuse solids that do not exist, and faces that leave gaps.
 
         Raises:
             BadInput: naming the parameter at fault.
         """
-        SHAPES[self.shape].validate(self, dimension)
-
-    def clearance(self, dimension: int) -> float:
-        """Return what every allowed |v| is at least, in [0, 1]; 0 without a floor."""
-        return SHAPES[self.shape].clearance(self, dimension)
+        if self.shape != 'polygon':
+            return
+        if dimension == 3 and self.faces not in SOLID_FACES:
+            raise BadInput('floor.faces', self.faces, '6, 12 or 20 when dimension is 3')
+        limit = largest_fraction(dimension, self.faces)
+        if self.fraction > limit:
+            allowed = f'at most {limit:.6g} with floor.faces {self.faces}'
+            raise BadInput('floor.fraction', self.fraction, allowed)
 
     @cached_property
     def exists(self) -> bool:
@@ -67,198 +78,69 @@ class Floor:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Return the names of the fields that the shape has a use for."""
-        return SHAPES[self.shape].parameters
+        return PARAMETERS.get(self.shape, ('fraction',))
 
     @property
     def radius(self) -> float:
         """Return the radius of a round floor; 0 for one whose cells are flat, and without one."""
-        return SHAPES[self.shape].radius(self)
+        return self.fraction if self.shape == 'circle' else 0.0
 
     def cells(self, dimension: int) -> tuple[Cell, ...]:
         """Return the half-spaces whose union is all that is allowed; none of a round floor."""
-        return SHAPES[self.shape].cells(self, dimension)
+        made = SHAPES[self.shape]
+        return (
+            tuple(Cell(each, self.fraction) for each in made(dimension, self.faces)) if made else ()
+        )
 
     def margin(self, axes: Array) -> Array:
-        """Return by how much axes, shape (K, n), clear the floor, shape (K,); < 0 below it."""
-        return SHAPES[self.shape].margin(self, axes)
+        """Return by how much axes, shape (..., n), clear the floor, shape (...,); < 0 below it."""
+        if not self.exists:
+            return np.full(axes.shape[:-1], np.inf)
+        return self._along(axes) - self.fraction
 
     def least(self, axes: Array) -> Array:
-        """Return the least speed fraction allowed along unit vectors, shape (..., n): (...)."""
-        return SHAPES[self.shape].least(self, axes)
+        """Return the least speed fraction allowed along unit vectors, shape (..., n): (...).
+
+        Full speed where no speed is allowed.
+        """
+        if not self.exists or self.radius:
+            return np.full(axes.shape[:-1], self.radius)[()]
+        slopes = self._along(axes)
+        return np.divide(self.fraction, slopes, out=np.ones_like(slopes), where=slopes > 0.0)[()]
+
+    def _along(self, axes: Array) -> Array:
+        """Return how far axes are along what the floor demands the fraction of, shape (...,)."""
+        made = SHAPES[self.shape]
+        if made is None:
+            return np.linalg.norm(axes, axis=-1)
+        return np.asarray((axes @ made(axes.shape[-1], self.faces).T).max(axis=-1))
 
     def circling(self, dimension: int) -> float:
-        """Return a speed fraction that is allowed in every heading: the least, or full speed."""
-        return SHAPES[self.shape].circling(self, dimension)
+        """Return a speed fraction that is allowed in every heading: the least, or full speed.
+
+        Of a polygon it is the distance of the corners, half-way between two faces.
+        """
+        if self.shape == 'polygon':
+            return min(1.0, self.fraction / largest_fraction(dimension, self.faces))
+        return self.radius or 1.0
 
     def outline(self, dimension: int) -> Lines:
         """Return lines, shape (K, 3) each, along the boundary of what is forbidden."""
         return _outline(self, dimension)
 
     def __str__(self) -> str:
-        return SHAPES[self.shape].described(self)
-
-
-class Shape(ABC):
-    """A kind of floor; by its ``cells`` alone a union of half-spaces.
-
-    Attributes:
-        parameters: names of the fields of :class:`Floor` that it has a use for.
-    """
-
-    parameters: tuple[str, ...] = ('fraction',)
-
-    @abstractmethod
-    def cells(self, floor: Floor, dimension: int) -> tuple[Cell, ...]:
-        """See :meth:`Floor.cells`."""
-
-    def validate(self, floor: Floor, dimension: int) -> None:
-        """Refuse a floor that no speed satisfies."""
-        if not any(cell.offset <= 1.0 for cell in self.cells(floor, dimension)):
-            raise BadInput('floor.fraction', floor.fraction, 'a floor that full speed satisfies')
-
-    def clearance(self, floor: Floor, dimension: int) -> float:
-        """See :meth:`Floor.clearance`."""
-        return max(0.0, min(cell.offset for cell in self.cells(floor, dimension)))
-
-    def radius(self, floor: Floor) -> float:
-        """See :attr:`Floor.radius`."""
-        return 0.0
-
-    def margin(self, floor: Floor, axes: Array) -> Array:
-        """See :meth:`Floor.margin`."""
-        cells = self.cells(floor, axes.shape[1])
-        outward = np.array([cell.normal for cell in cells])
-        return (axes @ outward.T - [cell.offset for cell in cells]).max(axis=1)
-
-    def least(self, floor: Floor, axes: Array) -> Array:
-        """See :meth:`Floor.least`; full speed where no speed is allowed."""
-        cells = self.cells(floor, axes.shape[-1])
-        slopes = axes @ np.array([cell.normal for cell in cells]).T
-        offsets = np.array([cell.offset for cell in cells])
-        least = np.where(slopes > 0.0, offsets / np.where(slopes > 0.0, slopes, 1.0), np.inf)
-        least = least.min(axis=-1)
-        return np.where(np.isfinite(least), least, 1.0)[()]
-
-    def circling(self, floor: Floor, dimension: int) -> float:
-        """See :meth:`Floor.circling`."""
-        return 1.0
-
-    def lines(self, floor: Floor, dimension: int) -> Lines:
-        """See :meth:`Floor.outline`."""
-        cells = self.cells(floor, dimension)
-        outward = np.array([cell.normal for cell in cells])
-        return edges(outward, np.array([cell.offset for cell in cells]))
-
-    def described(self, floor: Floor) -> str:
-        """Return the floor in words."""
-        return floor.shape
-
-
-class Free(Shape):
-    """No floor: any speed, standing still included."""
-
-    parameters = ()
-
-    def cells(self, floor: Floor, dimension: int) -> tuple[Cell, ...]:
-        """Return none."""
-        return ()
-
-    def validate(self, floor: Floor, dimension: int) -> None:
-        """Refuse nothing."""
-
-    def clearance(self, floor: Floor, dimension: int) -> float:
-        """Return zero."""
-        return 0.0
-
-    def margin(self, floor: Floor, axes: Array) -> Array:
-        """Return infinities."""
-        return np.full(len(axes), np.inf)
-
-    def least(self, floor: Floor, axes: Array) -> Array:
-        """Return zeros."""
-        return np.zeros(axes.shape[:-1])[()]
-
-    def lines(self, floor: Floor, dimension: int) -> Lines:
-        """Return none."""
-        return ()
-
-
-class Polygon(Shape):
-    """The paper's floor: v beyond one of the faces of a regular polygon or solid."""
-
-    parameters = ('faces', 'fraction')
-
-    def validate(self, floor: Floor, dimension: int) -> None:
-        """Refuse solids that do not exist, and faces that leave gaps."""
-        if dimension == 3 and floor.faces not in SOLID_FACES:
-            raise BadInput('floor.faces', floor.faces, '6, 12 or 20 when dimension is 3')
-        limit = largest_fraction(dimension, floor.faces)
-        if floor.fraction > limit:
-            allowed = f'at most {limit:.6g} with floor.faces {floor.faces}'
-            raise BadInput('floor.fraction', floor.fraction, allowed)
-
-    def cells(self, floor: Floor, dimension: int) -> tuple[Cell, ...]:
-        """Return a half-space per face."""
-        return tuple(Cell(normal, floor.fraction) for normal in normals(dimension, floor.faces))
-
-    def margin(self, floor: Floor, axes: Array) -> Array:
-        """Return how far axes are beyond the face that they are farthest beyond."""
-        return (axes @ normals(axes.shape[1], floor.faces).T).max(axis=1) - floor.fraction
-
-    def least(self, floor: Floor, axes: Array) -> Array:
-        """Return where rays meet the polygon."""
-        return floor.fraction / (axes @ normals(axes.shape[-1], floor.faces).T).max(axis=-1)
-
-    def circling(self, floor: Floor, dimension: int) -> float:
-        """Return the distance of the corners, half-way between two faces: fraction / cos(pi/m)."""
-        return min(1.0, floor.fraction / largest_fraction(dimension, floor.faces))
-
-    def described(self, floor: Floor) -> str:
-        """Return shape and faces."""
-        return f'polygon of {floor.faces} faces'
-
-
-class Circle(Shape):
-    """The true floor: |v| >= fraction."""
-
-    def radius(self, floor: Floor) -> float:
-        """Return the fraction."""
-        return floor.fraction
-
-    def clearance(self, floor: Floor, dimension: int) -> float:
-        """Return the fraction."""
-        return floor.fraction
-
-    def cells(self, floor: Floor, dimension: int) -> tuple[Cell, ...]:
-        """Return none: it is round."""
-        return ()
-
-    def validate(self, floor: Floor, dimension: int) -> None:
-        """Refuse nothing: full speed satisfies it."""
-
-    def margin(self, floor: Floor, axes: Array) -> Array:
-        """Return |v| - fraction."""
-        return np.linalg.norm(axes, axis=1) - floor.fraction
-
-    def least(self, floor: Floor, axes: Array) -> Array:
-        """Return the fraction."""
-        return np.full(axes.shape[:-1], floor.fraction)[()]
-
-    def circling(self, floor: Floor, dimension: int) -> float:
-        """Return the fraction."""
-        return floor.fraction
-
-    def lines(self, floor: Floor, dimension: int) -> Lines:
-        """Return a circle, or three around a ball."""
-        return sphere(dimension, floor.fraction)
-
-
-SHAPES: dict[str, Shape] = {'none': Free(), 'polygon': Polygon(), 'circle': Circle()}
+        return f'polygon of {self.faces} faces' if self.shape == 'polygon' else self.shape
 
 
 @lru_cache(maxsize=64)
 def _outline(floor: Floor, dimension: int) -> Lines:
-    return SHAPES[floor.shape].lines(floor, dimension)
+    if floor.radius:
+        return sphere(dimension, floor.radius)
+    made = SHAPES[floor.shape]
+    if made is None:
+        return ()
+    outward = made(dimension, floor.faces)
+    return edges(outward, np.full(len(outward), floor.fraction))
 
 
 def largest_fraction(dimension: int, faces: int) -> float:

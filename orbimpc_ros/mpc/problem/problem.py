@@ -178,7 +178,7 @@ class Problem:
     @cached_property
     def least_speed(self) -> float:
         """Return the least share of full speed in any allowed direction; 0 without a floor."""
-        return self.floor.clearance(self.dimension)
+        return self.floor.fraction if self.floor.exists else 0.0
 
     @property
     def least_heading(self) -> float:

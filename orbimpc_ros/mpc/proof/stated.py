@@ -275,7 +275,7 @@ class Statement:
 
     def _moved(self) -> Motion:
         problem, number, model = self.problem, self._number, self.problem.translation
-        if number is not float and not type(model).__module__.startswith('orbimpc_ros.'):
+        if number is not float and problem.translation_order > 2:
             allowed = 'a model that certificates can state'
             raise BadInput('translation_order', problem.translation_order, allowed)
         h, z = number(problem.step), number(problem.forward)

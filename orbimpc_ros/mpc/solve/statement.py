@@ -278,7 +278,7 @@ class ConicStatement:
         if len(every):
             free = every[: len(every) - self._decided]
             rows.add(np.ones(len(free)), (free, self.t[self._decided :], 1.0))
-            least = problem.floor.clearance(n)
+            least = problem.least_speed
             if least > 0.0:
                 rows.add(np.full(len(every), -least), (every, self.t, -1.0))
         if problem.tilt:

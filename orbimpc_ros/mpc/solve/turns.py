@@ -35,7 +35,7 @@ class Turns:
 
     def __init__(self, problem: Problem) -> None:
         self._problem, floor, n = problem, problem.floor, problem.dimension
-        self._widest, self._least = WITHIN * problem.widest_turn, floor.clearance(n)
+        self._widest, self._least = WITHIN * problem.widest_turn, problem.least_speed
         self._cells = () if floor.radius else floor.cells(n)
         # A speed allowed in every heading, and a turn with no longer a chord than at least speed.
         self._speed = floor.circling(n)

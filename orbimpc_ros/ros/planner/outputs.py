@@ -331,7 +331,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
 def _vehicle(settings: PlannerSettings) -> list[object]:
     """Return full speed or thrust, and the limits of the vehicle."""
     problem, unit = settings.problem, _unit(settings.problem)
-    least = problem.floor.clearance(problem.dimension) * problem.forward
+    least = problem.least_speed * problem.forward
     degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
     return [
         f'{problem.forward:g} {unit}',
@@ -347,7 +347,7 @@ def _vehicle(settings: PlannerSettings) -> list[object]:
 def _surroundings(settings: PlannerSettings) -> list[object]:
     """Return what moves the vehicle beside its thrust, and what it cannot do against that."""
     problem, gravity, unit = settings.problem, settings.gravity, _unit(settings.problem)
-    least = problem.floor.clearance(problem.dimension) * problem.forward
+    least = problem.least_speed * problem.forward
     hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
     if least > gravity:
         hover = f'cannot hover, for its least thrust is {least:.4g}'
