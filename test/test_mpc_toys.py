@@ -97,7 +97,7 @@ def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
 
 
 def flown(problem, start, headings):
-    """Return positions and velocities, step by step: s_{k+1} = s_k + h p_k, p_{k+1} = 0.8 p_k + h z R_k e1."""
+    """Return what s_{k+1} = s_k + h p_k and p_{k+1} = 0.8 p_k + h z R_k e1 lead to."""
     places, velocities = [start.position], [start.velocity]
     for heading in headings[:-1]:
         places.append(places[-1] + problem.step * velocities[-1])

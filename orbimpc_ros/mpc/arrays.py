@@ -14,8 +14,6 @@ from orbimpc_ros.mpc.errors import BadInput
 
 Array = NDArray[np.floating[Any]]
 
-ABOVE_ZERO = 5e-324  # the least positive number: a range that begins with it leaves out zero
-
 
 def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
     """Return ``value`` as a read-only float array of the given shape.
@@ -133,22 +131,18 @@ def _comparable(value: object) -> object:
     return value.shape, (value + 0.0).tobytes()  # adding zero makes -0.0 the 0.0 that it equals
 
 
-def within(checked: object, ranges: Mapping[str, tuple[float, float]], prefix: str = '') -> None:
+def within(checked: object, ranges: Mapping[str, tuple[float, float]]) -> None:
     """Check that attributes are numbers in their ranges, integers where both ends are.
 
     Args:
         checked: has the attributes.
         ranges: least and greatest value allowed, by attribute.
-        prefix: of the names that an error gives them.
 
     Raises:
         BadInput: one is not.
     """
     for name, (low, high) in ranges.items():
-        value, culprit = getattr(checked, name), f'{prefix}{name}'
         if isinstance(low, int) and isinstance(high, int):
-            whole(value, culprit, low, high)
-        elif low == ABOVE_ZERO:
-            number(value, culprit, 0.0, high, above=True)
+            whole(getattr(checked, name), name, low, high)
         else:
-            number(value, culprit, low, high)
+            number(getattr(checked, name), name, low, high)

@@ -160,12 +160,11 @@ def _across(heading: Array, other: Array) -> Array:
 def _slow(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """The half-space of a floor that each heading is kept by the most."""
     floor, headings = problem.floor, plan.rotations[1:, :, 0]
+    outward = floor.normals(problem.dimension)
     for k in np.flatnonzero(floor.margin(headings) < ACTIVE).tolist():
         normal = headings[k] / np.linalg.norm(headings[k])
-        if not floor.radius:
-            cells = floor.cells(problem.dimension)
-            beyond = [cell.normal @ headings[k] - cell.offset for cell in cells]
-            normal = cells[int(np.argmax(beyond))].normal
+        if outward is not None:
+            normal = outward[np.argmax(outward @ headings[k])]
         yield Slack('floor', k + 1, _at(plan, k + 1, normal))
 
 

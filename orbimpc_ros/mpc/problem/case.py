@@ -11,7 +11,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, numbers_of
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,
@@ -78,12 +77,6 @@ def _problem(known: Mapping[str, Any]) -> Problem:
     weights = dict(fields_of(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
     scaling = weights.pop('scaling', 'paper')
     plain = {name: known[name] for name in (*MODEL, *EXTRAS, *CONES) if name in known}
-    if not isinstance(plain.get('terminal', ''), str):
-        raise BadInput.choice('terminal', plain['terminal'], ('penalty', 'constraint'))
-    if not isinstance(plain.get('discretisation', ''), str):
-        raise BadInput.choice('discretisation', plain['discretisation'], DISCRETISATIONS)
-    if not isinstance(plain.get('no_corner_cutting', False), bool):
-        raise BadInput('no_corner_cutting', plain['no_corner_cutting'], 'true | false')
     problem = Problem(
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),

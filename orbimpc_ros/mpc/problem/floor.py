@@ -85,12 +85,15 @@ class Floor:
         """Return the radius of a round floor; 0 for one whose cells are flat, and without one."""
         return self.fraction if self.shape == 'circle' else 0.0
 
+    def normals(self, dimension: int) -> Array | None:
+        """Return the unit normals of the half-spaces, shape (m, n); None of a round floor."""
+        made = SHAPES[self.shape]
+        return made(dimension, self.faces) if made else None
+
     def cells(self, dimension: int) -> tuple[Cell, ...]:
         """Return the half-spaces whose union is all that is allowed; none of a round floor."""
-        made = SHAPES[self.shape]
-        return (
-            tuple(Cell(each, self.fraction) for each in made(dimension, self.faces)) if made else ()
-        )
+        outward = self.normals(dimension)
+        return () if outward is None else tuple(Cell(each, self.fraction) for each in outward)
 
     def margin(self, axes: Array) -> Array:
         """Return by how much axes, shape (..., n), clear the floor, shape (...,); < 0 below it."""
@@ -110,10 +113,8 @@ class Floor:
 
     def _along(self, axes: Array) -> Array:
         """Return how far axes are along what the floor demands the fraction of, shape (...,)."""
-        made = SHAPES[self.shape]
-        if made is None:
-            return np.linalg.norm(axes, axis=-1)
-        return np.asarray((axes @ made(axes.shape[-1], self.faces).T).max(axis=-1))
+        outward = self.normals(axes.shape[-1])
+        return np.linalg.norm(axes, axis=-1) if outward is None else (axes @ outward.T).max(axis=-1)
 
     def circling(self, dimension: int) -> float:
         """Return a speed fraction that is allowed in every heading: the least, or full speed.
@@ -136,11 +137,8 @@ class Floor:
 def _outline(floor: Floor, dimension: int) -> Lines:
     if floor.radius:
         return sphere(dimension, floor.radius)
-    made = SHAPES[floor.shape]
-    if made is None:
-        return ()
-    outward = made(dimension, floor.faces)
-    return edges(outward, np.full(len(outward), floor.fraction))
+    outward = floor.normals(dimension)
+    return () if outward is None else edges(outward, np.full(len(outward), floor.fraction))
 
 
 def largest_fraction(dimension: int, faces: int) -> float:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
-from orbimpc_ros.mpc.arrays import number, whole
+from orbimpc_ros.mpc.arrays import number, whole, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import (
     DISCRETISATIONS,
@@ -38,6 +38,17 @@ LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones vanish in floats
 MAX_OBSTACLES = 64
 STEEPEST_GLIDE = 1.5  # [rad]: 14 m up for a metre aside
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
+RANGES: dict[str, tuple[float, float]] = {
+    'dimension': (2, 3),
+    'rotation_order': (1, 2),
+    'horizon': (1, MAX_HORIZON),
+    'step': (LEAST, 1e3),
+    'forward': (LEAST, 1e3),
+    'max_acceleration': (0.0, math.inf),
+    'arrival_weight': (0.0, math.inf),
+    'tilt': (0.0, 0.5 * math.pi),
+    'glide_slope': (0.0, STEEPEST_GLIDE),
+}
 
 
 @dataclass(frozen=True)
@@ -125,27 +136,21 @@ class Problem:
         for each in _instance(self.obstacles, tuple, 'obstacles'):
             if not isinstance(each, (Box, Ball)):
                 raise BadInput('obstacles', f'a {type(each).__name__}', 'a Box or a Ball')
-        whole(self.dimension, 'dimension', 2, 3)
-        whole(self.rotation_order, 'rotation_order', 1, 2)
+        within(self, RANGES)
         whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
-        if self.translation_order not in self._models:
+        for name, words in (('terminal', TERMINALS), ('discretisation', tuple(DISCRETISATIONS))):
+            if getattr(self, name) not in words:
+                raise BadInput.choice(name, getattr(self, name), words)
+        if not isinstance(self.no_corner_cutting, bool):
+            raise BadInput('no_corner_cutting', self.no_corner_cutting, 'true | false')
+        if self.translation_order not in DISCRETISATIONS[self.discretisation]:
             allowed = f'euler at translation_order {self.translation_order}'
             raise BadInput('discretisation', self.discretisation, allowed)
-        whole(self.horizon, 'horizon', 1, MAX_HORIZON)
-        number(self.step, 'step', LEAST, 1e3)
-        number(self.forward, 'forward', LEAST, 1e3)
-        if self.terminal not in TERMINALS:
-            raise BadInput.choice('terminal', self.terminal, TERMINALS)
         # Beyond half a turn in a step the direction of turning is lost.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
-        number(self.max_acceleration, 'max_acceleration', 0.0)
-        if self.max_acceleration and self.inertial:  # there thrust is one, and limited
-            allowed = f'0 at translation_order {self.translation_order}'
-            raise BadInput('max_acceleration', self.max_acceleration, allowed)
-        number(self.arrival_weight, 'arrival_weight', 0.0)
         self.floor.validate(self.dimension)
         _instance(self.approach, Approach, 'approach').validate(self.dimension)
-        self._validate_cones()
+        self._validate_kind()
         if len(self.obstacles) > MAX_OBSTACLES:
             raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES}')
         for each in self.obstacles:
@@ -155,15 +160,17 @@ class Problem:
                 )
                 raise BadInput(f'obstacles.{name}', corner.tolist(), f'{self.dimension} numbers')
 
-    def _validate_cones(self) -> None:
-        number(self.tilt, 'tilt', 0.0, 0.5 * math.pi)
-        number(self.glide_slope, 'glide_slope', 0.0, STEEPEST_GLIDE)
-        if self.dimension == 2:
-            for name in ('tilt', 'glide_slope'):
-                if getattr(self, name):
-                    raise BadInput(name, getattr(self, name), '0 when dimension is 2')
-        if self.tilt and not self.inertial:  # which then is where it flies to, not what it leans by
-            raise BadInput('tilt', self.tilt, f'0 at translation_order {self.translation_order}')
+    def _validate_kind(self) -> None:
+        """Refuse limits that there are not for a vehicle of this kind."""
+        flat, order = '0 when dimension is 2', f'0 at translation_order {self.translation_order}'
+        for name, none, allowed in (
+            ('max_acceleration', self.inertial, order),  # there thrust is one, and limited
+            ('tilt', self.dimension == 2, flat),
+            ('glide_slope', self.dimension == 2, flat),
+            ('tilt', not self.inertial, order),  # where it flies to, not what it leans by
+        ):
+            if none and getattr(self, name):
+                raise BadInput(name, getattr(self, name), allowed)
 
     @cached_property
     def boxes(self) -> tuple[Box, ...]:
@@ -260,13 +267,7 @@ class Problem:
     @cached_property
     def translation(self) -> Translation:
         """Return the model that says how R e1 moves the vehicle."""
-        return self._models[self.translation_order]
-
-    @property
-    def _models(self) -> dict[int, Translation]:
-        if self.discretisation not in DISCRETISATIONS:
-            raise BadInput.choice('discretisation', self.discretisation, DISCRETISATIONS)
-        return DISCRETISATIONS[self.discretisation]
+        return DISCRETISATIONS[self.discretisation][self.translation_order]
 
     @cached_property
     def inertial(self) -> bool:
