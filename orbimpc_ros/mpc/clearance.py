@@ -16,8 +16,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.problem.obstacle import moved_together, simultaneous
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 
 PIECES = 16  # of a step that is curved
@@ -34,41 +34,37 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     traffic = traffic_of(problem, state)
     if traffic is None:
         return {}
-    standing, count = np.zeros(problem.dimension), len(traffic.bodies) - len(state.hazards)
-    still = [MovingObstacle.drifting(body, standing) for body in traffic.bodies[:count]]
-    every = [*still, *state.hazards]
-    found = np.empty(len(every))
-    for group in simultaneous(every):
-        # Who is only where a body is taken to stray is outside of it, and has to stay so.
-        inside = np.maximum(traffic.eased[group] - traffic.strays[group], 0.0)
-        eased = inside - traffic.kept[group]
-        found[group] = _apart([every[j] for j in group], eased, problem, plan)
-    return dict(zip(traffic.names, found.tolist(), strict=True))
+    times = _instants(problem, state, plan)
+    tracks = np.zeros((len(traffic.bodies), len(times), problem.dimension))
+    for j, hazard in enumerate(state.hazards, start=len(tracks) - len(state.hazards)):
+        tracks[j] = hazard.moved(times)
+    # Who is only where a body is taken to stray is outside of it, and has to stay so.
+    eased = np.maximum(traffic.eased - traffic.strays, 0.0) - traffic.kept
+    apart = _apart(problem, plan, traffic, _positions(problem, plan, times) - tracks, times)
+    return dict(zip(traffic.names, (apart + eased).min(axis=1).tolist(), strict=True))
 
 
-def _apart(hazards: Sequence[MovingObstacle], eased: Array, problem: Problem, plan: Plan) -> Array:
-    """Return how far simultaneous hazards, eased by shape (J, N), are stayed clear of, (J,) [m]."""
-    times = _instants(problem, plan, hazards[0])
-    away = _positions(problem, plan, times) - moved_together(hazards, times)
+def _apart(problem: Problem, plan: Plan, traffic: Traffic, away: Array, times: Array) -> Array:
+    """Return how far each step stays clear of bodies it is away from at times, (J, N) [m]."""
     step = np.minimum((0.5 * (times[1:] + times[:-1]) / problem.step).astype(int), plan.horizon - 1)
     first = np.searchsorted(step, np.arange(plan.horizon))
-    apart = np.empty((len(hazards), plan.horizon))
-    balls = {j: each.body for j, each in enumerate(hazards) if isinstance(each.body, Ball)}
+    apart = np.empty((len(away), plan.horizon))
+    balls = {j: each for j, each in enumerate(traffic.bodies) if isinstance(each, Ball)}
     if balls:
         nearest = _beyond_balls(list(balls.values()), away[list(balls)])
         apart[list(balls)] = np.minimum.reduceat(nearest, first, axis=1)
-    for j, each in enumerate(hazards):
-        if isinstance(each.body, Box):
-            apart[j] = _beyond_a_face(each.body.clearances(away[j]), first)
-    return np.asarray((apart + eased).min(axis=1))
+    for j, each in enumerate(traffic.bodies):
+        if isinstance(each, Box):
+            apart[j] = _beyond_a_face(each.clearances(away[j]), first)
+    return apart
 
 
-def _instants(problem: Problem, plan: Plan, hazard: MovingObstacle) -> Array:
-    """Return the instants between which both move along chords, shape (M,) [s]."""
+def _instants(problem: Problem, state: State, plan: Plan) -> Array:
+    """Return the instants between which all move along chords, shape (M,) [s]."""
     pieces = 1 if problem.translation.degree == 1 else PIECES
     end = plan.horizon * problem.step
-    turns = hazard.turns[hazard.turns < end]
-    return np.union1d(np.linspace(0.0, end, pieces * plan.horizon + 1), turns)
+    turns = np.concatenate([[], *(each.turns for each in state.hazards)])
+    return np.union1d(np.linspace(0.0, end, pieces * plan.horizon + 1), turns[turns < end])
 
 
 def _positions(problem: Problem, plan: Plan, times: Array) -> Array:

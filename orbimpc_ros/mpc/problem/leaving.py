@@ -13,8 +13,6 @@ Mathematics: docs/mathematics.md, 3.7.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +22,7 @@ from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.dynamics import coasting_controls, control_maps
 from orbimpc_ros.mpc.problem.cones import NOTHING, begun, turn_towards
-from orbimpc_ros.mpc.problem.obstacle import Ball, Box
+from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Traffic
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
@@ -33,22 +31,7 @@ INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
 SPARE = 1e-3  # of a step's length: what plans may be farther inside than the escape
 
 
-class Tracks(NamedTuple):
-    """Bodies when the plan starts, how far they move, and by how much they count as larger."""
-
-    bodies: Sequence[Box | Ball]
-    shifts: Array
-    grown: Array
-
-
-def inside(
-    problem: Problem,
-    state: State,
-    bodies: Sequence[Box | Ball],
-    shifts: Array,
-    strays: Array,
-    kept: Array,
-) -> Array:
+def inside(problem: Problem, state: State, traffic: Traffic) -> Array:
     """Return how far inside of bodies each step of a plan may be, shape (J, N) [m].
 
     Who is inside only of what a body counts as larger by has to stay outside of the body itself.
@@ -56,30 +39,26 @@ def inside(
     Args:
         problem: gives the model and its limits.
         state: from where.
-        bodies: when the plan starts.
-        shifts: how far each has moved by the ends of steps, shape (J, N + 1, n) [m].
-        strays: by how much each strays from even motion in each step, shape (J, N) [m].
-        kept: by how much each is kept away from as if it were larger, shape (J, N) [m].
+        traffic: what is met, nothing of it eased.
     """
-    here, grown = state.position[None], strays + kept
-    depth = np.array([float(body.depth(here)[0]) for body in bodies])
-    eased = _eased(problem, state, Tracks(bodies, shifts, grown), depth)
+    here, unit = state.position[None], problem.length_unit
+    depth = np.array([float(body.depth(here)[0]) for body in traffic.bodies])
+    eased = _eased(problem, state, traffic, depth)
     if eased.any():
-        met = depth > INSIDE * problem.length_unit
-        met |= _bound_to_enter(problem, state, Tracks(bodies, shifts, -strays), depth)
-        eased[~met] = np.minimum(eased, grown)[~met]
+        bare = traffic._replace(strays=-traffic.strays, kept=np.zeros_like(traffic.kept))
+        met = (depth > INSIDE * unit) | _bound_to_enter(problem, state, bare, depth)
+        eased[~met] = np.minimum(eased, traffic.grown)[~met]
     return eased
 
 
-def _eased(problem: Problem, state: State, tracks: Tracks, depth: Array) -> Array:
+def _eased(problem: Problem, state: State, traffic: Traffic, depth: Array) -> Array:
     """Return how far inside of bodies as large as they count the escape is, shape (J, N) [m]."""
-    allowed, unit = np.zeros(tracks.grown.shape), problem.length_unit
-    depth = depth + tracks.grown[:, 0]
-    held = depth > INSIDE * unit
-    held |= _bound_to_enter(problem, state, tracks, depth)
+    allowed, unit = np.zeros_like(traffic.kept), problem.length_unit
+    depth = depth + traffic.grown[:, 0]
+    held = (depth > INSIDE * unit) | _bound_to_enter(problem, state, traffic, depth)
     if not held.any():
         return allowed
-    every = _depths(problem, state, tracks, directions(problem.dimension))
+    every = _depths(problem, state, traffic, directions(problem.dimension))
     best = min(every, key=lambda each: _price(each, held))
     if (best[held, -1] > 0.0).any():
         return allowed
@@ -87,26 +66,22 @@ def _eased(problem: Problem, state: State, tracks: Tracks, depth: Array) -> Arra
     return allowed
 
 
-def _bound_to_enter(problem: Problem, state: State, tracks: Tracks, depth: Array) -> np.ndarray:
+def _bound_to_enter(problem: Problem, state: State, traffic: Traffic, depth: Array) -> np.ndarray:
     """Return which bodies no plan stays clear of, in the steps that the state decides, (J,)."""
-    bodies, shifts, grown = tracks
-    found = np.zeros(len(bodies), dtype=bool)
     known, unit = problem.decided_steps, problem.length_unit
     if not known:
-        return found
+        return np.zeros(len(depth), dtype=bool)
     reached = np.linalg.norm(dynamics.adrift(problem, state)[:known] - state.position, axis=1).max()
-    ways = np.linalg.norm(shifts[:, : known + 1], axis=2).max(axis=1)
-    near = np.flatnonzero(depth + ways + known * unit + reached > 0.0)
-    if len(near):
-        some: list[Box | Ball] = [bodies[int(j)] for j in near]
-        way = directions(problem.dimension)[:1]  # any
-        depths = _depths(problem, state, Tracks(some, shifts[near], grown[near]), way)[0]
-        found[near] = (depths[:, :known] > INSIDE * unit).any(axis=1)
-    return found
+    ways = np.linalg.norm(traffic.shifts[:, : known + 1], axis=2).max(axis=1)
+    near = depth + ways + known * unit + reached > 0.0
+    if not near.any():
+        return np.asarray(near)
+    (depths,) = _depths(problem, state, traffic, directions(problem.dimension)[:1])  # any way
+    return np.asarray(near & (depths[:, :known] > INSIDE * unit).any(axis=1))
 
 
 def _depths(
-    problem: Problem, state: State, tracks: Tracks, ways: Array, *, ends: bool = False
+    problem: Problem, state: State, traffic: Traffic, ways: Array, *, ends: bool = False
 ) -> Array:
     """Return how far inside escapes along ways, shape (A, n), are, shape (A, J, N); 0 outside.
 
@@ -117,22 +92,22 @@ def _depths(
     weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
     if ends:
         points, weights = points[:, :, -1:], weights[-1:]
-    begin, end = tracks.shifts[:, :-1, None], tracks.shifts[:, 1:, None]
+    begin, end = traffic.shifts[:, :-1, None], traffic.shifts[:, 1:, None]
     away = points - (begin + weights * (end - begin))[:, None]  # (J, A, N, m, n)
-    outside = np.array([_outside(*each) for each in zip(tracks.bodies, away, strict=True)])
-    return np.maximum(tracks.grown - np.moveaxis(outside, 0, 1), 0.0)
+    outside = np.array([_outside(*each) for each in zip(traffic.bodies, away, strict=True)])
+    return np.maximum(traffic.grown - np.moveaxis(outside, 0, 1), 0.0)
 
 
-def ways_out(problem: Problem, state: State, tracks: Tracks) -> Array:
+def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
     """Return escapes to all sides, shape (A, N + 1, n), those whose steps end farthest out first.
 
     Args:
         problem: gives the model and its limits.
         state: from where.
-        tracks: what is met.
+        traffic: what is met.
     """
     ways = directions(problem.dimension)
-    met = _depths(problem, state, tracks, ways, ends=True).sum(axis=(1, 2))
+    met = _depths(problem, state, traffic, ways, ends=True).sum(axis=(1, 2))
     return escapes(problem, state, ways)[np.argsort(met, kind='stable')]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -143,12 +144,40 @@ class MovingObstacle(ByContent):
 
     def moved(self, times: Array) -> Array:
         """Return how far it will have moved at times >= 0, shape (M,) [s], shape (M, n) [m]."""
-        return _interpolated(self.times, self.shifts, times)
+        at = np.searchsorted(self.turns, times, side='right')
+        share = (times - self.times[at]) / (self.times[at + 1] - self.times[at])
+        begin = self.shifts[at]
+        return np.asarray(begin + share[:, None] * (self.shifts[at + 1] - begin))
 
     @property
     def turns(self) -> Array:
         """Return the times at which it may change its velocity, shape (K - 2,) [s]."""
         return self.times[1:-1]
+
+
+class Traffic(NamedTuple):
+    """Bodies that plans stay clear of at the ends of steps and in between.
+
+    Attributes:
+        names: of J bodies: ``obstacle 0`` (its number among obstacles), ``hazard 0``.
+        bodies: when the plan starts.
+        shifts: how far each has moved by the ends of steps 0..N, shape (J, N + 1, n) [m].
+        strays: by how much each strays from even motion in each step, shape (J, N) [m].
+        kept: by how much each is kept away from as if it were larger, shape (J, N) [m].
+        eased: how far inside of each a plan may be in each step, shape (J, N) [m].
+    """
+
+    names: tuple[str, ...]
+    bodies: tuple[Box | Ball, ...]
+    shifts: Array
+    strays: Array
+    kept: Array
+    eased: Array
+
+    @property
+    def grown(self) -> Array:
+        """Return how much larger each counts in each step, shape (J, N) [m]."""
+        return self.strays + self.kept - self.eased
 
 
 def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Array:
@@ -159,32 +188,6 @@ def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Ar
     kept: Array = np.outer([each.reserve for each in hazards], shares)
     kept += np.outer([each.unsure for each in hazards], strayed)
     return kept
-
-
-def simultaneous(hazards: Sequence[MovingObstacle]) -> list[list[int]]:
-    """Return the numbers of hazards, those together whose tracks have the same times."""
-    groups: dict[bytes, list[int]] = {}
-    for j, each in enumerate(hazards):
-        groups.setdefault(each.times.tobytes(), []).append(j)
-    return list(groups.values())
-
-
-def moved_together(hazards: Sequence[MovingObstacle], times: Array) -> Array:
-    """Return how far simultaneous hazards will have moved, shape (J, M, n) [m].
-
-    Args:
-        hazards: J of them, whose tracks have the same times.
-        times: shape (M,) [s].
-    """
-    return _interpolated(hazards[0].times, np.array([each.shifts for each in hazards]), times)
-
-
-def _interpolated(knots: Array, shifts: Array, times: Array) -> Array:
-    """Return shifts, shape (..., K, n), between knots and after them, shape (..., M, n)."""
-    at = np.searchsorted(knots[1:-1], times, side='right')
-    share = (times - knots[at]) / (knots[at + 1] - knots[at])
-    begin = shifts[..., at, :]
-    return np.asarray(begin + share[:, None] * (shifts[..., at + 1, :] - begin))
 
 
 def tracked(hazards: tuple[MovingObstacle, ...], dimension: int) -> tuple[MovingObstacle, ...]:

@@ -79,26 +79,30 @@ class State(ByContent):
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
         line, square, still = (n,), (n, n), _zeros((n,))
+
+        def taken(
+            name: str, given: ArrayLike | None, shape: tuple[int, ...], absent: Array | None
+        ) -> Any:
+            return absent if given is None else frozen(given, shape, f'state.{name}')
+
         placed = frozen(rotation, square, 'state.rotation')
         turned = nearest(placed) if attitude is None else attitude
-        turned = frozen(turned, square, 'state.attitude')
-        carried = None if coasted is None else frozen(coasted, square, 'state.coasted')
-        asked = None if wanted is None else frozen(wanted, square, 'state.wanted')
-        numbers = (
-            frozen(position, line, 'state.position'),
-            placed,
-            still if velocity is None else frozen(velocity, line, 'state.velocity'),
-            _zeros(square)
-            if rotation_rate is None
-            else frozen(rotation_rate, square, 'state.rotation_rate'),
-            turned,
-            carried,
-            still if disturbance is None else frozen(disturbance, line, 'state.disturbance'),
+        made = cls(
+            position=frozen(position, line, 'state.position'),
+            rotation=placed,
+            velocity=taken('velocity', velocity, line, still),
+            rotation_rate=taken('rotation_rate', rotation_rate, square, _zeros(square)),
+            attitude=frozen(turned, square, 'state.attitude'),
+            coasted=taken('coasted', coasted, square, None),
+            disturbance=taken('disturbance', disturbance, line, still),
+            commanded=commanded,
+            hazards=tracked(hazards, n) if hazards else (),
+            wanted=taken('wanted', wanted, square, None),
         )
-        for matrix, name in ((turned, 'attitude'), (carried, 'coasted'), (asked, 'wanted')):
-            if matrix is not None:
-                _require_rotation(matrix, f'state.{name}')
-        return cls(*numbers, commanded, tracked(hazards, n) if hazards else (), asked)
+        for name in ('attitude', 'coasted', 'wanted'):
+            if getattr(made, name) is not None:
+                _require_rotation(getattr(made, name), f'state.{name}')
+        return made
 
     def __post_init__(self) -> None:
         _require_structure(self.rotation, 'state.rotation')

@@ -9,48 +9,13 @@ Mathematics: docs/mathematics.md, 3.7.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.leaving import inside
-from orbimpc_ros.mpc.problem.obstacle import (
-    Ball,
-    Box,
-    MovingObstacle,
-    moved_together,
-    reserves,
-    simultaneous,
-)
+from orbimpc_ros.mpc.problem.obstacle import Ball, MovingObstacle, Traffic, reserves
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
-
-
-class Traffic(NamedTuple):
-    """Bodies that plans stay clear of at the ends of steps and in between.
-
-    Attributes:
-        names: of J bodies: ``obstacle 0`` (its number among obstacles), ``hazard 0``.
-        bodies: when the plan starts.
-        shifts: how far each has moved by the ends of steps 0..N, shape (J, N + 1, n) [m].
-        strays: by how much each strays from even motion in each step, shape (J, N) [m].
-        kept: by how much each is kept away from as if it were larger, shape (J, N) [m].
-        eased: how far inside of each a plan may be in each step, shape (J, N) [m].
-    """
-
-    names: tuple[str, ...]
-    bodies: tuple[Box | Ball, ...]
-    shifts: Array
-    strays: Array
-    kept: Array
-    eased: Array
-
-    @property
-    def grown(self) -> Array:
-        """Return how much larger each counts in each step, shape (J, N) [m]."""
-        return self.strays + self.kept - self.eased
 
 
 def traffic_of(problem: Problem, state: State) -> Traffic | None:
@@ -65,30 +30,25 @@ def _met(problem: Problem, state: State) -> Traffic | None:
         return None
     ends = problem.step * np.arange(problem.horizon + 1)
     count = len(still)
+    names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
     bodies = (*still.values(), *(each.body for each in state.hazards))
     shifts = np.zeros((len(bodies), len(ends), problem.dimension))
-    strays = np.zeros((len(bodies), problem.horizon))
-    for group in simultaneous(state.hazards):
-        moving = [state.hazards[j] for j in group]
-        at = [count + j for j in group]
-        shifts[at], strays[at] = moved_together(moving, ends), _strays(moving, ends)
-    names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
-    kept = np.zeros_like(strays)
+    strays, kept, eased = np.zeros((3, len(bodies), problem.horizon))
+    for j, each in enumerate(state.hazards, start=count):
+        shifts[j], strays[j] = each.moved(ends), _strays(each, ends)
     kept[count:] = reserves(state.hazards, problem.horizon, problem.step)
-    eased = inside(problem, state, bodies, shifts, strays, kept)
-    return Traffic(names, bodies, shifts, strays, kept, eased)
+    met = Traffic(names, bodies, shifts, strays, kept, eased)
+    return met._replace(eased=inside(problem, state, met))
 
 
-def _strays(hazards: Sequence[MovingObstacle], ends: Array) -> Array:
-    """Return by how much simultaneous tracks stray from even motion in steps, shape (J, N) [m]."""
-    strays, turns = np.zeros((len(hazards), len(ends) - 1)), hazards[0].turns
-    inside = turns[turns < ends[-1]]
+def _strays(hazard: MovingObstacle, ends: Array) -> Array:
+    """Return by how much a track strays from even motion in each step, shape (N,) [m]."""
+    strays, inside = np.zeros(len(ends) - 1), hazard.turns[hazard.turns < ends[-1]]
     if not len(inside):
         return strays
     at = np.searchsorted(ends, inside, side='right') - 1
-    moved = moved_together(hazards, ends)
+    moved = hazard.moved(ends)
     share = (inside - ends[at]) / (ends[at + 1] - ends[at])
-    even = moved[:, at] + share[:, None] * (moved[:, at + 1] - moved[:, at])
-    apart = np.linalg.norm(moved_together(hazards, inside) - even, axis=-1)
-    np.maximum.at(strays.T, at, apart.T)
+    even = moved[at] + share[:, None] * (moved[at + 1] - moved[at])
+    np.maximum.at(strays, at, np.linalg.norm(hazard.moved(inside) - even, axis=-1))
     return strays

@@ -11,9 +11,8 @@ Mathematics: docs/mathematics.md, 1.4.
 
 from __future__ import annotations
 
-import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -43,7 +42,7 @@ class Units:
         """Return the natural units of a problem."""
         scaled = _in_units(problem, problem.length_unit, problem.step)
         cost = _curvature(scaled)
-        weights = _times(scaled.weights, 1.0 / cost)
+        weights = Weights(*(each * (1.0 / cost) for each in astuple(scaled.weights)))
         scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
         return cls(scaled, problem.length_unit, problem.step, cost)
 
@@ -51,20 +50,15 @@ class Units:
         """Return a state in these units."""
         if self.length == self.time == 1.0:
             return state
-        scaled = copy.copy(state)  # checked when it was made: lengths and times say nothing new
-        scaled.__dict__.pop('known', None)
-        for name, unit in (
-            ('position', 1.0 / self.length),
-            ('velocity', self.time / self.length),
-            ('rotation_rate', self.time),
-            ('disturbance', self.pushing),
-        ):
-            object.__setattr__(scaled, name, getattr(state, name) * unit)
-        if state.hazards:
-            known = 1.0 / self.length, 1.0 / self.time
-            hazards = tuple(each.scaled(*known) for each in state.hazards)
-            object.__setattr__(scaled, 'hazards', hazards)
-        return scaled
+        inverse = 1.0 / self.length, 1.0 / self.time
+        return replace(
+            state,
+            position=state.position * inverse[0],
+            velocity=state.velocity * (self.time / self.length),
+            rotation_rate=state.rotation_rate * self.time,
+            disturbance=state.disturbance * self.pushing,
+            hazards=tuple(each.scaled(*inverse) for each in state.hazards),
+        )
 
     @property
     def pushing(self) -> float:
@@ -112,13 +106,3 @@ def _curvature(problem: Problem) -> float:
     """Return the size of a problem's costs: its largest curvature or slope; 1 if it has none."""
     curved = float(np.abs(np.diag(Condensed(problem).hessian)).max())
     return max(curved, problem.weights.length) or 1.0
-
-
-def _times(weights: Weights, factor: float) -> Weights:
-    return Weights(
-        weights.position * factor,
-        weights.input * factor,
-        weights.length * factor,
-        weights.terminal * factor,
-        weights.attitude * factor,
-    )

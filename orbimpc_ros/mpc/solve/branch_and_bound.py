@@ -24,7 +24,8 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
+from orbimpc_ros.mpc.problem.obstacle import Traffic
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree

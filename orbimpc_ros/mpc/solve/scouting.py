@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.model.dynamics import input_weight, position_weights, veloc
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.leaving import directions
-from orbimpc_ros.mpc.problem.traffic import Traffic
+from orbimpc_ros.mpc.problem.obstacle import Traffic
 
 BEAM = 64
 SPEEDS = (1.0, 0.5)  # shares of the range from the least to the full speed

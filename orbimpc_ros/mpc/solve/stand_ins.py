@@ -20,8 +20,8 @@ from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
-from orbimpc_ros.mpc.problem.leaving import Tracks, ways_out
-from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
+from orbimpc_ros.mpc.problem.leaving import ways_out
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 
 # [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
@@ -87,7 +87,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
     """
     ahead, first = _ahead(problem, state)
     traffic = traffic_of(problem, state) if state.hazards else None
-    for headings in () if traffic is None else _ways_out(problem, state, traffic):
+    for headings in () if traffic is None else ways_out(problem, state, traffic):
         rotations = carried(ahead, headings[1:])
         if first is not None:
             rotations[0] = first
@@ -110,10 +110,6 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
             if first is not None:
                 rotations[0] = first
             yield rotations
-
-
-def _ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
-    return ways_out(problem, state, Tracks(traffic.bodies, traffic.shifts, traffic.grown))
 
 
 def in_time(
