@@ -252,9 +252,8 @@ def _limits(rng: Rng, problem: Problem, headings: np.ndarray, ahead: np.ndarray)
         change = (np.abs(np.diff(speeds)).max() + HAIR) * (1.0 + _loose(rng))
         found['max_acceleration'] = float(change) * problem.forward / problem.step
     if _sometimes(rng, 0.4):
-        found['approach'] = _approach(
-            rng, headings[-1], found['floor'].fraction if 'floor' in found else 0.0
-        )
+        least = found['floor'].fraction if 'floor' in found else 0.0
+        found['approach'] = _approach(rng, headings[-1], least)
     if n == 3 and problem.inertial and _sometimes(rng, 0.4):
         lean = np.arctan2(np.linalg.norm(headings[1:, :2], axis=1), headings[1:, 2]).max()
         if lean < 1.5:

@@ -42,6 +42,7 @@ ROUNDING = 1e-6  # share of the cost's gradient that counts as nothing
 TINY = 1e-12
 ACTIVE = 1e-5  # slack that counts as none: solvers leave less
 AXES = 'xyz'
+UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -190,34 +191,29 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
 
 
 def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """z_3 - cos(tilt) |z|, and the distance to the glide slope, charged to their angles."""
+    """The tilt of thrust axes, and the distance to the glide slope, charged to their angles."""
     tilt, slope = cone_margins(problem, state, goals, plan)
     if problem.tilt:
         for k in 1 + np.flatnonzero(tilt < ACTIVE):
-            yield _leaning(problem.tilt, plan, int(k))
+            yield _in_cone('tilt', plan, int(k), problem.tilt, UP, ACTIVE)
     if problem.glide_slope:
         for k in 1 + np.flatnonzero(slope < ACTIVE * problem.length_unit):
             yield _gliding(problem, plan.positions[k] - goals[k - 1], int(k))
 
 
 def _approach(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """z_N . d - cos(cone) max(|z_N|, least), charged to the cone's angle."""
-    heading, approach = plan.rotations[-1, :, 0], problem.approach
-    if approach_margin(problem, state, heading) >= ACTIVE:
-        return
-    size, least = float(np.linalg.norm(heading)), problem.least_heading
-    gradient = approach.axis(state)
-    if size > least:
-        gradient = gradient - math.cos(approach.cone) * heading / size
-    wider = math.sin(approach.cone) * max(size, least)
-    yield Slack('approach', plan.horizon, _at(plan, plan.horizon, gradient), wider)
+    approach = problem.approach
+    if approach_margin(problem, state, plan.rotations[-1, :, 0]) < ACTIVE:
+        cone = approach.cone, approach.axis(state), problem.least_heading
+        yield _in_cone('approach', plan, plan.horizon, *cone)
 
 
-def _leaning(tilt: float, plan: Plan, k: int) -> Slack:
+def _in_cone(name: str, plan: Plan, k: int, angle: float, axis: Array, least: float) -> Slack:
+    """z_k . axis - cos(angle) max(|z_k|, least), charged to the angle."""
     heading = plan.rotations[k, :, 0]
     size = float(np.linalg.norm(heading))
-    gradient = np.array([0.0, 0.0, 1.0]) - math.cos(tilt) * heading / max(size, ACTIVE)
-    return Slack('tilt', k, _at(plan, k, gradient), math.sin(tilt) * size)
+    gradient = axis - (math.cos(angle) * heading / size if size > least else 0.0)
+    return Slack(name, k, _at(plan, k, gradient), math.sin(angle) * max(size, least))
 
 
 def _gliding(problem: Problem, away: Array, k: int) -> Slack:
@@ -303,7 +299,7 @@ def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Expla
         plan: the optimum.
     """
     slacks = list(slacks_of(problem, state, goals, plan))
-    terms = gradients_of_cost(problem, state, goals, plan)
+    terms = gradients_of_cost(problem, state, goals, coordinates(plan.rotations[1:]))
     nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal all vanish
     scale = max(sum(map(np.linalg.norm, terms)), nothing, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])

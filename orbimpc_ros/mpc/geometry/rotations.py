@@ -183,9 +183,11 @@ def turned_onto(rotation: Array, axis: Array) -> Array:
     (a, b, c), (u, v, w) = rotation[:, 0].tolist(), axis.tolist()
     across = np.array([b * w - c * v, c * u - a * w, a * v - b * u])
     sine, cosine = math.sqrt(across @ across), a * u + b * v + c * w
-    if sine < HEADING_UNDEFINED:  # onto itself, or over: about any axis across, say the second
-        across, sine = rotation[:, 1], 1.0 if cosine < 0.0 else 0.0
-        return exp(math.pi * sine * across) @ rotation
+    if cosine > 0.0:
+        hat = skew(across)
+        return (np.eye(3) + hat + hat @ hat / (1.0 + cosine)) @ rotation
+    if sine < HEADING_UNDEFINED:  # over: about any axis across, say the second
+        return exp(math.pi * rotation[:, 1]) @ rotation
     return exp(math.atan2(sine, cosine) / sine * across) @ rotation
 
 
@@ -200,29 +202,10 @@ def carried(attitude: Array, headings: Array) -> Array:
     there = np.flatnonzero(sizes >= HEADING_UNDEFINED)
     axes = headings[there] / sizes[there, None]
     turned = [attitude]
-    if headings.shape[1] == 2:
-        turned += [_from_heading_2(axis) for axis in axes]
-    else:
-        for onto, turn in zip(
-            axes, _least_turns(np.vstack([attitude[None, :, 0], axes])), strict=True
-        ):
-            turned.append(turned_onto(turned[-1], onto) if turn is None else turn @ turned[-1])
+    for axis in axes:
+        turned.append(turned_onto(turned[-1], axis))
     latest = np.searchsorted(there, np.arange(len(headings)), side='right')
     return sizes[:, None, None] * np.array(turned)[latest]
-
-
-def _least_turns(axes: Array) -> list[Array | None]:
-    """Return the least rotation from each of unit vectors, shape (K + 1, 3), onto the next.
-
-    None for turns by more than a right angle, of which no series keeps its precision.
-    """
-    before, after = axes[:-1], axes[1:]
-    cosines = np.einsum('kc,kc->k', before, after)
-    x, y, z = _cross(_wide(before), _wide(after)).T
-    none = np.zeros(len(x))
-    across = np.array([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(2, 0, 1)
-    turns = np.eye(3) + across + across @ across / np.maximum(1.0 + cosines, 1.0)[:, None, None]
-    return [turn if c > 0.0 else None for turn, c in zip(turns, cosines.tolist(), strict=True)]
 
 
 def to_quaternion(rotation: Array) -> Array:

@@ -21,19 +21,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import (
     coordinate_count,
     coordinates,
     frobenius_factor,
     matrix,
 )
-from orbimpc_ros.mpc.model.translation import Translation, maps_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -64,38 +62,36 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
     """
-    flown, positions = problem.maps, np.empty(headings.shape)
-    positions[0] = state.position
-    np.add(flown.reach @ headings, state.position, out=positions[1:])
-    if state.disturbed:
-        positions[1:] += flown.blown * state.disturbance
+    return _flown(problem, headings, state.position, state.velocity, state.disturbance)
+
+
+def _flown(
+    problem: Problem, headings: Array, place: Any, velocity: Any, disturbance: Any
+) -> tuple[Array, Array]:
+    """Return positions and velocities as headings, shape (N + 1, c), and the rest make them."""
+    maps, positions, velocities = problem.maps, np.empty(headings.shape), np.empty(headings.shape)
+    positions[0], velocities[0] = place, velocity
+    positions[1:] = maps.reach @ headings + place + maps.blown * disturbance
     if not problem.inertial:
-        velocities = problem.forward * headings
-        return positions, velocities + state.disturbance if state.disturbed else velocities
-    positions[1:] += flown.drift * state.velocity
-    velocities = np.empty(headings.shape)
-    velocities[0] = state.velocity
-    np.add(flown.pushed @ headings, flown.carried * state.velocity, out=velocities[1:])
-    if state.disturbed:
-        velocities[1:] += flown.hastened * state.disturbance
+        return positions, problem.forward * headings + disturbance
+    positions[1:] += maps.drift * velocity
+    velocities[1:] = maps.pushed @ headings + maps.carried * velocity
+    velocities[1:] += maps.hastened * disturbance
     return positions, velocities
 
 
 def drift(problem: Problem, state: State) -> Array:
     """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
     maps = problem.maps
-    coasting = state.position + maps.drift * state.velocity
-    return coasting + maps.blown * state.disturbance if state.disturbed else coasting
+    return state.position + maps.drift * state.velocity + maps.blown * state.disturbance
 
 
 def adrift(problem: Problem, state: State) -> Array:
     """Return where what the state decides at once would have it at s_1..s_N, shape (N, n).
 
     That is s_0, moved by the disturbance alone: the origin of displacements, in which the dynamics
-    know no disturbance. Without any it is s_0 all along, shape (1, n).
+    know no disturbance.
     """
-    if not state.disturbed:
-        return state.position[None]
     return state.position + problem.maps.blown * state.disturbance
 
 
@@ -107,26 +103,6 @@ def input_map(problem: Problem) -> Array:
     n_steps, h = problem.horizon, problem.step
     first = np.diff(np.eye(n_steps + 1), axis=0) / h
     return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h
-
-
-class Flown(Protocol):
-    """A trajectory or a plan: arrays over k = 0..N, and the inputs between them."""
-
-    @property
-    def positions(self) -> Array:
-        """Return s_0..s_N, shape (N + 1, n) [m]."""
-
-    @property
-    def velocities(self) -> Array:
-        """Return p_0..p_N, shape (N + 1, n) [m/s]."""
-
-    @property
-    def rotations(self) -> Array:
-        """Return R_0..R_N, shape (N + 1, n, n)."""
-
-    @property
-    def inputs(self) -> Array:
-        """Return u_0..u_{N-1}, shape (N, n, n)."""
 
 
 KINK = 1e-5  # below it |R e1| counts as zero, where the length has no gradient
@@ -213,32 +189,24 @@ def value(
     return float(cost)
 
 
-def gradients(problem: Problem, state: State, goals: Array, flown: Flown) -> list[Array]:
-    """Return the gradient of each term over the coordinates of R_1..R_N, shape (N, d) each."""
+def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Array]:
+    """Return the gradient of each term over the coordinates x of R_1..R_N, shape (N, d) each."""
     maps, turn = problem.maps, input_map(problem)[:, 1:]
+    flown = trajectory_of(problem, state, goals, x)
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
     stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], flown.velocities[-1])
     turned = coordinates(flown.inputs[: len(turn)])
+    attitude = np.zeros_like(x)
+    attitude[-1] = 2.0 * attitude_weight(problem) * (x[-1] - wanted_coordinates(problem, state))
+    axes = flown.headings[1:]
+    kinked = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
     return [
         on_axes(2.0 * maps.reach[:, 1:].T @ missed),
         2.0 * input_weight(problem) * turn.T @ turned,
         on_axes(2.0 * stopped),
-        on_axes(_length_gradient(problem, flown)),
-        _attitude_gradient(problem, state, flown),
+        on_axes(length_weights(problem)[1:, None] * axes / kinked),
+        attitude,
     ]
-
-
-def _attitude_gradient(problem: Problem, state: State, flown: Flown) -> Array:
-    gradient = np.zeros((problem.horizon, coordinate_count(problem.dimension)))
-    off = coordinates(flown.rotations[-1]) - wanted_coordinates(problem, state)
-    gradient[-1] = 2.0 * attitude_weight(problem) * off
-    return gradient
-
-
-def _length_gradient(problem: Problem, flown: Flown) -> Array:
-    axes = flown.rotations[1:, :, 0]
-    sizes = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
-    return length_weights(problem)[1:, None] * axes / sizes
 
 
 def on_axes(gradient: Array) -> Array:
@@ -303,26 +271,15 @@ def controls(degree: int, step: float, positions: Array, velocities: Array) -> A
 
 def control_maps(problem: Problem) -> Array:
     """Return what R_0 e1..R_N e1 add to each control point, shape (N, degree + 1, N + 1)."""
-    return _control_maps(problem.translation, problem.horizon, problem.step, problem.forward)
-
-
-@lru_cache(maxsize=64)
-def _control_maps(model: Translation, horizon: int, step: float, forward: float) -> Array:
-    maps = maps_of(model, horizon, step, forward)
-    still = np.zeros((1, horizon + 1))
-    velocities = forward * np.eye(horizon + 1)
-    if model.inertial:
-        velocities = np.vstack([still, maps.pushed])
-    return sealed(controls(model.degree, step, np.vstack([still, maps.reach]), velocities))
+    return _controls(problem, np.eye(problem.horizon + 1), 0.0, 0.0)
 
 
 def coasting_controls(problem: Problem, state: State) -> Array:
     """Return the control points without any thrust, less s_0, shape (N, degree + 1, n)."""
-    maps, coasted = problem.maps, np.zeros((2, problem.horizon + 1, problem.dimension))
-    coasted[0, 1:] = maps.drift * state.velocity + maps.blown * state.disturbance
-    if problem.inertial:
-        coasted[1, 0] = state.velocity
-        coasted[1, 1:] = maps.carried * state.velocity + maps.hastened * state.disturbance
-    else:
-        coasted[1] = state.disturbance
-    return controls(problem.translation.degree, problem.step, *coasted)
+    still = np.zeros((problem.horizon + 1, problem.dimension))
+    return _controls(problem, still, state.velocity, state.disturbance)
+
+
+def _controls(problem: Problem, headings: Array, velocity: Any, disturbance: Any) -> Array:
+    flown = _flown(problem, headings, 0.0, velocity, disturbance)
+    return controls(problem.translation.degree, problem.step, *flown)

@@ -33,6 +33,7 @@ SPARE = 1e-3  # by so much of a step's length, or of full thrust, more than the 
 NOTHING = 2e-6  # outside by less, as fractions and in lengths of a step, is inside
 SETTLING = 4.0  # steps in which a climb comes above the goal, as far as its lean allows
 LEAN = 0.5  # [rad] of a climb, where the tilt is not limited
+ONCE = np.ones(1)
 
 
 class Relief(NamedTuple):
@@ -111,7 +112,7 @@ def _climbed(problem: Problem, state: State, goals: Array) -> Array:
     for k in range(problem.horizon):
         if k + 1 >= len(given):
             wanted = _upward(problem, y[0] - goals[max(k - 1, 0)], y[1:])
-            pointing = z[k + 1] = _raised(problem, pointing, wanted)
+            pointing = z[k + 1] = turned_towards(problem, pointing, wanted[None], ONCE)[0, 0]
         pushed = np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1])
         y = once.transition @ y + pushed + blown
     return z
@@ -155,25 +156,31 @@ def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
     return np.array([*lean, math.sqrt(1.0 - lean @ lean)])
 
 
-def _raised(problem: Problem, heading: Array, wanted: Array) -> Array:
-    """Return the heading wanted, or the one nearest to it within one step's turn."""
+def turned_towards(problem: Problem, pointing: Array, ways: Array, steps: Array) -> Array:
+    """Return headings that turn evenly towards unit vectors, as fast as may be: (A, K, n).
+
+    Without a floor along the chord, which limits changes of speed as well.
+
+    Args:
+        problem: gives the limits.
+        pointing: what the turns begin at, shape (n,).
+        ways: unit vectors, shape (A, n).
+        steps: of which the turns have had so many, shape (K,).
+    """
     if not problem.max_rate:
-        return wanted
-    if not problem.floor.exists:  # the chord limits changes of speed as well
-        way = wanted - heading
-        return np.asarray(heading + way * min(1.0, problem.chord / max(_size(way), NOTHING)))
-    return _turned(heading / max(_size(heading), HEADING_UNDEFINED), wanted, problem.widest_turn)
+        return np.repeat(ways[:, None], len(steps), axis=1)
+    if not problem.floor.exists:
+        left = ways - pointing
+        sizes = np.maximum(np.linalg.norm(left, axis=1), NOTHING)
+        shares = np.minimum(1.0, steps * problem.chord / sizes[:, None])
+        return np.asarray(pointing + shares[..., None] * left[:, None])
+    unit = pointing / max(_size(pointing), HEADING_UNDEFINED)
+    asides, angles = zip(*(_turn(unit, way) for way in ways), strict=True)
+    turned = np.minimum(np.array(angles)[:, None], steps * problem.widest_turn)[..., None]
+    return np.asarray(np.cos(turned) * unit + np.sin(turned) * np.array(asides)[:, None])
 
 
-def _turned(unit: Array, towards: Array, most: float) -> Array:
-    """Return a unit vector turned towards another, by an angle at most."""
-    aside, angle = turn_towards(unit, towards)
-    if angle <= most:
-        return towards
-    return math.cos(most) * unit + math.sin(most) * aside
-
-
-def turn_towards(unit: Array, towards: Array) -> tuple[Array, float]:
+def _turn(unit: Array, towards: Array) -> tuple[Array, float]:
     """Return the unit vector across ``unit`` that it turns to on its way, and the angle [rad]."""
     aside = towards - unit * (unit @ towards)
     if _size(aside) < HEADING_UNDEFINED:  # there, or opposite: about any axis across

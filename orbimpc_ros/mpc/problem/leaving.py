@@ -17,11 +17,10 @@ import math
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.dynamics import coasting_controls, control_maps
-from orbimpc_ros.mpc.problem.cones import NOTHING, begun, turn_towards
+from orbimpc_ros.mpc.problem.cones import begun, turned_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Traffic
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
@@ -114,25 +113,13 @@ def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
 def escapes(problem: Problem, state: State, ways: Array) -> Array:
     """Return R_0 e1..R_N e1 at full thrust along unit vectors, shape (A, n): (A, N + 1, n).
 
-    But for what the state decides they turn there evenly, as fast as may be; without a floor
-    along the chord.
+    But for what the state decides they turn there as :func:`turned_towards` has it.
     """
     given, pointing = begun(problem, state)
     found = np.empty((len(ways), problem.horizon + 1, problem.dimension))
-    found[:, : len(given)], found[:, len(given) :] = given, ways[:, None]
-    steps = np.arange(1, problem.horizon + 2 - len(given))
-    if not problem.max_rate:
-        return found
-    if not problem.floor.exists:
-        left = ways - pointing
-        sizes = np.maximum(np.linalg.norm(left, axis=1), NOTHING)
-        shares = np.minimum(1.0, steps * problem.chord / sizes[:, None])
-        found[:, len(given) :] = pointing + shares[..., None] * left[:, None]
-        return found
-    unit = pointing / max(float(np.linalg.norm(pointing)), HEADING_UNDEFINED)
-    asides, angles = zip(*(turn_towards(unit, way) for way in ways), strict=True)
-    turned = np.minimum(np.array(angles)[:, None], steps * problem.widest_turn)[..., None]
-    found[:, len(given) :] = np.cos(turned) * unit + np.sin(turned) * np.array(asides)[:, None]
+    found[:, : len(given)] = given
+    steps = np.arange(1.0, problem.horizon + 2 - len(given))
+    found[:, len(given) :] = turned_towards(problem, pointing, ways, steps)
     return found
 
 

@@ -119,11 +119,6 @@ class State(ByContent):
         return len(self.position)
 
     @cached_property
-    def disturbed(self) -> bool:
-        """Return whether there is any disturbance."""
-        return any(self.disturbance.tolist())
-
-    @cached_property
     def _known(self) -> list[tuple[Any, Any]]:
         return []
 

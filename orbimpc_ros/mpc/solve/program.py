@@ -69,7 +69,7 @@ class Program:
         """Set the data of the next solves from state and goals."""
         self._request, state, goals = request, request.state, request.goals
         self._a, self._b = self.statement.put(state, goals)
-        self._origins = np.broadcast_to(adrift(self.problem, state), goals.shape)
+        self._origins = adrift(self.problem, state)
         seen = goals - self._origins
         weights = position_weights(self.problem)
         constant = float(np.sum(weights[:, None] * seen * seen))
