@@ -28,7 +28,7 @@ from orbimpc_ros.sim.vehicle import Model, launched, measured
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to the command that answers it, in the retrieval: files that it passes, calls from
 # one file to another, and those among them to a file that it has passed before.
-FILES, HOPS, RETURNS = 26, 62, 36
+FILES, HOPS, RETURNS = 26, 61, 36
 FRAMES = Frames('odom', 'base_link')
 
 

@@ -79,30 +79,25 @@ class State(ByContent):
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
         line, square, still = (n,), (n, n), _zeros((n,))
-
-        def taken(
-            name: str, given: ArrayLike | None, shape: tuple[int, ...], absent: Array | None
-        ) -> Any:
-            return absent if given is None else frozen(given, shape, f'state.{name}')
-
         placed = frozen(rotation, square, 'state.rotation')
-        turned = nearest(placed) if attitude is None else attitude
-        made = cls(
-            position=frozen(position, line, 'state.position'),
-            rotation=placed,
-            velocity=taken('velocity', velocity, line, still),
-            rotation_rate=taken('rotation_rate', rotation_rate, square, _zeros(square)),
-            attitude=frozen(turned, square, 'state.attitude'),
-            coasted=taken('coasted', coasted, square, None),
-            disturbance=taken('disturbance', disturbance, line, still),
-            commanded=commanded,
-            hazards=tracked(hazards, n) if hazards else (),
-            wanted=taken('wanted', wanted, square, None),
-        )
+        given: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
+            'position': (position, line, None),
+            'velocity': (velocity, line, still),
+            'rotation_rate': (rotation_rate, square, _zeros(square)),
+            'attitude': (nearest(placed) if attitude is None else attitude, square, None),
+            'coasted': (coasted, square, None),
+            'disturbance': (disturbance, line, still),
+            'wanted': (wanted, square, None),
+        }
+        made: dict[str, Any] = {
+            name: absent if value is None else frozen(value, shape, f'state.{name}')
+            for name, (value, shape, absent) in given.items()
+        }
         for name in ('attitude', 'coasted', 'wanted'):
-            if getattr(made, name) is not None:
-                _require_rotation(getattr(made, name), f'state.{name}')
-        return made
+            if made[name] is not None:
+                _require_rotation(made[name], f'state.{name}')
+        bodies = tracked(hazards, n) if hazards else ()
+        return cls(rotation=placed, commanded=commanded, hazards=bodies, **made)
 
     def __post_init__(self) -> None:
         _require_structure(self.rotation, 'state.rotation')
