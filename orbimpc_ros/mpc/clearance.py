@@ -77,13 +77,12 @@ def _positions(problem: Problem, plan: Plan, times: Array) -> Array:
     k = np.minimum((times / h).astype(int), plan.horizon - 1)
     share = (times / h - k)[:, None]
     begin, way = plan.positions[k], plan.positions[k + 1] - plan.positions[k]
-    if problem.translation.degree == 1:
-        return np.asarray(begin + share * way)
-    leaving, arriving = h * plan.velocities[k], h * plan.velocities[k + 1]
-    bent = way - leaving
-    if problem.translation.degree == 2:
-        return np.asarray(begin + share * leaving + share**2 * bent)
-    cubic = arriving - leaving - 2.0 * bent
+    degree, leaving = problem.translation.degree, way
+    if degree > 1:
+        leaving = h * plan.velocities[k]
+    bent, cubic = way - leaving, 0.0
+    if degree > 2:
+        cubic = h * plan.velocities[k + 1] - leaving - 2.0 * bent
     return np.asarray(begin + share * leaving + share**2 * (bent - cubic) + share**3 * cubic)
 
 

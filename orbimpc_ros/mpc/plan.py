@@ -176,20 +176,10 @@ def later(values: Array, at: Array) -> Array:
         values: entries 0..M - 1, shape (M, d).
         at: places among them, counted in entries, at least 0; shape (K,).
     """
-    if _whole(at):
-        found = values[int(at[0]) : int(at[0]) + len(at)]
-        missing = len(at) - len(found)
-        return np.concatenate([found, *[values[-1:]] * missing]) if missing else found
     below = np.minimum(at.astype(int), len(values) - 1)
     share = (at - below)[:, None]
     above = np.minimum(below + 1, len(values) - 1)
     return np.asarray(values[below] + share * (values[above] - values[below]))
-
-
-def _whole(at: Array) -> bool:
-    """Return whether evenly spaced places are entries, one after another."""
-    first = float(at[0])
-    return first.is_integer() and float(at[-1]) - first == len(at) - 1
 
 
 def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = None) -> Array | None:
@@ -211,9 +201,7 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
         return None
     x = coordinates(plan.rotations)
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
-    moved = later(x, at)
-    if not _whole(at):
-        moved = _as_long(problem, x, moved, at)
+    moved = _as_long(problem, x, later(x, at), at)
     if problem.dimension == 2 and problem.turns_are_angles:
         moved = _followed(problem, state, moved)
     return moved
