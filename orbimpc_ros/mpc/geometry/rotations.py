@@ -41,19 +41,14 @@ def skew(omega: Array) -> Array:
 def exp(phi: Array) -> Array:
     """Return the rotation, shape (n, n), that the tangent vector ``phi`` [rad] reaches.
 
-    Rodrigues' formula; series near zero keep full precision.
+    Rodrigues' formula, in terms that keep full precision near zero.
     """
     if len(phi) == 1:
         c, s = math.cos(phi[0]), math.sin(phi[0])
         return np.array([[c, -s], [s, c]])
-    angle = math.sqrt(phi @ phi)
-    hat = skew(phi)
-    if angle < 1e-4:
-        first, second = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
-    else:
-        first = math.sin(angle) / angle
-        second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2  # (1 - cos)/angle^2, stable
-    return np.eye(3) + first * hat + second * (hat @ hat)
+    angle, hat = math.sqrt(phi @ phi) / math.pi, skew(phi)
+    half = np.sinc(0.5 * angle)  # (1 - cos a) / a^2 is half the square of that
+    return np.asarray(np.eye(3) + np.sinc(angle) * hat + 0.5 * half * half * (hat @ hat))
 
 
 def log(rotation: Array) -> Array:
