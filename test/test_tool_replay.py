@@ -114,6 +114,7 @@ SPOILT = {
     'rotation': (QuaternionStamped, nudged('quaternion.x', 1e-3), 'rotation'),
     'objective': (DiagnosticArray, reported('objective', '1.0'), 'objective'),
     'gap': (DiagnosticArray, reported('gap', '0.5'), 'gap'),
+    'a word for a number': (DiagnosticArray, reported('gap', '"NaN"'), ''),  # it is not compared
     'status': (DiagnosticArray, reported('status', 'feasible'), 'status'),
     'fallback': (DiagnosticArray, reported('fallback', 'shifted plan'), 'fallback'),
     'odometry': (Odometry, nudged('pose.pose.orientation.w', 7.0), 'status optimal -> failed'),

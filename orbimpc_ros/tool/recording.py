@@ -34,6 +34,15 @@ INPUTS = tuple(topic.name for topic in topics.INPUTS)
 OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
 COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
 NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
+NUMBER = (int, float)
+KINDS: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), str),
+    **dict.fromkeys(('objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'), NUMBER),
+    **dict.fromkeys(('advanced', 'solve_time_ms'), NUMBER),
+    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), dict),
+    'bound_checked': bool,
+    'speed_fraction': list,
+}  # values of ``tick`` that a replay needs; those of another type are dropped
 UNDATED = -1  # [ns] for a stamp that is none
 Messages = Mapping[str, Any]  # by topic
 Answer = dict[str, Any]  # what the planner published on a tick; what is not known is not in it
@@ -55,7 +64,8 @@ def published(messages: Messages) -> Answer:
         q = messages['rotation'].quaternion
         found['rotation'] = np.array([q.w, q.x, q.y, q.z])
     if 'tick' in messages and messages['tick'].status:
-        found |= fields(messages['tick'])
+        values = fields(messages['tick'])
+        found |= {n: each for n, each in values.items() if isinstance(each, KINDS.get(n, object))}
     return found
 
 
