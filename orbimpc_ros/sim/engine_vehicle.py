@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Vehicles that are moved by an engine: the physics of another library in this simulator."""
+"""Vehicles moved by an engine: the physics of another library inside this simulator."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from orbimpc_ros.sim.world import Rope
 
 
 class Kind(NamedTuple):
-    """A vehicle in an engine: the class in the module of ``engines`` that has its name."""
+    """Properties of an engine vehicle; its class is in the module of ``engines`` with its name."""
 
-    dimension: int  # in which it is flown
-    translation_order: int  # 1, it takes speeds; 2, thrusts
-    lacks: tuple[str, ...]  # parameters that mean nothing to it, or that it decides itself
-    extra: str = 'physics'  # of this package, that has the libraries
+    dimension: int  # of its flight
+    translation_order: int  # 1: commanded by speed; 2: by thrust
+    lacks: tuple[str, ...]  # parameters that do not apply, or that the engine sets
+    extra: str = 'physics'  # of this package, which installs the libraries
 
 
-PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # of no engine
-ROPE = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # of a goal that is no body
+PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # of plants without engine
+ROPE = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # of goals moved without engine
 ENGINES = {
     'cessna': Kind(2, 1, PLAIN),
     'hummingbird': Kind(2, 1, (*PLAIN, *ROPE)),
@@ -39,15 +39,15 @@ ENGINES = {
 
 @dataclass(frozen=True)
 class EnginePlant(Model):
-    """A vehicle in an engine, on its own inner loop; in the plane it is that of one altitude.
+    """A vehicle moved by an engine with its own inner loop; in the plane, flight at one altitude.
 
-    Its wind is the steady one of the model, with turbulence on top.
+    Its wind is the steady wind of the model plus turbulence.
     """
 
-    engine: str = 'cessna'  # of :data:`ENGINES`
-    gust: float = 0.0  # standard deviation of the air's velocity along each axis [m/s]
-    seed: int = 0  # of the turbulence, and of what else the engine draws
-    rope: Rope | None = None  # the goal, for engines that move it themselves
+    engine: str = 'cessna'  # a key of :data:`ENGINES`
+    gust: float = 0.0  # standard deviation of the turbulence along each axis [m/s]
+    seed: int = 0  # of the turbulence and all other random draws of the engine
+    rope: Rope | None = None  # the goal, for engines that simulate its motion
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,10 +57,10 @@ class EnginePlant(Model):
                 raise BadInput(name, getattr(self, name), f'{needed} with vehicle: {self.engine}')
 
     def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return a vehicle at its start, in an engine that is made for it.
+        """Return the vehicle in its initial state, with a new engine.
 
         Raises:
-            BadInput: the engine is not installed, or cannot start so.
+            BadInput: the engine is not installed, or cannot start from this state.
         """
         goal = self.rope or Rope(vehicle.position)
         start = Start(
@@ -76,13 +76,13 @@ class EnginePlant(Model):
         return self._read(engine, engine.motion(), vehicle.time)
 
     def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle once no command is in force: nothing changes at once."""
+        """Return the vehicle unchanged: losing the command has no immediate effect."""
         return vehicle
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at the intervals of its engine; see :meth:`Model.flown`.
+        """Return the vehicle at the output times of its engine; see :meth:`Model.flown`.
 
         Raises:
             EngineFailure: the engine has failed.
@@ -93,7 +93,7 @@ class EnginePlant(Model):
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
     def _read(self, engine: Engine, motion: Motion, begun: float) -> Vehicle:
-        """Return the state that a planner sees of a motion; the engine began at a time [s]."""
+        """Return a motion as a vehicle state; the clock of the engine started at ``begun`` [s]."""
         n, height, climb = self.dimension, 0.0, 0.0
         attitude, rate = motion.attitude, motion.body_rate
         if n == 2:
@@ -120,10 +120,10 @@ class EnginePlant(Model):
 
 
 def class_of(name: str) -> Callable[..., Engine]:
-    """Return the engine of a vehicle, by its name in :data:`ENGINES`.
+    """Return the engine class of a vehicle named in :data:`ENGINES`.
 
     Raises:
-        BadInput: a library that it takes is not installed.
+        BadInput: a library that it needs is not installed.
     """
     try:
         module = import_module(f'orbimpc_ros.sim.engines.{name}')

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Faults between a flight and its planner: noise, losses, delays, false stamps; from a seed.
+"""Faults between a flight and its planner, from a seed: noise, losses, delays, wrong stamps.
 
-Every tick draws all its chances from the seed and its own number, so that a run repeats exactly,
-one fault does not change the draws of another, and asking twice for a tick gives the same answer.
+The random draws of a tick depend on the seed and the tick number only, so that runs repeat exactly,
+faults do not affect each other's draws, and repeated queries of one tick agree.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from orbimpc_ros.ros.parameters.spec import TINY, parameter
 from orbimpc_ros.sim.vehicle import Vehicle, between, measured
 from orbimpc_ros.sim.world import Flight
 
-ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
+ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's draws
 CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
 
 
 @dataclass(frozen=True)
 class Faults:
-    """How often, and how far, messages are wrong; each a parameter of the simulator."""
+    """Rates and magnitudes of message faults; each field is a parameter of the simulator."""
 
     # fmt: off
     position_noise: float = parameter('faults.position_noise', 0.0,
@@ -62,22 +62,22 @@ class Faults:
 
     @property
     def any(self) -> bool:
-        """Return whether there is any fault."""
+        """Return True if any fault is configured."""
         return self != NO_FAULTS
 
     def jumped(self, ticks: int) -> float:
-        """Return how far off stamps are after a number of steps [s]."""
+        """Return the error of stamps after a number of steps [s]."""
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
 
 
 NO_FAULTS = Faults()
 
 
-Seen = Odometry | GoalObservation  # what reaches a planner, at the true time of the measurement
+Seen = Odometry | GoalObservation  # a message to the planner, at the true time of measurement
 
 
 class View:
-    """What reaches a planner, tick by tick, a ``step`` [s] apart."""
+    """The messages that reach a planner at each tick; ticks are ``step`` [s] apart."""
 
     def __init__(self, faults: Faults, seed: int, step: float) -> None:
         self.faults, self._seed = faults, seed
@@ -85,7 +85,7 @@ class View:
         self._held_back: list[Seen] = []
 
     def of(self, flight: Flight) -> list[Seen]:
-        """Return what comes at this tick, in order; to be called once a tick."""
+        """Return the messages that arrive at this tick, in order. Call it once per tick."""
         self._past.append(flight.trail or (flight.vehicle,))
         arriving, self._held_back = self._held_back, []
         chances, shifts, turn = _draws(self._seed, flight.ticks)
@@ -99,11 +99,11 @@ class View:
         return arriving + self._through(chances[ODOMETRY], seen)
 
     def command_lost(self, ticks: int) -> bool:
-        """Return whether the command that answers a tick gets lost."""
+        """Return True if the command that answers a tick is lost."""
         return 'dropout' in self._happening(_draws(self._seed, ticks)[0][COMMAND])
 
     def _delayed(self) -> Vehicle:
-        """Return the vehicle as it was ``delay`` ago; before its start it stood there."""
+        """Return the vehicle as it was ``delay`` ago; before the start, its initial state."""
         past = list(chain.from_iterable(self._past))
         at = past[-1].time - self.faults.delay
         for earlier, later in pairwise(past):
@@ -112,7 +112,7 @@ class View:
         return past[-1] if at >= past[-1].time else replace(past[0], time=at)
 
     def _through(self, chances: Array, sent: Seen) -> list[Seen]:
-        """Return the copies of a message that arrive now: none, one or two."""
+        """Return the copies of a message that arrive now: zero, one or two."""
         happening = self._happening(chances)
         if 'dropout' in happening:
             return []
@@ -129,7 +129,7 @@ class View:
         return {fault for fault, chance in drawn if chance < getattr(self.faults, fault)}
 
     def _hidden(self, elapsed: float) -> bool:
-        """Return whether the goal is occluded."""
+        """Return True if the goal is occluded."""
         length, period = self.faults.occlusion_length, self.faults.occlusion_period
         window, into = divmod(elapsed, period)
         begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
@@ -137,6 +137,6 @@ class View:
 
 
 def _draws(seed: int, ticks: int) -> tuple[Array, Array, Array]:
-    """Return a tick's chances, uniform, (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
+    """Return a tick's draws: uniform, shape (3, 4), and normal, shapes (2, 3) and (3,)."""
     rng = np.random.default_rng((seed, 0, ticks))
     return rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Fleets from a seed: vehicles in a ring that fly outwards, each after a rope, or cross over."""
+"""Seeded fleets: vehicles on a ring that chase ropes outwards, or cross to the opposite side."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, whole
 
 MOST = 64  # vehicles
-RING = 1.5  # [m] from the middle to each start
-AHEAD = (7.0, 9.0)  # [m] from a start to the middle of its swing
-SWING = 0.5  # [m] reach of a rope along each axis
+RING = 1.5  # [m] radius of the ring of starts
+AHEAD = (7.0, 9.0)  # [m] from a start to the centre of its rope's swing
+SWING = 0.5  # [m] amplitude of the swing along each axis
 FREQUENCIES = (0.02, 0.3)  # [Hz]
-ROOM = 3.0  # [m] along the ring that a crossing begins on, for each vehicle
+ROOM = 3.0  # [m] of circumference per vehicle on the ring of a crossing
 LEAST_RING = 5.0  # [m]
-TINY = 1e-300  # [m^2] instead of a drift of zero
-ASTRAY = 0.5  # [m] that starts and goals of a crossing are off the ring, along each axis
+TINY = 1e-300  # [m^2] lower bound of a squared drift, against division by zero
+ASTRAY = 0.5  # [m] largest offset of starts and goals of a crossing from the ring, along each axis
 
 Parameters = dict[str, Any]
 Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 
 
 def vehicles(count: int, seed: int = 0) -> dict[str, Parameters]:
-    """Return the parameters in which the simulators of a fleet differ, by namespace: /uav1, ...
+    """Return the simulator parameters that differ within a fleet, by namespace: /uav1, ...
 
-    The ropes of the first vehicles do not depend on ``count``.
+    The random draws of a vehicle depend on its number and ``seed``, not on ``count``.
 
     Raises:
-        BadInput: not 1 to 64 vehicles.
+        BadInput: ``count`` is not in [1, 64].
     """
 
     def follower(heading: float, rng: np.random.Generator) -> Parameters:
@@ -46,9 +46,9 @@ def vehicles(count: int, seed: int = 0) -> dict[str, Parameters]:
 
 
 def crossers(count: int, seed: int = 0) -> dict[str, Parameters]:
-    """Return the parameters of vehicles in a ring, each with a goal at its other side.
+    """Return the parameters of vehicles on a ring, each with a goal on the opposite side.
 
-    All ways lead through the middle. Arguments and errors are those of :func:`vehicles`.
+    All paths lead through the centre. Arguments and errors are those of :func:`vehicles`.
     """
     ring = max(LEAST_RING, ROOM * count / (2.0 * math.pi))
 
@@ -62,7 +62,7 @@ def crossers(count: int, seed: int = 0) -> dict[str, Parameters]:
     return _drawn(count, seed, crosser)
 
 
-FLEETS = {'fleet': (vehicles, 4), 'crossing': (crossers, 8)}  # and usually how many
+FLEETS = {'fleet': (vehicles, 4), 'crossing': (crossers, 8)}  # generator, default size
 
 
 def _drawn(
@@ -90,9 +90,9 @@ def _triple(vector: Array) -> tuple[float, ...]:
 
 
 def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str], Array]]:
-    """Return all K times, and of each pair the least distances from one to the next, (K - 1,) [m].
+    """Return all K times and, for each pair, the least distance in each interval, (K - 1,) [m].
 
-    They are infinite while not both fly. From one position to the next a vehicle moves evenly.
+    It is infinite unless both fly. Motion from one position to the next is linear.
     """
     times = np.unique(np.concatenate([stamps for stamps, _ in tracks.values()]))
     ways = {

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulator's node: a flight in step with its planner or in real time, and its reset."""
+"""The node of the simulator: a flight in lock-step with its planner or in real time; its reset."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from orbimpc_ros.sim.faults import Seen
 from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
-LOOK = 0.02  # [s] between looks at who is there
-SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
-RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
+LOOK = 0.02  # [s] between checks for planner and readers
+SETTLED = 0.1  # [s] lock-step: time for a planner to take in a goal without odometry to answer
+RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
 NO_ANSWER = (
@@ -34,18 +34,18 @@ NO_ANSWER = (
 
 
 class LockStep(FlightSimulation):
-    """Flies a step as soon as the command for the newest odometry's own stamp is there.
+    """Flies a step as soon as the command with the stamp of the newest odometry arrives.
 
-    The last odometry is answered too, so that every run has the same messages. Where faults leave
-    nothing to answer, or lose the answer, the step is flown on the last command while that is in
-    force. With faults odometry follows clock and goals at a distance: stamps no longer show what
-    belongs together, and DDS keeps no order among topics. At a ``rate``, or with a shared clock,
-    the next step is not shown before its time.
+    The last odometry is answered too, so that every run has the same messages. If faults leave no
+    odometry to answer, or lose the answer, the step is flown on the last command while that is in
+    force. With faults, odometry is sent some time after clock and goals, because stamps no longer
+    show which messages belong together, and DDS does not preserve order across topics. With a
+    ``rate`` or a shared clock, the next step is not published before its time.
     """
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
-        self._shared = math.inf  # what the shared clock shows, if there is one [ns]
+        self._shared = math.inf  # time of the shared clock; infinite without one [ns]
         if settings.clock == 'shared':
             self._shared = -math.inf
             node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
@@ -58,25 +58,25 @@ class LockStep(FlightSimulation):
                 node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
 
     def start(self) -> None:
-        """Start as soon as planner and readers are there."""
+        """Start as soon as planner and readers are present."""
         self._begun = False
         self._asking = False  # whether a step waits for a command
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
-        self._newest = -np.inf  # true time of the last odometry sent [s]
+        self._newest = -np.inf  # true time of the newest odometry sent [s]
         self._goal_sent = False
-        self._heard = -np.inf  # when the last command came, in simulated time [s]
+        self._heard = -np.inf  # simulated arrival time of the last command [s]
         self._sent: list[Seen] = []
-        self._held_back: list[Seen] = []  # odometry that follows
+        self._held_back: list[Seen] = []  # odometry to be sent later
         self._progress = self._asked_at = self.node.steady_now()
         self._wait()
 
     @property
     def now(self) -> int:
-        """Return the simulated time [ns], which jumps where faults make it."""
+        """Return the simulated time [ns], including jumps by faults."""
         return round((self.flight.vehicle.time + self.jump) * SECOND)
 
     def look(self) -> None:
-        """Start once planner and readers are there; send again, or give up, without an answer."""
+        """Start once planner and readers are present; without an answer, resend or give up."""
         if self.finished:
             return
         if not self._begun:
@@ -98,7 +98,7 @@ class LockStep(FlightSimulation):
 
     def _keep_asking(self) -> None:
         now, patience = self.node.steady_now(), self.settings.wait_timeout
-        if self.settings.clock != 'shared':  # where vehicles wait for each other, too
+        if self.settings.clock != 'shared':  # vehicles with a shared clock also wait for each other
             patience = min(PATIENCE, patience)
         if self._awaited is None:
             if now - self._asked_at > SETTLED:
@@ -117,13 +117,13 @@ class LockStep(FlightSimulation):
         self._ask_when_due()
 
     def _ask_when_due(self) -> None:
-        """Ask, unless the shared clock has not come to the next step."""
-        half = 0.5 * self.settings.scenario.model.step * SECOND  # rounding is less
+        """Request a command, unless the shared clock has not reached the next step."""
+        half = 0.5 * self.settings.scenario.model.step * SECOND  # far above rounding errors
         if self.now <= self._shared + half:
             self._on_due()
 
     def _on_due(self) -> None:
-        """Ask for the command of the next step, unless one is under way."""
+        """Request the command of the next step, unless one is already awaited."""
         if not self._begun or self._asking or self.finished:
             return
         self._asking = True
@@ -133,7 +133,7 @@ class LockStep(FlightSimulation):
         self._send()
 
     def _to_be_answered(self) -> int | None:
-        """Return the stamp of the odometry that a planner answers, which may not be there."""
+        """Return the stamp of the odometry that the planner will answer, or None."""
         fresh = None
         for seen in self._sent:
             if not np.isfinite(seen.position).all():
@@ -152,7 +152,7 @@ class LockStep(FlightSimulation):
         self.show([each for each in self._sent if not (apart and isinstance(each, Odometry))])
 
     def on_order(self, order: Order) -> None:
-        """Fly a step if this is the answer awaited."""
+        """Fly a step if this is the awaited answer."""
         if self.finished or order.stamp != self._awaited:
             return
         if not self.view.command_lost(self.flight.ticks):
@@ -171,18 +171,18 @@ class LockStep(FlightSimulation):
 
 
 class RealTime(FlightSimulation):
-    """Flies a step when its time is over, on the command in force; waits for the first command.
+    """Flies each step when its time is over, on the command in force; waits for the first command.
 
     The vehicle is stopped when no command has come for ``command_timeout``, or as soon as DDS
-    misses signs of life from the last planner that promised some, long before a command is due. On
-    a busy machine living planners miss some, too: the command is in force again with the next one.
+    reports that the last planner with a liveliness lease has lost it, long before a command is due.
+    Planners on a busy machine lose it too: once regained, the last command is in force again.
     """
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
         node.every(LOOK, self.look)
         node.every(settings.scenario.model.step, self.on_time)
-        # A planner that promises no signs of life does not match, which is no fault.
+        # Publishers without a liveliness lease do not match this QoS, which is no fault.
         events = SubscriptionEventCallbacks(
             liveliness=node.at_work(self.on_life), incompatible_qos=lambda _event: None
         )
@@ -194,15 +194,15 @@ class RealTime(FlightSimulation):
     def start(self) -> None:
         """Wait for subscribers, then for a first command."""
         self._begins = False
-        self._until = -np.inf  # when the command in force ends, on the steady clock [s]
-        self._ends = -np.inf  # when it would have ended, had the planner not been missed [s]
-        self._begun = self.node.steady_now()  # this step
+        self._until = -np.inf  # when the command in force expires, on the steady clock [s]
+        self._ends = -np.inf  # when it would have expired without the loss of liveliness [s]
+        self._begun = self.node.steady_now()  # start of this step, on the steady clock [s]
         self._latched = False
         self._wait()
 
     @property
     def now(self) -> int:
-        """Return the time of ROS [ns], which jumps where faults make it."""
+        """Return the ROS time [ns], including jumps by faults."""
         now: int = self.node.get_clock().now().nanoseconds
         return now + round(self.jump * SECOND)
 
@@ -214,24 +214,24 @@ class RealTime(FlightSimulation):
         self._until = self.node.steady_now() + self.settings.command_timeout
 
     def on_life(self, event: Any) -> None:
-        """Stop, or go on, as signs of life from the planner cease or come again."""
+        """Stop when the planner loses liveliness; resume when it regains it."""
         if event.alive_count == 0 and event.alive_count_change < 0:
             self._stop('the planner gives no sign of life')
             return
-        # The one that was missed is back; a new one would not lessen the missed ones.
+        # The lost planner is back; a new one would not reduce the number of lost ones.
         back = event.alive_count_change > 0 > event.not_alive_count_change
         if back and self._latched and self.node.steady_now() < self._ends:
             self._latched, self._until = False, self._ends
             self.node.get_logger().info('the planner lives: its command is in force again')
 
     def look(self) -> None:
-        """Stop when the command in force has ended."""
+        """Stop when the command in force has expired."""
         if not self._latched and self.node.steady_now() >= self._until:
             self._stop(f'no command for {self.settings.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
-        """Stop the vehicle, and report why, even where it has been stopped for another reason."""
-        if self._until == -np.inf or self.finished:  # not commanded yet
+        """Stop the vehicle and report why, even if it has already stopped for another reason."""
+        if self._until == -np.inf or self.finished:  # no command so far
             return
         self._ends = self._until
         self._latched, self._until = True, min(self._until, self.node.steady_now())
@@ -240,7 +240,7 @@ class RealTime(FlightSimulation):
         self.warn(f'{reason}: {kept if share or turn else "stopped"}')
 
     def on_time(self) -> None:
-        """Fly a step, unless nobody has commanded yet, and show where it led."""
+        """Fly a step, unless there has been no command yet, and publish the new state."""
         self._begins = self._begins or not self.awaited(planner=False)
         if self.finished or not self._begins:
             return
@@ -255,22 +255,22 @@ class RealTime(FlightSimulation):
 
 
 class SimNode(Managed):
-    """A node that simulates the flight which its parameters describe."""
+    """A node that simulates the flight described by its parameters."""
 
     def __init__(self) -> None:
-        # It makes the time: under simulated time it would wait for itself.
+        # It publishes /clock: under simulated time it would wait for itself.
         super().__init__('sim', [Parameter('use_sim_time', value=False)])
         self._live = DynamicParameters(self, SIM, sim_settings)
 
     def configure(self) -> None:
-        """Set up the flight that the parameters describe."""
+        """Set up the flight described by the parameters."""
         settings = self._live.settings()
         self._flown = False  # whether it has been active
         self._flight = (RealTime if settings.clock == 'wall' else LockStep)(self, settings)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
 
     def activate(self) -> None:
-        """Fly, from the start."""
+        """Start the flight, from its beginning."""
         if self._flown:
             self._flight.restart()
         else:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A flight as messages: what is sensed of it, the future of its goal, markers of its world."""
+"""ROS messages of a flight: sensor data, the goal's future path, and markers of the world."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from orbimpc_ros.sim.world import Flight
 
 
 def sensed(stamp: Stamp, content: Odometry | GoalObservation) -> tuple[str, Any]:
-    """Return the topic and the message of what a sensor has measured."""
+    """Return the topic and the message of a measurement."""
     if isinstance(content, Odometry):
         return 'odom', messages.odometry_message(stamp, content)
     return 'goal', messages.goal_message(stamp, content.position)
 
 
 def future(stamp: Stamp, flight: Flight, steps: int) -> Path:
-    """Return where the goal will be in so many steps from now."""
+    """Return the path of the goal over a number of steps from now."""
     step, rope = flight.scenario.model.step, flight.scenario.rope
     times = flight.elapsed + step * np.arange(steps + 1)
     return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
@@ -44,7 +44,7 @@ def transform(odometry: OdometryMessage) -> TransformStamped:
 
 
 def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
-    """Return the true state of a simulated vehicle at a time [ns], as a status of a name."""
+    """Return the vehicle's true state at a time [ns] as a diagnostic status with a name."""
     vehicle, now = flight.vehicle, flight.vehicle.airspeed
     values = {
         'airspeed': now,
@@ -65,7 +65,7 @@ def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
 
 
 def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
-    """Return the rope, as far as it catches, its swing, and the vehicle."""
+    """Return markers of the goal with its capture radius, its swing, and the vehicle."""
     model, radius = flight.scenario.model, flight.scenario.capture_radius
     unit, side = model.forward * model.step, 2.0 * radius
     rope = marker(stamp, 'rope', 0, Marker.SPHERE, messages.ORANGE, model.step)
@@ -81,7 +81,7 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
 
 
 def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> MarkerArray:
-    """Return the balls in the traffic where they are now, larger by a margin [m]."""
+    """Return markers of the moving balls at their current positions, larger by a margin [m]."""
     model, markers = flight.scenario.model, []
     for k, each in enumerate(flight.scenario.traffic):
         moved = each.moved(np.array([flight.elapsed]))[0]

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulator's parameters, and the settings that they add up to."""
+"""The simulator's parameters, and the settings derived from them."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from orbimpc_ros.sim.vehicle import Model, Plant, Vehicle, launched
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
 Made = TypeVar('Made')
-SHARE = 0.75  # of command_timeout without a sign of life; the rest is for reporting it
+SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 ALONG_AXES = (0.0, 0.0, 0.0)
-# What means nothing, by the vehicle.
+# Parameters that do not apply, by vehicle.
 LACKING = {'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'), 'continuous': ()}
 LACKING |= {name: kind.lacks for name, kind in ENGINES.items()}
 
 
 @dataclass(frozen=True)
 class SimSettings(VehicleParameters):
-    """The simulator's parameters, each a field, and what follows from them.
+    """The simulator's parameters, one per field, and the quantities derived from them.
 
-    A value for which something else may be used is ``given_...``.
+    A field ``given_...`` is a raw value; use the quantity derived from it instead.
     """
 
     # fmt: off
@@ -132,36 +132,36 @@ class SimSettings(VehicleParameters):
         'so long for planner and readers, while the planner is configured not counted, and for an '
         'answer, for which it waits 20 s at most; 0 for never', 's', 0.0, MAX_DURATION)
     # fmt: on
-    faults: Faults = NO_FAULTS  # what goes wrong between the vehicle and its planner
+    faults: Faults = NO_FAULTS  # between the vehicle and its planner
 
     @property
     def command_timeout(self) -> float:
-        """Return after which a command is stale, at least 1.5 steps [s]."""
+        """Return the age at which a command expires, at least 1.5 steps [s]."""
         return max(self.given_command_timeout, 1.5 * self.step)
 
     @property
     def lease(self) -> float:
-        """Return after which a planner that gives no sign of life is given up [s]."""
+        """Return the liveliness lease, after which a planner counts as lost [s]."""
         return max(LIFE, SHARE * self.given_command_timeout)
 
     @property
     def wait_timeout(self) -> float:
-        """Return how long lock-step waits for planner and readers; infinite if for ever [s]."""
+        """Return the lock-step timeout for planner and readers; infinite if disabled [s]."""
         return self.given_wait_timeout or math.inf
 
     @cached_property
     def wait_for(self) -> dict[str, int]:
-        """Return how many readers to wait for, by topic, beside planner and simulator."""
+        """Return the number of readers to wait for, by topic, besides planner and simulator."""
         return wanted_readers(self.given_wait_for)
 
     @property
     def begin(self) -> float:
-        """Return the time at which a flight begins [s]: no stamp is ever negative."""
+        """Return the start time of a flight, late enough for all stamps to be non-negative [s]."""
         return max(0.0, self.faults.delay, -self.faults.clock_jump)
 
     @cached_property
     def rope(self) -> Rope:
-        """Return the goal."""
+        """Return the rope, which is the goal."""
         return Rope(
             self._along('rope.center', self.rope_center),
             self._along('rope.amplitude', self.rope_amplitude),
@@ -172,7 +172,7 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def model(self) -> Model:
-        """Return how the simulated vehicle moves: the discrete model, a plant, or an engine."""
+        """Return the vehicle's motion model: the discrete model, a plant, or an engine."""
         self._refuse_unused()
         known = self.disturbance.tolist()
         own: dict[str, Any] = {'disturbance': tuple(known) if any(known) else ()}
@@ -184,7 +184,7 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def start(self) -> Vehicle:
-        """Return the vehicle at its start."""
+        """Return the vehicle in its initial state."""
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
         return launched(
             self.model,
@@ -197,13 +197,13 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def scenario(self) -> Scenario:
-        """Return what to simulate."""
+        """Return the scenario to simulate."""
         return self._made(
             Scenario, obstacles=self.boxes, traffic=self._traffic(), approach=self._approach()
         )
 
     def _made(self, kind: Callable[..., Made], **own: Any) -> Made:
-        """Return a dataclass of the settings that its fields are named after, and of others."""
+        """Return a dataclass whose fields are ``own`` or the settings of the same name."""
         names = [each.name for each in fields(kind) if each.name not in own]  # type: ignore[arg-type]
         return kind(**{name: getattr(self, name) for name in names if hasattr(self, name)}, **own)
 
@@ -211,7 +211,7 @@ class SimSettings(VehicleParameters):
         return vector(numbers, name, self.dimension)
 
     def _refuse_unused(self) -> None:
-        """Refuse what means nothing to the vehicle, unless it is zero or has its default."""
+        """Reject parameters that do not apply to the vehicle, unless zero or at their default."""
         for each in fields(self):
             spec, value = each.metadata.get('parameter'), getattr(self, each.name)
             name = spec.name if spec else ''
@@ -230,7 +230,7 @@ class SimSettings(VehicleParameters):
         )
 
     def _approach(self) -> Approach:
-        """Return the cone in which a catch counts; the goal's orientation is that of the world."""
+        """Return the approach cone of a catch; the goal's orientation is that of the world."""
         known = self.approach_of_a_catch()
         if not known.is_the_goals:
             return known
@@ -242,7 +242,7 @@ SIM = tuple(replace(spec, live=False) for spec in (*specs_of(SimSettings), *spec
 
 
 def sim_settings(values: Values) -> SimSettings:
-    """Return the settings of a full set of simulator parameters.
+    """Return the settings for a full set of simulator parameters.
 
     Raises:
         BadInput: a value, or a combination, is not allowed.
@@ -250,15 +250,15 @@ def sim_settings(values: Values) -> SimSettings:
     faults = settings_from(Faults, values)
     settings = replace(settings_from(SimSettings, values), faults=faults)
     for made in ('scenario', 'wait_for'):
-        getattr(settings, made)  # raises
+        getattr(settings, made)  # raises if invalid
     return settings
 
 
 def wanted_readers(text: str) -> dict[str, int]:
-    """Return how many readers each topic of a list such as ``tick, odom 2`` must have.
+    """Return the number of readers that a list such as ``tick, odom 2`` requires, by topic.
 
     Raises:
-        BadInput: not such a list.
+        BadInput: the text is not such a list.
     """
     wanted: dict[str, int] = {}
     for entry in filter(None, (each.strip() for each in text.split(','))):

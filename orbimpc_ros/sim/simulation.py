@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A flight on topics: awaited, commanded, flown a step at a time, and shown; its pace is apart."""
+"""A flight on topics: waiting for nodes, taking commands, flying a step, publishing its state."""
 
 from __future__ import annotations
 
@@ -33,32 +33,32 @@ try:
 except ImportError:  # the PyPI wheels of ROS have no tf2
     TransformBroadcaster = None
 
-DEPTH = 10  # in lock-step no message may push another out
+DEPTH = 10  # queue depth: in lock-step no message may be dropped
 REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
-SILENT = 2.0  # [s] of waiting are not worth a word
-MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
+SILENT = 2.0  # [s] of waiting before it is logged
+MEETING = 1.5  # [s] for DDS to match planner and readers, which this node cannot observe
 TRANSITIONS = 'transition_event'  # a topic of every managed node
-SLACK = 1e-3  # of a share or a rate: what rounding may add, and a controller not notice
-AHEAD = 1.0  # [s] a command's stamp may be ahead of this clock
-UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of a reader that is known before its node is
+SLACK = 1e-3  # relative tolerance of shares and rates for rounding, negligible in control
+AHEAD = 1.0  # [s] that a command's stamp may be ahead of this clock
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  # of a reader that is discovered before its node
 
 
 class FlightSimulation(ABC):
-    """A flight, shown on topics, that goes on a step at a time; how fast is up to subclasses.
+    """A flight on topics that advances step by step; subclasses set its pace.
 
     Attributes:
-        flight: now.
+        flight: its present state.
         view: the messages of it that reach a planner.
         finished: whether the flight has ended.
-        order: the last one.
+        order: the last command.
     """
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         body = own_frame(settings.child_frame_id, node.get_namespace())
         self.node, self.settings = node, replace(settings, child_frame_id=body)
         self._orders = Orders(self.settings.scenario.model, self.settings.frames)
-        self._refused: Counter[str] = Counter()  # commands, by topic and field
-        self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
+        self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
+        self._refused_at = -np.inf  # last diagnostic of a refusal, on the steady clock [s]
         deep, profiles = qos(DEPTH), {'captured': LATCHED, 'world_markers': qos()}
         self._commands, _ = (
             node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)
@@ -78,12 +78,12 @@ class FlightSimulation(ABC):
         self.finished = False
         self.order = Order(0, 0.0, np.zeros(settings.scenario.model.rates))
 
-    # --- its pace
+    # --- pace
 
     @property
     @abstractmethod
     def now(self) -> int:
-        """Return the time for stamps [ns], which jumps where faults make it."""
+        """Return the time for stamps [ns], including jumps by faults."""
 
     @abstractmethod
     def start(self) -> None:
@@ -91,30 +91,30 @@ class FlightSimulation(ABC):
 
     @abstractmethod
     def on_order(self, order: Order) -> None:
-        """Take notice of a command that has come."""
+        """Handle a complete command."""
 
     def restart(self) -> None:
-        """Begin again; time goes on, for stamps never go back."""
+        """Begin a new flight; time continues, because stamps must not go back."""
         self._begin(self.flight.vehicle.time + self.settings.scenario.model.step)
         self._out['captured'].publish(Bool(data=False))
         self.start()
 
-    # --- who it waits for
+    # --- waiting for planner and readers
 
     def _wait(self) -> None:
-        """Wait anew for planner and readers, and log for whom whenever that changes."""
+        """Start waiting for planner and readers; changes of what is missing are logged."""
         self._since = self._counted_from = self.node.steady_now()
         self._announced, self._met_at = '', math.inf
 
     @property
     def waited(self) -> float:
-        """Return how long it has waited, the configuration of a planner left out [s]."""
+        """Return the waiting time, without the time in which a planner is configured [s]."""
         return self.node.steady_now() - self._counted_from
 
     def awaited(self, *, planner: bool) -> str:
-        """Return what is missing of readers, and of a ``planner``, too; empty if nothing is."""
+        """Describe missing readers and, if ``planner``, a missing planner; empty if complete."""
         now, coming = self.node.steady_now(), planner and self._planner_being_configured()
-        if coming:  # its first start compiles, for as long as that takes
+        if coming:  # its first start compiles machine code, without a time limit
             self._counted_from = now
             awaited = f'{coming} to be configured: it may be compiling machine code'
         else:
@@ -126,7 +126,7 @@ class FlightSimulation(ABC):
 
     @property
     def planner_lacking(self) -> str:
-        """Return what is missing of a planner; empty if nothing is."""
+        """Describe what is missing of a planner; empty if it is ready."""
         if not self._out['goal'].get_subscription_count():
             return 'a subscriber of goal'
         return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
@@ -151,15 +151,15 @@ class FlightSimulation(ABC):
         return '' if waited else 'the planner to meet its readers'
 
     def _count(self, topic: str) -> int:
-        """Return how many read a topic beside planner and this node."""
+        """Return the number of readers of a topic other than planner and this node."""
         vehicle = {self.node.get_fully_qualified_name(), *self._planners()}
         found = self.node.get_subscriptions_info_by_topic(topic)
         return sum(e.node_name != UNKNOWN and full_name(e) not in vehicle for e in found)
 
     def _planner_being_configured(self) -> str:
-        """Return the name of a planner that does not subscribe to the goal yet; empty for none.
+        """Return the name of a planner that does not subscribe to the goal yet, or an empty string.
 
-        Only a managed node is known to be on its way: others may read goals by another node.
+        Only managed nodes count as being configured: others may read goals through another node.
         """
         goal = self._out['goal'].topic_name
         readers = map(full_name, self.node.get_subscriptions_info_by_topic(goal))
@@ -173,7 +173,7 @@ class FlightSimulation(ABC):
     # --- commands
 
     def _take(self, topic: str, message: Any) -> None:
-        """Take in a command; a complete one is an order."""
+        """Take in a command message; a complete command goes to :meth:`on_order`."""
         take = self._orders.take_twist if topic == 'cmd_vel' else self._orders.take_force
         try:
             order = take(message, self.now)
@@ -186,19 +186,19 @@ class FlightSimulation(ABC):
         if order is not None:
             self.on_order(order)
 
-    # --- flown and shown
+    # --- flying and publishing
 
     @property
     def jump(self) -> float:
-        """Return how far off stamps are now, by the faults [s]."""
+        """Return the present error of stamps by faults [s]."""
         return self.settings.faults.jumped(self.flight.ticks)
 
     def stamp_of(self, seen: Seen, now: int) -> int:
-        """Return the stamp of what arrives ``now`` [ns], the present tick's stamp."""
+        """Return the stamp of a message that arrives ``now`` [ns], the stamp of this tick."""
         return now - round((self.flight.vehicle.time - seen.time) * SECOND)
 
     def show(self, seen: Sequence[Seen]) -> None:
-        """Publish the flight as it is now: clock, markers, goals, odometry."""
+        """Publish the present state of the flight: clock, markers, goals, odometry."""
         at, flight = self.now, self.flight
         stamp = Stamp(at, self.settings.frames)
         out, steps = self._out, self.settings.goal_path_steps
@@ -225,9 +225,9 @@ class FlightSimulation(ABC):
             self._out[topic].publish(message)
 
     def fly(self, held: float) -> None:
-        """Fly a step on the last order, which is in force for ``held`` [s] of it.
+        """Fly a step on the last command, which is in force for its first ``held`` [s].
 
-        An engine that fails ends the flight, and this node.
+        A failure of the engine ends the flight and this node.
         """
         try:
             self.flight = self.flight.after(self.order.fraction, self.order.body_rate, held)
@@ -236,7 +236,7 @@ class FlightSimulation(ABC):
             self.node.get_logger().fatal(f'the engine has failed: {error}')
 
     def warn(self, text: str) -> None:
-        """Report what is wrong."""
+        """Report a problem."""
         self.node.get_logger().warning(text, throttle_duration_sec=1.0)
         self._diagnose(messages.ERROR, text, dict(self._refused))
 
@@ -273,7 +273,7 @@ def published(settings: SimSettings) -> list[str]:
 
 
 def own_frame(body: str, namespace: str) -> str:
-    """Return a body's frame: vehicles share a world and /tf, where each body has its own name."""
+    """Return the frame of a body, prefixed to be unique among vehicles that share /tf."""
     prefix = namespace.strip('/')
     return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
 
@@ -291,7 +291,7 @@ class Order:
 
 
 class Orders:
-    """Turns messages into orders, at translation order 2 two messages with the same stamp."""
+    """Assembles commands; one of translation order 2 is two messages with the same stamp."""
 
     def __init__(self, model: Model, frames: Frames) -> None:
         self._model, self._frames = model, frames
@@ -299,14 +299,14 @@ class Orders:
         self._thrust = -1, 0.0  # a stamp [ns], and a share of full thrust
 
     def take_twist(self, message: TwistStamped, now: int) -> Order | None:
-        """Take in ``cmd_vel`` at ``now`` [ns] and return the order that it completes, if any.
+        """Take in ``cmd_vel`` at ``now`` [ns] and return the command that it completes, if any.
 
         Raises:
-            BadInput: a stamp, a number or a range is not acceptable.
+            BadInput: the stamp, a number or a range is not acceptable.
         """
         stamp, speed, body_rate = read_speed_and_rate(message, self._model.dimension, self._frames)
         _require_past(stamp, now)
-        fastest = math.pi / self._model.step  # a faster turn looks like a slower one
+        fastest = math.pi / self._model.step  # a faster turn would look like a slower one in steps
         if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
             allowed = f'at most pi / step = {fastest:.6g} rad/s'
             raise BadInput('twist.angular', body_rate.tolist(), allowed)

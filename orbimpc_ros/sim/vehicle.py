@@ -1,8 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The true motion of a vehicle: on SO(n), turned by body rates, pushed along its x axis.
+"""The true motion of a vehicle on SO(n), turned by body rates and driven along its x axis.
 
-It is that of the discrete model, or of a plant in continuous time, with lags and limits, in gusty
-air.
+It follows the discrete model, or a continuous-time plant with lags and limits in gusty air.
 """
 
 from __future__ import annotations
@@ -20,28 +19,28 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
 from orbimpc_ros.sim.engines import Engine
 
-SUBSTEP = 0.02  # [s] longest piece of the integration
-SAMPLE = 0.02  # [s] between samples of gusts; straight lines between them
+SUBSTEP = 0.02  # [s] longest integration step
+SAMPLE = 0.02  # [s] between samples of gusts, interpolated linearly
 BLOCK = 1024  # samples drawn at a time
-USE = 2  # what of a seed is used; faults use 0 and 1
+USE = 2  # random stream of the seed; faults use 0 and 1
 
 
 @dataclass(frozen=True)
 class Model:
-    """How a vehicle answers to commands; the fields are named like those of the Problem."""
+    """Response of a vehicle to commands; the fields are named like those of the Problem."""
 
     dimension: int = 2  # n, 2 or 3
-    rotation_order: int = 1  # 1, it turns at the commanded rate at once; 2, from the next step on
-    translation_order: int = 1  # 1, the forward axis carries a velocity; 2, an acceleration
+    rotation_order: int = 1  # 1: a commanded rate acts at once; 2: from the next step on
+    translation_order: int = 1  # 1: velocity along the forward axis; 2: acceleration
     step: float = 1.0  # h [s]
     forward: float = 1.0  # z, full speed [m/s] (order 1) or thrust acceleration [m/s^2] (2)
-    mass: float = 1.0  # turns a thrust acceleration into a force [kg]
+    mass: float = 1.0  # converts a thrust acceleration into a force [kg]
     failsafe_fraction: float = 0.0  # share of full speed or thrust while no command is in force
-    failsafe_rate: float = 0.0  # turn about the body's z axis meanwhile [rad/s]
-    disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], n numbers or none
+    failsafe_rate: float = 0.0  # turn rate about the body's z axis meanwhile [rad/s]
+    disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], shape (n,) or (0,)
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
-    velocity_source: str = 'ground'  # of odometry, or ``air``
-    stall_speed: float = 0.0  # airspeed below which it is counted as stalled [m/s]; it flies on
+    velocity_source: str = 'ground'  # of odometry: over ``ground`` or through the ``air``
+    stall_speed: float = 0.0  # airspeed below which it counts as stalled [m/s]; it flies on
 
     def __post_init__(self) -> None:
         fastest = np.pi / self.step
@@ -49,7 +48,7 @@ class Model:
 
     @property
     def length_unit(self) -> float:
-        """Return what a step moves it at most, as :attr:`Problem.length_unit` [m]."""
+        """Return the length unit of a step, as :attr:`Problem.length_unit` [m]."""
         return self.step**self.translation_order * self.forward
 
     @property
@@ -69,28 +68,28 @@ class Model:
 
     @property
     def rates(self) -> int:
-        """Return how many components a body rate has: 1 in the plane, 3 in space."""
+        """Return the number of components of a body rate: 1 in the plane, 3 in space."""
         return 1 if self.dimension == 2 else 3
 
     def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return a vehicle at its start, moving as it does in this model."""
+        """Return the vehicle in its initial state under this model."""
         return vehicle
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at intervals of a time under one command, the last at its end.
+        """Return the vehicle at successive times under one command, the last at the end.
 
-        Here it is flown in one piece, from the old values, the command then taken over.
+        This model takes a single step on the previous values and then adopts the command.
 
         Args:
-            vehicle: where it is.
-            span: how long [s].
+            vehicle: initial state.
+            span: duration [s].
             fraction: commanded share of full speed or thrust, clipped to [0, 1].
             body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
             elapsed: time since the start of the flight [s].
         """
-        del elapsed  # nothing changes with time
+        del elapsed  # the model is time-invariant
         pushed = self.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
         turning = body_rate if self.rotation_order == 1 else vehicle.body_rate
         attitude = nearest(vehicle.attitude @ exp(span * turning))  # nearest: no drift off SO(n)
@@ -116,9 +115,9 @@ class Model:
         )
 
     def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle once no command is in force: by default it stops, there and then.
+        """Return the vehicle when its command has just expired: by default it stops at once.
 
-        At translation order 2 that is to coast: no command takes the velocity away.
+        At translation order 2 it coasts: an expired command leaves the velocity unchanged.
         """
         velocity = vehicle.velocity
         if self.translation_order == 1:
@@ -133,26 +132,26 @@ class Model:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """The state of a simulated vehicle; what is in an engine goes on with its last state alone."""
+    """State of a simulated vehicle; an engine can continue only from its latest state."""
 
     time: float  # since the start of its clock [s]
     position: Array  # s, shape (n,) [m]
-    velocity: Array  # p, in the world frame, shape (n,) [m/s]; at order 1 it follows from the rest
+    velocity: Array  # p, in the world frame, shape (n,) [m/s]; a dependent variable at order 1
     attitude: Array  # Q, body to world, shape (n, n)
     body_rate: Array  # omega, in the body frame, shape (1,) or (3,) [rad/s]
-    fraction: float  # sigma, share of full speed or thrust now applied, in [0, 1]
+    fraction: float  # sigma, applied share of full speed or thrust, in [0, 1]
     wind: Array  # shape (n,) [m/s]
-    height: float = 0.0  # above the plane that it is to fly in [m]; 0 in space
-    climb: float = 0.0  # upwards through the air, out of that plane [m/s]
-    facts: Mapping[str, float] = field(default_factory=dict)  # further figures of it, by name
-    goal: Array | None = None  # shape (n,) [m]; None where the scenario decides where it is
-    caught: bool | None = None  # whether it has caught the goal; None where distance decides
-    lost: bool = False  # whether it can no longer catch the goal
-    engine: Engine | None = None  # that moves it
+    height: float = 0.0  # above the plane of flight [m]; 0 in space
+    climb: float = 0.0  # upward airspeed, normal to that plane [m/s]
+    facts: Mapping[str, float] = field(default_factory=dict)  # further quantities, by name
+    goal: Array | None = None  # shape (n,) [m]; None if the scenario sets it
+    caught: bool | None = None  # whether the goal has been caught; None if distance decides
+    lost: bool = False  # whether a catch has become impossible
+    engine: Engine | None = None  # moves the vehicle
 
     @property
     def airspeed(self) -> float:
-        """Return how fast it moves through the air [m/s]."""
+        """Return the airspeed [m/s]."""
         return float(np.linalg.norm(np.append(self.velocity - self.wind, self.climb)))
 
 
@@ -165,14 +164,14 @@ def launched(
     velocity: Array | None = None,
     body_rate: Array | None = None,
 ) -> Vehicle:
-    """Return a vehicle at time 0; velocity (order 2 only) and body rate are zero by default.
+    """Return a vehicle at time 0; velocity (order 2 only) and body rate default to zero.
 
     Args:
-        model: how it moves.
+        model: motion model.
         position: shape (n,) [m].
-        attitude: of the body in the world, shape (n, n).
+        attitude: body to world, shape (n, n).
         fraction: share of full speed or thrust, in [0, 1].
-        velocity: in the world, shape (n,) [m/s]; at translation order 1 it follows from the rest.
+        velocity: in the world, shape (n,) [m/s]; ignored at translation order 1.
         body_rate: shape (1,) or (3,) [rad/s].
     """
     if model.translation_order == 1:
@@ -184,7 +183,7 @@ def launched(
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
-    """Return the vehicle on its way from one step to the next, at ``time`` [s]."""
+    """Return the vehicle interpolated between two states, at ``time`` [s]."""
     share = (time - earlier.time) / (later.time - earlier.time)
     turned = log(earlier.attitude.T @ later.attitude)
     return replace(
@@ -197,7 +196,7 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
 
 
 def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
-    """Return perfect odometry of the vehicle, over ``ground`` or through the ``air``."""
+    """Return exact odometry of the vehicle; velocity over ``ground`` or through the ``air``."""
     velocity = vehicle.velocity
     if velocity_source == 'air':
         velocity = velocity - vehicle.wind
@@ -214,10 +213,10 @@ def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
 
 
 def gusts(elapsed: float, dimension: int, memory: float, seed: int) -> Array:
-    """Return a first-order Gauss-Markov process of unit deviation along each axis, shape (n,).
+    """Return unit-variance first-order Gauss-Markov noise along each axis, shape (n,).
 
-    Its correlation after t is exp(-t/memory) [s]. It depends on the time since the start [s] alone:
-    a seed brings the same gusts to whatever flies.
+    Its correlation over a lag t is exp(-t/memory) [s]. It depends only on seed and time since the
+    start [s], so that all vehicles with one seed meet the same gusts.
     """
     index = elapsed / SAMPLE
     before = math.floor(index)
@@ -230,11 +229,11 @@ def gusts(elapsed: float, dimension: int, memory: float, seed: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _block(seed: int, dimension: int, memory: float, number: int) -> Array:
-    """Return gusts of unit deviation, shape (BLOCK, n), that go on from the block before."""
+    """Return unit-variance samples of gusts, shape (BLOCK, n), that continue the block before."""
     rng = np.random.default_rng((seed, USE, number))
     kept = math.exp(-SAMPLE / memory)
     fresh = math.sqrt(1.0 - kept * kept)
-    samples = rng.normal(size=(BLOCK, dimension))  # the very first is a stationary one
+    samples = rng.normal(size=(BLOCK, dimension))  # the very first is stationary noise
     if number:
         before = _block(seed, dimension, memory, number - 1)[-1]
         samples[0] = kept * before + fresh * samples[0]
@@ -245,20 +244,20 @@ def _block(seed: int, dimension: int, memory: float, number: int) -> Array:
 
 @dataclass(frozen=True)
 class Plant(Model):
-    """A vehicle in continuous time, pushed along its x axis.
+    """A vehicle in continuous time, driven along its x axis.
 
-    Commands of all orders are taken at once and followed with first-order lags: the orders of a
-    :class:`Model` define what a command means in the steps of a planner.
+    At all orders, commands act at once, through first-order lags: the orders of a :class:`Model`
+    define the meaning of a command in the discrete steps of a planner.
     """
 
     speed_lag: float = 0.0  # time constant of the speed (translation order 1) or thrust (2) [s]
     rate_lag: float = 0.0  # time constant of the body rate [s]
-    max_rate: float = 0.0  # it turns no faster [rad/s]; 0 for no limit
-    max_acceleration: float = 0.0  # its speed changes no faster (order 1) [m/s^2]; 0 for no limit
-    gain: float = 1.0  # speed or thrust that it reaches, a share of what is commanded
-    drag: float = 0.0  # deceleration by its own velocity (order 2) [1/s]
-    # standard deviation of gusts along each axis, on top of the steady wind (order 1) [m/s] or
-    # acceleration (2) [m/s^2]
+    max_rate: float = 0.0  # limit of the body rate [rad/s]; 0 for no limit
+    max_acceleration: float = 0.0  # limit of the change of speed (order 1) [m/s^2]; 0 for no limit
+    gain: float = 1.0  # actual speed or thrust as a share of the command
+    drag: float = 0.0  # deceleration per unit of velocity (order 2) [1/s]
+    # standard deviation of gusts along each axis, in addition to the steady wind [m/s] (order 1)
+    # or acceleration [m/s^2] (order 2)
     gust: float = 0.0
     gust_time: float = 3.0  # their correlation time [s]
     seed: int = 0  # of the gusts
@@ -272,20 +271,20 @@ class Plant(Model):
             raise BadInput('max_acceleration', self.max_acceleration, allowed)
 
     def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return a vehicle at its start, moving as it does in the air that there is then."""
+        """Return the vehicle in its initial state, in the wind at that time."""
         wind = self._wind(0.0)
         if self.translation_order == 2:
             return vehicle
         return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
 
     def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle once no command is in force: nothing changes at once."""
+        """Return the vehicle unchanged: losing the command has no immediate effect."""
         return vehicle
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at short intervals; see :meth:`Model.flown`."""
+        """Return the vehicle after each integration step; see :meth:`Model.flown`."""
         wanted = float(np.clip(fraction, 0.0, 1.0)), self._limited(body_rate)
         count = max(1, math.ceil(span / SUBSTEP - 1e-9))
         trail, piece = [], span / count
@@ -295,7 +294,7 @@ class Plant(Model):
         return tuple(trail)
 
     def _wind(self, elapsed: float) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2], shape (n,), at a time since the start."""
+        """Return the wind [m/s] or acceleration [m/s^2], shape (n,), after ``elapsed`` [s]."""
         if not self.gust:
             return self.blown
         return self.blown + self.gust * gusts(elapsed, self.dimension, self.gust_time, self.seed)
@@ -309,7 +308,7 @@ class Plant(Model):
     def _moved(
         self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array, elapsed: float
     ) -> Vehicle:
-        """Return the vehicle after a short time [s], by Simpson's rule."""
+        """Return the vehicle after a short time ``dt`` [s], by Simpson's rule."""
         pushes, wind, end = list[Array](), vehicle.wind, vehicle
         for after in (0.0, 0.5 * dt, dt):
             end = self._actuated(vehicle, after, fraction, body_rate)
@@ -327,7 +326,7 @@ class Plant(Model):
         )
 
     def _actuated(self, now: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
-        """Return a vehicle with its attitude, by the mean rate, and actuators after a time [s]."""
+        """Return the vehicle with attitude (by the mean rate) and actuators after ``dt`` [s]."""
         lag, apart = self.rate_lag, now.body_rate - body_rate
         left = math.exp(-dt / lag) if lag else 0.0
         turned = dt * body_rate + lag * (1.0 - left) * apart
@@ -346,9 +345,9 @@ class Plant(Model):
     def _accelerated(
         self, velocity: Array, pushes: Sequence[Array], dt: float
     ) -> tuple[Array, Array]:
-        """Return the way [m] and the velocity [m/s] after a time, by Runge and Kutta's method.
+        """Return displacement [m] and velocity [m/s] after ``dt`` [s], by the Runge-Kutta method.
 
-        ``pushes`` are accelerations without drag now, after half the time and at its end.
+        ``pushes`` are the accelerations without drag at its beginning, middle and end.
         """
         first, second, third = pushes
         a = first - self.drag * velocity
@@ -360,13 +359,13 @@ class Plant(Model):
 
 
 def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:
-    """Return what a value becomes after ``dt`` [s] by a first-order lag [s], exactly.
+    """Return a first-order lag's exact response to ``wanted`` after ``dt`` [s].
 
-    It changes by no more than a ``limit`` [1/s].
+    Its rate of change is at most ``limit`` [1/s].
     """
     apart = wanted - value
     if math.isfinite(limit):
-        # At its limit as long as it is farther from its aim than limit * lag.
+        # The limit holds as long as the remaining difference exceeds limit * lag.
         ramp = min(dt, max(0.0, abs(apart) / limit - lag))
         value += math.copysign(limit * ramp, apart)
         apart, dt = wanted - value, dt - ramp

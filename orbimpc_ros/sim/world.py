@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulated world: a swinging rope, boxes, traffic, and a flight among them, step by step."""
+"""The simulated world: a swinging rope, boxes, traffic, and the flight of a vehicle among them."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle
 from orbimpc_ros.sim.vehicle import Model, Vehicle
 
 FINISHES = ('capture', 'arrival')
-ROUNDING = 1e-6  # of the stall speed
+ROUNDING = 1e-6  # relative tolerance of the stall speed
 
 
 @dataclass(frozen=True)
 class Rope:
     """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
 
-    What is one number is that along all axes: a rope of which only the center is told stays there.
+    A scalar applies to all axes. A rope with only its center given is at rest.
     """
 
     center: Array  # shape (n,) [m]
@@ -43,80 +43,80 @@ class Rope:
 class Scenario:
     """A vehicle, its start and its goal.
 
-    A flight to a ``capture`` ends as soon as the goal is caught; one to an ``arrival`` ends after
-    ``max_ticks`` and has to be at the goal then. It fails if it touches a box or a ball.
+    With finish ``capture``, a flight ends as soon as the goal is caught; with ``arrival``, it ends
+    after ``max_ticks``, when it must be at the goal. Touching a box or a ball fails a flight.
     """
 
     model: Model
-    start: Vehicle  # its time is the start's
+    start: Vehicle  # its time is the start time
     rope: Rope  # the goal, swinging or fixed
-    capture_radius: float  # the goal counts as caught within it [m]
+    capture_radius: float  # distance within which the goal counts as caught [m]
     max_ticks: int  # steps after which the flight ends
     finish: str = 'capture'
-    arrival_radius: float = 0.05  # how far from the goal a vehicle that has arrived may be [m]
-    arrival_speed: float = 0.0  # and how fast [m/s]; 0 for any speed
+    arrival_radius: float = 0.05  # largest distance from the goal at arrival [m]
+    arrival_speed: float = 0.0  # largest speed at arrival [m/s]; 0 for no limit
     obstacles: tuple[Box, ...] = ()
-    traffic: tuple[MovingObstacle, ...] = ()  # balls, each moving evenly from the start on
-    approach: Approach = field(default_factory=Approach)  # headings that count at a capture
-    rope_length: float = 0.0  # the rope hangs so far, half of it above the plane of flight [m]
+    traffic: tuple[MovingObstacle, ...] = ()  # balls with constant velocities from the start on
+    approach: Approach = field(default_factory=Approach)  # headings that count as a capture
+    rope_length: float = 0.0  # half of it above the plane of flight [m]
 
 
 @dataclass(frozen=True)
 class Flight:
     """A scenario after some steps.
 
-    It has ``touched`` the boxes, and on from their count the balls, that it has been in so far,
-    farther than the tolerance of plans.
+    ``touched`` holds the indices of the boxes, followed by those of the balls, that the vehicle has
+    entered so far by more than the tolerance of plans.
     """
 
     scenario: Scenario
     vehicle: Vehicle  # now
     ticks: int = 0  # steps flown
     miss: float = np.inf  # least distance to the goal during the last step [m]
-    missed_at: float = np.nan  # when that was [s]
-    headed: bool = False  # whether it was within the cone of approach then
-    trail: tuple[Vehicle, ...] = ()  # the vehicle on its way through the last step, to its end
+    missed_at: float = np.nan  # time of that least distance [s]
+    headed: bool = False  # whether the vehicle was in the approach cone then
+    trail: tuple[Vehicle, ...] = ()  # states during the last step, to its end
     touched: frozenset[int] = frozenset()
     least_airspeed: float = math.inf  # since the start [m/s]
-    stalls: int = 0  # how often it fell below the stall speed since then
+    stalls: int = 0  # times that it fell below the stall speed since then
 
     @property
     def elapsed(self) -> float:
-        """Return the time since the start [s]: the rope's own time."""
+        """Return the time since the start [s], which is the time of the rope."""
         return self.vehicle.time - self.scenario.start.time
 
     @property
     def goal(self) -> Array:
-        """Return where the goal is now, shape (n,) [m]."""
+        """Return the current position of the goal, shape (n,) [m]."""
         if self.vehicle.goal is not None:
             return self.vehicle.goal
         return self.scenario.rope.at(self.elapsed)
 
     @property
     def _place(self) -> Array:
-        """Return where the vehicle is, and how far past the rope's ends, shape (n + 1,) [m]."""
+        """Return the vehicle's position and its height past the rope's ends, shape (n + 1,) [m]."""
         height = self.vehicle.height
         past = max(0.0, abs(height) - 0.5 * self.scenario.rope_length)
         return np.append(self.vehicle.position, math.copysign(past, height))
 
     @property
     def distance(self) -> float:
-        """Return how far the goal is now [m]."""
+        """Return the current distance to the goal [m]."""
         return float(np.linalg.norm(self.vehicle.position - self.goal))
 
     @property
     def speed(self) -> float:
-        """Return how fast the vehicle is now [m/s]."""
+        """Return the current speed of the vehicle [m/s]."""
         return float(np.linalg.norm(self.vehicle.velocity))
 
     @property
     def stalled(self) -> bool:
-        """Return whether the vehicle is slower than its stall speed."""
+        """Return True if the vehicle is slower than its stall speed."""
         return self.vehicle.airspeed < self.scenario.model.stall_speed * (1.0 - ROUNDING)
 
     @property
     def captured(self) -> bool:
-        """Return whether the goal was caught by the last step, or arrived at.
+        """Return True if the goal was caught in the last step, or has been arrived at.
 
         A flight that touched a box or a ball has failed.
         """
@@ -130,26 +130,25 @@ class Flight:
 
     @property
     def near(self) -> bool:
-        """Return whether the goal came within the capture radius in the last step.
+        """Return True if the goal came within the capture radius in the last step.
 
-        Where an engine decides that, it is whether the goal has been caught.
+        If an engine judges catches, return True if the goal has been caught.
         """
         judged = self.vehicle.caught
         return self.miss <= self.scenario.capture_radius if judged is None else judged
 
     @property
     def over(self) -> bool:
-        """Return whether the goal is caught or lost, or the steps are used up."""
+        """Return True if the goal is caught or lost, or the steps are used up."""
         return self.captured or self.vehicle.lost or self.ticks >= self.scenario.max_ticks
 
     def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
-        """Return the flight one step later, the command taken over as the vehicle's model does.
+        """Return the flight one step later; the vehicle's model defines when the command acts.
 
         Args:
             fraction: commanded share of full speed or thrust.
             body_rate: commanded, shape (1,) or (3,) [rad/s].
-            held: how long into the step the command is in force [s]; after that the model's
-                failsafe is.
+            held: duration of the command within the step [s]; then the failsafe of the model acts.
         """
         model, trail = self.scenario.model, tuple[Vehicle, ...]()
         if held > 0.0:
@@ -163,7 +162,7 @@ class Flight:
         return self._along(trail)
 
     def _along(self, trail: Sequence[Vehicle]) -> Flight:
-        """Return the flight after a step along a trail, its goal swinging on."""
+        """Return the flight after a step along a trail, with the goal moving on."""
         miss, missed_at, headed = np.inf, np.nan, False
         before = self
         for vehicle in trail:
@@ -192,13 +191,13 @@ class Flight:
 
     def _touched(self, now: Flight) -> frozenset[int]:
         boxes, way = self.scenario.obstacles, (self.vehicle.position, now.vehicle.position)
-        grazed = TOLERANCE * self.scenario.model.length_unit  # as far as plans may lead inside
+        grazed = TOLERANCE * self.scenario.model.length_unit  # penetration allowed in plans
         balls = met(self.scenario.traffic, way, (self.elapsed, now.elapsed), grazed)
         return touched(boxes, *way, grazed) | {len(boxes) + number for number in balls}
 
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:
-    """Return the flight before its first step; ``time`` [s] moves the start on the clock."""
+    """Return the flight before its first step; ``time`` [s] sets its clock at the start."""
     start = scenario.model.begun(scenario.start)
     if time is not None:
         start = replace(start, time=time)
@@ -207,14 +206,14 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
 
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:
-    """Return the names of touched boxes and balls, counted from 1, of which so many are boxes."""
+    """Return the names, counted from 1, of touched bodies: ``boxes`` boxes, then balls."""
     return ', '.join(
         f'box {k + 1}' if k < boxes else f'ball {k + 1 - boxes}' for k in sorted(numbers)
     )
 
 
 def outcome(flight: Flight) -> str:
-    """Return in words how a flight has ended."""
+    """Describe how a flight has ended."""
     done = '' if flight.captured else 'not '
     if flight.touched:
         return f'touched {touched_in_words(flight.touched, len(flight.scenario.obstacles))}'
@@ -232,7 +231,7 @@ def outcome(flight: Flight) -> str:
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:
-    """Return the numbers of the boxes that a straight path is in, deeper than ``grazed`` [m]."""
+    """Return the indices of the boxes that a straight path enters by more than ``grazed`` [m]."""
     return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end, grazed))
 
 
@@ -242,9 +241,9 @@ def met(
     times: tuple[float, float],
     grazed: float = 0.0,
 ) -> frozenset[int]:
-    """Return the numbers of the balls that a straight path meets while they move evenly.
+    """Return the indices of the balls that a straight path enters while they move linearly.
 
-    It is ``flown`` between two ``times`` since the start [s]; a ``grazed`` depth does not count.
+    It is ``flown`` between two ``times`` since the start [s]; depths up to ``grazed`` do not count.
     """
     found = set()
     for number, each in enumerate(traffic):
@@ -256,7 +255,7 @@ def met(
 
 
 def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:
-    """Return whether a path is between both faces of every axis at the same time."""
+    """Return True if a path is between both faces of every axis at the same time."""
     way, low, high = end - start, box.minimum + grazed, box.maximum - grazed
     moves = way != 0.0
     if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():

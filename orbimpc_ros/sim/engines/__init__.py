@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Engines: physics libraries that fly a vehicle on the commands that a real one takes.
+"""Engines: physics libraries that fly a vehicle on the commands of a real one.
 
-An engine is a library of its own, such as JSBSim, with a vehicle and an inner loop that it has
-published. The modules here set it up, pass on the commands and read the motion. They import nothing
-of the rest of the package: an engine and the planner share no code.
+An engine is an independent library, such as JSBSim, with its published vehicle and inner loop. The
+modules here configure it, pass on commands and read the motion. They import nothing from the rest
+of the package: engine and planner share no code.
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
 
-os.environ.setdefault('MUJOCO_GL', 'disable')  # read when MuJoCo is imported: nothing is drawn
+os.environ.setdefault('MUJOCO_GL', 'disable')  # read when MuJoCo is imported; nothing is rendered
 
 
 class EngineFailure(Exception):
-    """An engine cannot begin as it is asked to, stopped, or returned what is not finite."""
+    """An engine cannot start as requested, has stopped, or returned non-finite numbers."""
 
 
 class Start(NamedTuple):
-    """How a vehicle and its goal begin, in as many dimensions n as the vehicle is flown in."""
+    """Initial state of a vehicle and its goal; n is the dimension of the flight."""
 
     position: Array  # shape (n,) [m]
     velocity: Array  # shape (n,) [m/s]
     attitude: Array  # body to world, shape (n, n)
     body_rate: Array  # shape (1,) or (3,) [rad/s]
     push: float  # speed through the air [m/s], or acceleration by thrust [m/s^2]
-    wind: Array  # steady, shape (n,) [m/s], or an acceleration [m/s^2] of what takes thrusts
-    gust: float  # standard deviation of the air's velocity along each axis, on top [m/s]
-    seed: int  # of the gusts, or of what else an engine draws
-    rest: Array  # where the goal is when it is at rest, shape (n,) [m]
-    goal: Array  # where it is at the start, shape (n,) [m]
+    wind: Array  # steady, shape (n,) [m/s], or an acceleration [m/s^2] with thrust commands
+    gust: float  # standard deviation of the turbulence along each axis [m/s]
+    seed: int  # of the turbulence and the engine's other random draws
+    rest: Array  # rest position of the goal, shape (n,) [m]
+    goal: Array  # initial position of the goal, shape (n,) [m]
 
 
 class Motion(NamedTuple):
-    """A vehicle in an engine at one moment; axes are ENU, and forward, left, up in the body."""
+    """State of a vehicle in an engine; axes are ENU in the world, forward-left-up in the body."""
 
-    time: float  # since the engine was made [s]
+    time: float  # since the engine was created [s]
     position: Array  # shape (3,) [m]
     velocity: Array  # over ground, shape (3,) [m/s]
     attitude: Array  # body to world, shape (3, 3)
     body_rate: Array  # shape (3,) [rad/s]
-    air: Array  # velocity of the air around it, shape (3,) [m/s]
+    air: Array  # velocity of the surrounding air, shape (3,) [m/s]
     push: float  # speed through the air [m/s], or acceleration by thrust [m/s^2]
-    facts: Mapping[str, float]  # what else the engine reports of its vehicle, by name
-    goal: Array | None = None  # where the goal is, shape (3,) [m], if the engine moves it, too
-    caught: bool | None = None  # whether the goal has been caught, where the engine decides that
-    lost: bool = False  # whether it cannot be caught any more
+    facts: Mapping[str, float]  # further quantities that the engine reports, by name
+    goal: Array | None = None  # position of a goal moved by the engine, shape (3,) [m]
+    caught: bool | None = None  # whether the goal has been caught; None if not judged by the engine
+    lost: bool = False  # whether a catch has become impossible
 
     @property
     def finite(self) -> bool:
-        """Return whether all its numbers are finite."""
+        """Return True if all numbers are finite."""
         numbers = np.concatenate([np.ravel(part) for part in self[:7]])
         if self.goal is not None:
             numbers = np.append(numbers, self.goal)
@@ -66,27 +66,27 @@ class Motion(NamedTuple):
 
 
 class Engine(ABC):
-    """A vehicle in an engine; one with guidance of its own may also ``steer_to`` a waypoint."""
+    """A vehicle in an engine; one with its own guidance may also ``steer_to`` a waypoint."""
 
-    name: str  # of the library
-    tick: float  # from one command to the next, to which it rounds times [s]
-    every: int = 1  # ticks between two motions that are returned
+    name: str  # name of the library
+    tick: float  # command period, to which times are rounded [s]
+    every: int = 1  # ticks between returned motions
 
     @abstractmethod
     def motion(self) -> Motion:
-        """Return how the vehicle moves now."""
+        """Return the present state of motion."""
 
     @abstractmethod
     def fly(self, push: float, rate: Array) -> None:
-        """Fly for a tick on a command; see :meth:`run`."""
+        """Fly for one tick on a command; see :meth:`run`."""
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
+        """Fly for a time and return the motions on the way, the last one at the end.
 
         Args:
-            span: how long [s].
-            push: commanded, along the axis that pushes [m/s or m/s^2].
-            rate: commanded, in the body frame: to the left, shape (1,), or shape (3,) [rad/s].
+            span: duration [s].
+            push: command along the thrust axis, a speed [m/s] or an acceleration [m/s^2].
+            rate: commanded body rate, shape (1,), positive to the left, or shape (3,) [rad/s].
 
         Raises:
             EngineFailure: the engine has stopped, or its numbers are not finite.

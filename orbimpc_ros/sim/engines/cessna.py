@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """JSBSim's Cessna 172P on its own autopilot.
 
-The aircraft ``c172x`` comes with two autopilots, both of which are on: the altitude hold of
-``c172ap.xml``, and the roll channel of ``systems/Autopilot.xml``, which banks as far as the heading
-is off, by 30 degrees at most, and rolls at 10 degrees a second at most. Both are left as they are.
+The aircraft ``c172x`` comes with two autopilots, both engaged and unmodified: the altitude hold of
+``c172ap.xml``, and the roll channel of ``systems/Autopilot.xml``, which commands a bank equal to
+the heading error, at most 30 degrees, with a roll rate of at most 10 degrees per second.
 
-A turn is commanded by a heading: the one that is off by the bank of a coordinated turn,
-tan(bank) = turn * speed / g. The autopilots leave the throttle alone. It is set to what JSBSim's
-own trim takes at the speed that is commanded, with a share of what the speed is off on top.
+A turn is commanded through the heading setpoint: its error is the bank of a coordinated turn,
+tan(bank) = turn * speed / g. The autopilots do not control the throttle. It is set to the value of
+JSBSim's own trim at the commanded speed, plus a proportional correction of the speed error.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start,
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
-RATE = 120.0  # [Hz] of JSBSim's own scripts for the aircraft
-HEIGHT = 1000.0  # [ft] above the ground: up to there, turbulence is a tenth of the wind at 20 ft
-EAST, NORTH = 6378137.0 + HEIGHT * FOOT, 6335439.0 + HEIGHT * FOOT  # [m] WGS 84 at 0 N, 0 E
-SPEEDS = (30.0, 34.0, 38.0, 42.0, 46.0, 50.0, 54.0, 58.0)  # [m/s] through the air
-THROTTLES = (0.5558, 0.5707, 0.6022, 0.6410, 0.6824, 0.7233, 0.7650, 0.8052)  # trimmed at them
-CORRECTION = 0.05  # of the throttle, for each m/s that the speed is off
-MILITARY = 3  # turbulence by MIL-F-8785C, Dryden's spectra
-LIGHT = 3.0  # how severe it is above 1,000 ft; with 0 there is none anywhere
+RATE = 120.0  # [Hz] as in JSBSim's own scripts for this aircraft
+HEIGHT = 1000.0  # [ft] above ground; up to there, turbulence is a tenth of the wind at 20 ft
+EAST, NORTH = 6378137.0 + HEIGHT * FOOT, 6335439.0 + HEIGHT * FOOT  # [m] WGS 84 radii at 0 N, 0 E
+SPEEDS = (30.0, 34.0, 38.0, 42.0, 46.0, 50.0, 54.0, 58.0)  # [m/s] airspeeds
+THROTTLES = (0.5558, 0.5707, 0.6022, 0.6410, 0.6824, 0.7233, 0.7650, 0.8052)  # of level trim
+CORRECTION = 0.05  # throttle per m/s of speed error
+MILITARY = 3  # turbulence by MIL-F-8785C, Dryden spectra
+LIGHT = 3.0  # severity above 1,000 ft; 0 switches turbulence off at all heights
 
 
 def _begun(start: Start) -> dict[str, float]:
-    """Return the initial conditions: wings level, in the air that moves."""
+    """Return the initial conditions: wings level, in moving air."""
     speed, axis, wind = start.push, start.attitude[:, 0], start.wind
     heading, over_ground = math.atan2(axis[1], axis[0]), speed * axis + wind
     return {
@@ -42,7 +42,7 @@ def _begun(start: Start) -> dict[str, float]:
         'ic/long-gc-deg': 0.0,
         'ic/psi-true-rad': (0.5 * math.pi - heading) % (2.0 * math.pi),
         'ic/vw-mag-fps': float(np.linalg.norm(wind)) / FOOT,
-        'ic/vw-dir-deg': math.degrees(math.atan2(wind[0], wind[1])) % 360.0,  # where it blows to
+        'ic/vw-dir-deg': math.degrees(math.atan2(wind[0], wind[1])) % 360.0,  # blows towards
         'ic/ve-fps': over_ground[0] / FOOT,
         'ic/vn-fps': over_ground[1] / FOOT,
         'fcs/throttle-cmd-norm': float(np.interp(speed, SPEEDS, THROTTLES)),
@@ -50,7 +50,7 @@ def _begun(start: Start) -> dict[str, float]:
 
 
 def _engaged(turbulence: float) -> dict[str, float]:
-    """Return what begins once the aircraft is trimmed: both autopilots, and turbulence [m/s]."""
+    """Return the settings after trimming: both autopilots, and turbulence [m/s]."""
     return {
         'atmosphere/turb-type': MILITARY,
         'atmosphere/turbulence/milspec/severity': LIGHT,
@@ -79,7 +79,7 @@ class Cessna(Engine):
 
     def __init__(self, start: Start) -> None:
         self._place = start.position
-        jsbsim.FGJSBBase().debug_lvl = 0  # of all that is made from now on: no banner
+        jsbsim.FGJSBBase().debug_lvl = 0  # of all later instances: no banner
         self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
         self._fdm.load_model('c172x')
         self._fdm.set_dt(self.tick)
@@ -98,7 +98,7 @@ class Cessna(Engine):
             self._fdm[name] = value
 
     def steer_to(self, point: Array) -> None:
-        """Have the aircraft's own guidance fly to a waypoint, and no longer obey turns.
+        """Let the aircraft's own guidance fly to a waypoint and ignore commanded turns.
 
         Args:
             point: east and north, shape (2,) [m].
@@ -113,14 +113,14 @@ class Cessna(Engine):
         )
 
     def fly(self, push: float, rate: Array) -> None:
-        """Fly for a tick at a speed through the air; see :meth:`Engine.fly`."""
+        """Fly for one tick at a commanded airspeed; see :meth:`Engine.fly`."""
         self._steer(push, float(rate[0]))
         if not self._fdm.run():
             raise EngineFailure(f'{self.name}: stopped at t = {self._time:.3f} s')
 
     def _steer(self, speed: float, turn: float) -> None:
         fdm, now = self._fdm, self._fdm['velocities/vt-fps'] * FOOT
-        bank = math.atan(turn * now / GRAVITY)  # to the left, where headings go down
+        bank = math.atan(turn * now / GRAVITY)  # positive to the left, where headings decrease
         throttle = np.interp(speed, SPEEDS, THROTTLES) + CORRECTION * (speed - now)
         fdm['guidance/specified-heading-rad'] = fdm['attitude/psi-rad'] - bank
         fdm['fcs/throttle-cmd-norm'] = min(max(float(throttle), 0.0), 1.0)
@@ -130,10 +130,10 @@ class Cessna(Engine):
         return float(self._fdm['simulation/sim-time-sec'])
 
     def motion(self) -> Motion:
-        """Return how the aircraft moves now.
+        """Return the present state of motion.
 
-        ``bank`` is to the left; ``turn`` is that of a coordinated turn at this bank, as an
-        instrument shows it: what the tail takes out again after a gust is not in it.
+        ``bank`` is positive to the left; ``turn`` is the rate of a coordinated turn at this bank,
+        as an instrument shows it, without the yaw by which the fin corrects for a gust.
         """
         fdm = self._fdm
         bank, speed = -float(fdm['attitude/phi-rad']), fdm['velocities/vt-fps'] * FOOT
@@ -155,12 +155,12 @@ class Cessna(Engine):
         )
 
     def _enu(self, name: str) -> Array:
-        """Return a vector of the engine in our axes, in metres."""
+        """Return one of the engine's vectors in ENU axes and metres."""
         north, east, down = (self._fdm[name.format(each)] for each in ('north', 'east', 'down'))
         return FOOT * np.array([east, north, -down])
 
 
 def _attitude(roll: float, pitch: float, compass: float) -> Array:
-    """Return the attitude, body to world, of Euler's angles in the axes of aircraft [rad]."""
+    """Return the body-to-world attitude for an aircraft's Euler angles [rad]."""
     yaw = 0.5 * math.pi - compass
     return about(2, yaw) @ about(1, -pitch) @ about(0, roll)

@@ -1,16 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A Hummingbird by RotorPy in MuJoCo, that catches a rope with a hook on its nose.
+"""RotorPy's Hummingbird in MuJoCo, which catches a rope with a hook on its nose.
 
-MuJoCo moves the bodies, the rope among them, and finds the contacts. What the rotors and the air do
-to the vehicle is RotorPy's: the parameters of the AscTec Hummingbird, the wrench on its body, and
-the geometric controller that flies it. All of these are left as they are.
+MuJoCo moves all bodies, including the rope, and detects contacts. RotorPy supplies rotor and air
+loads on the vehicle: the parameters of the AscTec Hummingbird, the wrench on its body, and its
+geometric controller, all unmodified.
 
-The controller tracks a setpoint, which moves in the plane of flight as it is commanded: forward, at
-a speed, and turning. Nothing else is ours but the shape of the hook, the rope, and the gusts.
+The controller tracks a setpoint that moves in the plane of flight at the commanded forward speed
+and turn rate. Only the shape of the hook, the rope, and the gusts are defined here.
 
-The rope hangs from a point above: 25 links on ball joints, and a weight at its end. It is let go
-aside, and swings; MuJoCo's own drag on each link is what wind does to it. Seen from the vehicle it
-is where it crosses the plane of flight, or its end if it is all above.
+The rope hangs from a point above: 25 links on ball joints, and a weight at its end. It is released
+off its rest position and swings; wind acts on it by MuJoCo's own drag on each link. The vehicle
+observes where the rope crosses the plane of flight, or its end if it is all above.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from rotorpy.vehicles.multirotor import Multirotor
 
 from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start, about
 
-STEP = 0.002  # [s] of MuJoCo
-CONTROL = 2  # steps from one command to the rotors to the next
-LINKS, LINK = 25, 0.1  # links and the length of one [m]
-ABOVE = 2.0  # [m] from the plane of flight to where the rope hangs from
-FARTHEST = 1.2  # [m] aside in the plane of flight, where the rope is let go
-FASTEST = 1.5  # [rad/s] turn on the way to a waypoint
-QUICKEST, SHARPEST = 3.0, 6.0  # the setpoint's speed and turn change no faster [m/s^2, rad/s^2]
-NOSE = np.array([0.45, 0.0, 0.0])  # [m] the middle of the hook, in the body
-MEMORY = 1.0  # [s] of gusts
+STEP = 0.002  # [s] MuJoCo's time step
+CONTROL = 2  # steps per update of the rotor commands
+LINKS, LINK = 25, 0.1  # number of links, and the length of each [m]
+ABOVE = 2.0  # [m] height of the rope's anchor above the plane of flight
+FARTHEST = 1.2  # [m] largest displacement, in the plane of flight, of the released rope
+FASTEST = 1.5  # [rad/s] turn limit on the way to a waypoint
+QUICKEST, SHARPEST = 3.0, 6.0  # limits of the setpoint's acceleration [m/s^2, rad/s^2]
+NOSE = np.array([0.45, 0.0, 0.0])  # [m] centre of the hook in the body frame
+MEMORY = 1.0  # [s] correlation time of gusts
 
-SCENE = Path(__file__).with_suffix('.xml').read_text()  # with what is computed in braces
+SCENE = Path(__file__).with_suffix('.xml').read_text()  # with computed values in braces
 ROTOR = '<geom type="cylinder" size="{} 0.01" pos="{} {} 0.02" rgba="0.3 0.3 0.3 0.5"/>'
 WEIGHT = '<geom size="0.015" fromto="0 0 -{} 0 0 -{}" mass="0.03"/>'
 BODY = '<body pos="0 0 {}" childclass="link"><joint/><geom/>{}</body>'
 
 
 def scene(anchor: Array) -> str:
-    """Return the bodies in MuJoCo's words, a rope hanging straight from a point, shape (3,) [m]."""
+    """Return the MuJoCo XML of all bodies; the rope hangs straight down from an anchor (3,) [m]."""
     rope = WEIGHT.format(LINK, LINK + 0.02)
     for k in reversed(range(LINKS)):
         rope = BODY.format(-LINK if k else 0.0, rope)
@@ -64,13 +64,13 @@ def scene(anchor: Array) -> str:
 
 
 class Hummingbird(Engine):
-    """The vehicle in flight and the rope let go; heights are above the plane of flight.
+    """The vehicle in flight and the released rope; heights are above the plane of flight.
 
     Args:
-        start: in the plane; the position is that of the hook, and so is that of all motions.
+        start: in the plane; its position, like that of all motions, is the position of the hook.
 
     Raises:
-        EngineFailure: the rope is to be let go too far aside.
+        EngineFailure: the rope would be released too far from its rest position.
     """
 
     name = 'mujoco'
@@ -81,7 +81,7 @@ class Hummingbird(Engine):
         aside = start.goal - start.rest
         if math.hypot(*aside) > FARTHEST:
             raise EngineFailure(f'{self.name}: a rope is let go at most {FARTHEST:g} m aside')
-        # What is wrong is raised, and not put in a file.
+        # Problems are raised as errors, not logged to a file.
         mujoco.set_mju_user_warning(lambda _: None)
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
         self._data = mujoco.MjData(self._model)
@@ -103,7 +103,7 @@ class Hummingbird(Engine):
         self._place(aside)
 
     def _place(self, aside: Array) -> None:
-        """Put the bodies where they begin: the rope straight, and aside in the plane [m]."""
+        """Set the initial poses: the rope straight, displaced by ``aside`` in the plane [m]."""
         data, setpoint = self._data, self._setpoint
         half = 0.5 * setpoint.yaw
         data.qpos[:7] = *setpoint.position, math.cos(half), 0.0, 0.0, math.sin(half)
@@ -114,15 +114,15 @@ class Hummingbird(Engine):
         mujoco.mj_forward(self._model, data)
 
     def steer_to(self, point: Array) -> None:
-        """Have the setpoint fly straight to a waypoint, and no longer turn as it is commanded.
+        """Let the setpoint fly straight to a waypoint and ignore commanded turns.
 
         Args:
-            point: where the hook is to be, shape (2,) [m].
+            point: target position of the hook, shape (2,) [m].
         """
         self._waypoint = np.append(point, 0.0)
 
     def fly(self, push: float, rate: Array) -> None:
-        """Fly for a tick at a speed over ground; see :meth:`Engine.fly`."""
+        """Fly for one tick at a commanded speed over ground; see :meth:`Engine.fly`."""
         begun = self._data.time
         self._lead(push, float(rate[0]))
         self._push()
@@ -133,7 +133,7 @@ class Hummingbird(Engine):
             raise EngineFailure(f'{self.name}: unstable after t = {begun:.3f} s')
 
     def _lead(self, speed: float, turn: float) -> None:
-        """Move the setpoint on."""
+        """Advance the setpoint by one tick."""
         before = self._setpoint
         if self._waypoint is not None:
             away = self._waypoint - before.position
@@ -143,7 +143,7 @@ class Hummingbird(Engine):
         self._setpoint = before.after(self.tick, speed, turn)
 
     def _push(self) -> None:
-        """Set what rotors and air do to the vehicle, and the wind on the rope."""
+        """Apply rotor and air loads to the vehicle, and wind to the rope."""
         data, state = self._data, self._state()
         wanted = self._controller.update(data.time, state, self._setpoint.flat)
         fastest = quad_params['rotor_speed_max']
@@ -164,7 +164,7 @@ class Hummingbird(Engine):
         return np.append(self._wind + self._blown, 0.0)
 
     def _state(self) -> dict[str, Array]:
-        """Return the state of the vehicle in RotorPy's words."""
+        """Return the vehicle's state in RotorPy's format."""
         place, velocity = self._data.qpos[:7], self._data.qvel[:6]
         return {
             'x': place[:3].copy(),
@@ -174,7 +174,7 @@ class Hummingbird(Engine):
         }
 
     def _judge(self) -> None:
-        """See what has touched the rope, unless that is known: the hook, or something else."""
+        """Record which part first touched the rope: the hook, or anything else of the vehicle."""
         if self._caught or self._struck or not self._data.ncon:
             return
         for contact in self._data.contact[: self._data.ncon]:
@@ -184,7 +184,7 @@ class Hummingbird(Engine):
                 self._caught = True
 
     def motion(self) -> Motion:
-        """Return how the hook moves now."""
+        """Return the present motion of the hook."""
         data, state = self._data, self._state()
         attitude = data.xmat[self._vehicle].reshape(3, 3).copy()
         hook = state['x'] + attitude @ NOSE
@@ -209,7 +209,7 @@ class Hummingbird(Engine):
         )
 
     def _crossing(self) -> Array:
-        """Return where the rope crosses the plane of flight, or its end, shape (3,) [m]."""
+        """Return where the rope crosses the plane of flight, else its end, shape (3,) [m]."""
         joints = self._data.xanchor[-LINKS:]
         end = joints[-1] - LINK * self._data.xmat[-1].reshape(3, 3)[:, 2]
         places = np.vstack([joints, end])
@@ -221,16 +221,16 @@ class Hummingbird(Engine):
 
 
 class _Setpoint(NamedTuple):
-    """What the controller tracks: of the vehicle's middle, in the plane of flight."""
+    """Setpoint of the controller, for the vehicle's centre, in the plane of flight."""
 
     position: Array  # shape (3,) [m]
     yaw: float  # [rad]
-    speed: float  # along it [m/s]
-    gain: float  # how fast the speed changes [m/s^2]
-    turn: float  # how fast the yaw changes [rad/s]
+    speed: float  # along the yaw direction [m/s]
+    gain: float  # rate of change of the speed [m/s^2]
+    turn: float  # rate of change of the yaw [rad/s]
 
     def after(self, span: float, speed: float, turn: float) -> _Setpoint:
-        """Return it after a short time [s], as near to a speed and a turn as it can get."""
+        """Return the setpoint after a short time [s], moved towards a speed and a turn rate."""
         gain = min(max((speed - self.speed) / span, -QUICKEST), QUICKEST)
         most = SHARPEST * span
         turn = self.turn + min(max(turn - self.turn, -most), most)
@@ -239,7 +239,7 @@ class _Setpoint(NamedTuple):
 
     @property
     def flat(self) -> dict[str, Any]:
-        """Return it in RotorPy's words."""
+        """Return the setpoint in RotorPy's format."""
         ahead, left, _ = about(2, self.yaw).T
         return {
             'x': self.position,

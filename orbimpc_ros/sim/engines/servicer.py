@@ -1,16 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A servicing spacecraft in Basilisk that arrives at its client on wheels and thrusters.
+"""A servicing spacecraft in Basilisk that approaches its client with wheels and thrusters.
 
-Basilisk moves both spacecraft around the Earth, wheels and thrusters included. The flight software
-is Basilisk's as well: the error of the attitude, its feedback in modified Rodrigues parameters, the
-torques of the wheels, and the pulses of the thrusters. Wheels and thrusters are those of Basilisk's
-library: Honeywell's HR12 and Moog's Monarc-1.
+Basilisk moves both spacecraft around the Earth, including wheels and thrusters. The flight software
+is Basilisk's as well: attitude error, feedback in modified Rodrigues parameters, wheel torques, and
+thruster pulses. Wheels and thrusters come from Basilisk's library: Honeywell's HR12 and Moog's
+Monarc-1.
 
-The attitude that is tracked turns as it is commanded. Nothing else is ours but the hull, the gains,
-and how far the vehicle is from its drawings, of which the flight software knows nothing: where the
-center of mass is, how strong each thruster is, and where it points.
+The attitude setpoint turns at the commanded rate. Only the hull, the gains, and the model errors
+are defined here; the flight software does not know these errors: the position of the center of
+mass, and the strength and direction of each thruster.
 
-The axes do not turn; their origin moves along with the client.
+The axes do not rotate; their origin moves with the client.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
 from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start
 
 SECOND = 1_000_000_000  # [ns]
-STEP = 0.02  # [s] of the integration, by Runge and Kutta's fourth order
-CONTROL = 0.1  # [s] from one torque of the wheels to the next
-PULSE = 0.5  # [s] from one firing of the thrusters to the next
+STEP = 0.02  # [s] integration step, by the fourth-order Runge-Kutta method
+CONTROL = 0.1  # [s] period of the wheel torques
+PULSE = 0.5  # [s] period of the thruster pulses
 EARTH = 3.986004418e14  # [m^3/s^2]
-ORBIT = 6.878e6  # [m] the client's radius, 500 km up
+ORBIT = 6.878e6  # [m] radius of the client's orbit, 500 km above the Earth
 MASS = 60.0  # [kg]
-INERTIA = np.diag([4.8, 5.0, 5.2])  # [kg m^2] about a cube of 0.7 m
-AFT = [-0.35, 0.0, 0.0]  # [m] where the thruster pushes forward
-FORCE, BRIEFEST = 0.9, 0.02  # [N, s] of a Monarc-1: its thrust, and its shortest pulse
-MOMENTUM = 12.0  # [N m s] of a wheel, the smallest HR12
-SHARPEST = 0.03  # [rad/s^2] the setpoint turns up no faster: 0.16 N m of the wheels' 0.2
-STIFFNESS = 0.6  # [rad/s] of the feedback, which is damped critically
-OFF_CENTER = 0.005  # [m] deviation of the center of mass along each axis
-OFF_FORCE = 0.02  # deviation of a thruster's force, as a share
-OFF_AXIS = 0.01  # [rad] deviation of a thruster's axis, either way
+INERTIA = np.diag([4.8, 5.0, 5.2])  # [kg m^2] roughly a cube of 0.7 m
+AFT = [-0.35, 0.0, 0.0]  # [m] position of the thruster, which pushes forward
+FORCE, BRIEFEST = 0.9, 0.02  # [N, s] thrust and shortest pulse of a Monarc-1
+MOMENTUM = 12.0  # [N m s] capacity of a wheel, the smallest HR12
+SHARPEST = 0.03  # [rad/s^2] the setpoint's limit: 0.16 N m of the wheels' 0.2 N m
+STIFFNESS = 0.6  # [rad/s] bandwidth of the critically damped feedback
+OFF_CENTER = 0.005  # [m] standard deviation of the center of mass along each axis
+OFF_FORCE = 0.02  # relative standard deviation of a thruster's force
+OFF_AXIS = 0.01  # [rad] standard deviation of a thruster's axis about each normal
 
 
 class Servicer(Engine):
-    """The spacecraft in flight; its position is that of the middle of its hull.
+    """The spacecraft in flight; its position is the centre of its hull.
 
     Args:
-        start: in space; the goal is the client, which flies on. Its wind is an acceleration, on top
-            of the Earth's; its seed draws how far the vehicle is from its drawings.
+        start: in space; the goal is the client, which stays on its orbit. Its wind is an
+            acceleration in addition to gravity; its seed draws the model errors.
     """
 
     name = 'basilisk'
@@ -80,16 +80,16 @@ class Servicer(Engine):
         unknown.extForce_N = (MASS * start.wind).tolist()
         self._vehicle.addDynamicEffector(unknown)
         bodies = [self._wheels, thrusters, unknown, self._client, self._vehicle]
-        # The software runs a step late, so as to obey at once what it is told between two motions.
+        # The software runs one step late, so that commands sent between two motions act at once.
         self._simulation, *most = _simulated(
             (STEP, 0.0, bodies), (CONTROL, STEP, software), (PULSE, STEP, [self._firing])
         )
-        self._kept = kept, more, most  # Basilisk points to them, and Python would drop them
+        self._kept = kept, more, most  # Basilisk holds pointers to these; Python must not free them
         self._tell(0.0)
         self._simulation.StepUntilStop(0, -1)
 
     def fly(self, push: float, rate: Array) -> None:
-        """Fly for a tick at an acceleration by thrust; see :meth:`Engine.fly`."""
+        """Fly for one tick at a commanded thrust acceleration; see :meth:`Engine.fly`."""
         self._tell(push)
         self._setpoint = self._setpoint.after(CONTROL, rate)
         self._cycles += 1
@@ -103,7 +103,7 @@ class Servicer(Engine):
         return self._cycles * round(CONTROL * SECOND)
 
     def _tell(self, push: float) -> None:
-        """Tell the software the attitude to track, and the thrust [m/s^2]."""
+        """Send the attitude setpoint and the thrust acceleration [m/s^2] to the flight software."""
         attitude, rate, gain = self._setpoint
         self._attitude.write(
             messaging.AttRefMsgPayload(
@@ -117,10 +117,10 @@ class Servicer(Engine):
         self._force.write(force, self._nanoseconds)
 
     def motion(self) -> Motion:
-        """Return how the vehicle moves now; ``push`` is what the last pulses come to, evened out.
+        """Return the present motion; ``push`` is the mean acceleration of the latest pulses.
 
-        ``pointing`` is how far the attitude is from the one that is tracked [rad], ``wheel`` how
-        fast the fastest wheel is [rad/s].
+        ``pointing`` is the angle between attitude and setpoint [rad], ``wheel`` the speed of the
+        fastest wheel [rad/s].
         """
         now, client = self._vehicle.scStateOutMsg.read(), self._client.scStateOutMsg.read()
         attitude = MRP2C(now.sigma_BN).T
@@ -142,14 +142,14 @@ class Servicer(Engine):
 
 
 class _Setpoint(NamedTuple):
-    """What the software tracks; rates are in the body frame."""
+    """Attitude setpoint of the flight software; rates are in the body frame."""
 
     attitude: Array  # body to world, shape (3, 3)
     rate: Array  # shape (3,) [rad/s]
-    gain: Array  # how fast the rate changes, shape (3,) [rad/s^2]
+    gain: Array  # rate of change of the rate, shape (3,) [rad/s^2]
 
     def after(self, span: float, rate: Array) -> _Setpoint:
-        """Return it after a short time [s], as near to a rate as it can get."""
+        """Return the setpoint after a short time [s], moved towards a body rate."""
         gain = np.clip((rate - self.rate) / span, -SHARPEST, SHARPEST)
         turned = span * (self.rate + 0.5 * span * gain)
         return _Setpoint(self.attitude @ PRV2C(turned).T, self.rate + span * gain, gain)
@@ -162,9 +162,9 @@ def _angle(rotation: Array) -> float:
 def _orbiting(
     away: Array, velocity: Array, attitude: Array, body_rate: Array, off_center: Array
 ) -> Any:
-    """Return a spacecraft around the Earth, its place and velocity relative to the client's.
+    """Return a spacecraft around the Earth; position and velocity are relative to the client.
 
-    The center of mass is ``off_center`` from the middle of the hull, shape (3,) [m].
+    The center of mass is ``off_center`` from the centre of the hull, shape (3,) [m].
     """
     made, earth = spacecraft.Spacecraft(), gravityEffector.GravBodyData()
     hub, past = made.hub, attitude @ np.cross(body_rate, off_center)
@@ -180,7 +180,7 @@ def _orbiting(
 
 
 def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]:
-    """Return a vehicle's thruster, drawn at random, what fires it, and what these point to."""
+    """Return a thruster with random errors, its firing module, and objects to keep alive."""
     factory = simIncludeThruster.thrusterFactory()
     axis = [1.0, *(OFF_AXIS * draw.normal(size=2))]
     thruster = factory.create('MOOG_Monarc_1', AFT, axis)
@@ -196,7 +196,7 @@ def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]
 
 
 def _steered(vehicle: Any, attitude: Any) -> list[Any]:
-    """Return a vehicle's wheels, the software that turns them, and what these point to."""
+    """Return the wheels, their flight software, and objects to keep alive."""
     factory = simIncludeRW.rwFactory()
     for axis in np.eye(3):
         factory.create('Honeywell_HR12', axis.tolist(), maxMomentum=MOMENTUM)
@@ -223,9 +223,9 @@ def _steered(vehicle: Any, attitude: Any) -> list[Any]:
 
 
 def _simulated(*tasks: tuple[float, float, list[Any]]) -> list[Any]:
-    """Return a simulation of tasks, ready to begin, and what it points to.
+    """Return a simulation of tasks, ready to run, and objects to keep alive.
 
-    A task is how often it runs, from when on [s], and what it does; at one time in this order.
+    A task is its period [s], its first time [s] and its models; simultaneous tasks keep this order.
     """
     simulation, process = sim_model.SimModel(), sim_model.SysProcess('flight')
     simulation.addNewProcess(process)
