@@ -5,11 +5,11 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_614,
+    'orbimpc_ros': 33_612,
     'orbimpc_ros/mpc': 17_089,
     'orbimpc_ros/loop': 3_912,
     'orbimpc_ros/ros': 4_792,
-    'orbimpc_ros/sim': 2_812,
+    'orbimpc_ros/sim': 2_810,
     'orbimpc_ros/tool': 4_827,
     'benchmarks': 3_459,
     'test': 17_640,
