@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Bags as rosbag2 has them: MCAP read and written with checksums, SQLite read.
+"""Bags of rosbag2: MCAP, read and written with checksums, and SQLite, read only.
 
-MCAP goes through the ``mcap`` library, which has the time of sending of each message, verifies
-checksums and reads a file whose recorder was killed; SQLite goes through ``rosbags``.
+MCAP uses the ``mcap`` library, which gives each message's time of sending, verifies checksums and
+reads a file whose recorder was killed; SQLite uses ``rosbags``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from orbimpc_ros.tool.files import opened
 METADATA = 'metadata.yaml'
 METADATA_VERSION = 9
 NOTES = 'orbimpc_ros'  # the MCAP record with the recorder's notes
-WRITTEN_CHUNK = 1 << 16  # [bytes]: what a recorder that is killed may lose
+WRITTEN_CHUNK = 1 << 16  # [bytes] lost at most if the recorder is killed
 LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
-LATEST = 2**63  # [ns]: stamps in metadata
+LATEST = 2**63  # [ns], beyond the stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
 FLOWN = ('odom',), ('goal',)
@@ -53,27 +53,27 @@ QOS = {
     'liveliness': 'automatic',
     'liveliness_lease_duration': FOREVER,
     'avoid_ros_namespace_conventions': False,
-}  # of the interface; a player publishes with it
+}  # QoS of the interface, with which a player publishes
 
 
 class Message(NamedTuple):
     """A message in a bag."""
 
-    topic: str  # it came on
-    type: str  # of the message
-    stamp: int  # under which it was recorded [ns]
-    sent: int  # when it was sent; the stamp if that is not known [ns]
-    data: bytes  # in CDR
-    content: Any = None  # decoded; None where only bytes are read
+    topic: str  # its name
+    type: str  # name of the message's type
+    stamp: int  # log time in the bag [ns]
+    sent: int  # time of sending; the stamp if unknown [ns]
+    data: bytes  # serialised as CDR
+    content: Any = None  # decoded message; None if only bytes were read
 
 
-# --- the content of messages, from bags and from DDS alike
+# --- the content of messages, from bags or from DDS
 
 
 def stamp_of(message: Any) -> int | None:
-    """Return the stamp that a message carries [ns]; None if it has none that is valid.
+    """Return a message's own stamp [ns]; None without a valid one.
 
-    It is that of its header or of its first marker, or the time on ``/clock``.
+    This is the stamp of its header or of its first marker, or the time of ``/clock``.
     """
     for part in getattr(message, 'markers', [message])[:1]:
         stamp = part.header.stamp if hasattr(part, 'header') else getattr(part, 'clock', None)
@@ -83,7 +83,7 @@ def stamp_of(message: Any) -> int | None:
 
 
 def seconds(message: Any) -> float:
-    """Return the stamp that a message carries [s]; 0 without."""
+    """Return a message's own stamp [s]; 0 without a valid one."""
     return (stamp_of(message) or 0) / SECOND
 
 
@@ -98,7 +98,7 @@ def attitude(q: Any) -> Array:
 
 
 def fields(message: Any) -> dict[str, Any]:
-    """Return the values of a DiagnosticArray's first status by key, numbers as numbers."""
+    """Return the values of a DiagnosticArray's first status by key, decoded if they are JSON."""
     return {pair.key: _value(pair.value) for pair in message.status[0].values}
 
 
@@ -122,8 +122,8 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
     """Yield the messages of a bag (folder, .mcap or .db3) in the order of their stamps.
 
     Args:
-        path: of the bag.
-        names: of the topics wanted, in whatever namespace; by default all that we know.
+        path: path of the bag.
+        names: of the topics to read, in every namespace; by default all known topics.
 
     Raises:
         BadInput: missing, damaged, too large, of another version, or not a bag.
@@ -142,19 +142,19 @@ def of_vehicle(
     others: Collection[str] = (),
     needed: Sequence[Collection[str]] = FLOWN,
 ) -> list[Message]:
-    """Return one vehicle's messages, topics named without its namespace, in the order of stamps.
+    """Return one vehicle's messages in the order of stamps, topics named without its namespace.
 
-    Odometry that comes as a pose and a twist is joined.
+    If there is no odometry, it is joined from pose and twist messages.
 
     Args:
-        path: of the bag.
+        path: path of the bag.
         namespace: of the vehicle, such as ``/uav1``.
-        names: of the topics wanted; by default all that we know.
-        others: topics of anybody's that are wanted too, by their full names.
-        needed: topics of which the bag has to have one each.
+        names: of the topics to read; by default all known topics.
+        others: further topics to read, of other vehicles or none, by their full names.
+        needed: groups of topics; the bag must have at least one topic of each group.
 
     Raises:
-        BadInput: no bag, or one without what is needed.
+        BadInput: no bag, or one without a needed topic.
     """
     wanted = (*names, *(other.rpartition('/')[2] for other in others)) if names else ()
     found, own = list(read(path, wanted)), list[Message]()
@@ -179,7 +179,7 @@ def of_vehicle(
 
 
 def _joined(halves: Iterable[Message]) -> Iterator[Message]:
-    """Yield the odometry that the planner made of pairs, each when its second message was sent."""
+    """Yield the odometry that the planner joined from pairs, with the second message's times."""
     synchronizer = PoseTwistSynchronizer()
     for each in sorted(halves, key=lambda each: each.sent):
         with suppress(BadInput):
@@ -189,9 +189,9 @@ def _joined(halves: Iterable[Message]) -> Iterator[Message]:
 
 
 def raw(path: Path) -> list[Message]:
-    """Return the messages on the topics that we know, in the order of their stamps, as bytes.
+    """Return the messages on known topics as bytes, in the order of their stamps.
 
-    A bag whose recorder was killed is read up to its last complete chunk, and a line reports that.
+    A bag whose recorder was killed is read up to its last complete chunk, with a warning.
 
     Raises:
         BadInput: missing, damaged, too large, of another version, or not a bag.
@@ -203,7 +203,7 @@ def raw(path: Path) -> list[Message]:
 
 
 def notes(path: Path) -> dict[str, str]:
-    """Return what our recorder has noted in a bag; empty if it is not one of ours.
+    """Return the notes that this package's recorder stored in a bag; empty without them.
 
     Raises:
         BadInput: no bag, or damaged.
@@ -213,12 +213,12 @@ def notes(path: Path) -> dict[str, str]:
         with _reading(path), suppress(EndOfFile), opened(file, LARGEST_FILE) as stream:
             found = (each for each in _mcap(stream).iter_metadata() if each.name == NOTES)
             return next((each.metadata for each in found), {})
-    return {}  # or it ended before its notes
+    return {}  # not MCAP, or it ended before its notes
 
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Blame the bag, in one line, for whatever a decoder of damaged bytes raises."""
+    """Turn every exception that damaged bytes cause in a decoder into a BadInput about the bag."""
     try:
         yield
     except BadInput:
@@ -250,7 +250,7 @@ def _of_rosbags(path: Path) -> Iterator[Message]:
 
 
 def _of_mcap(files: Sequence[Path]) -> Iterator[Message]:
-    """Yield the known messages of MCAP files in the order in which they were written."""
+    """Yield the messages on known topics in MCAP files in the order of writing."""
     for file in files:
         count = 0
         with opened(file, LARGEST_FILE) as stream:
@@ -273,15 +273,15 @@ def _mcap(stream: BinaryIO) -> NonSeekingReader:
 
 
 class BagWriter:
-    """Writes a new MCAP bag, which ``ros2 bag`` reads.
+    """Writer of a new MCAP bag that ``ros2 bag`` can read.
 
     Args:
-        folder: created; the MCAP file in it has its name.
-        listed: topics of the bag, also those on which nothing comes.
-        notes: kept in the bag, by name.
+        folder: created; the MCAP file in it has the folder's name.
+        listed: topics of the bag, including those without messages.
+        notes: stored in the bag's metadata, by name.
 
     Attributes:
-        counts: messages written, by topic.
+        counts: number of messages written, by topic.
     """
 
     def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
@@ -308,16 +308,16 @@ class BagWriter:
         """Append a serialised message.
 
         Args:
-            topic: it came on.
-            stamp: to record it under [ns].
-            data: in CDR.
-            sent: when it was sent [ns], if that is known.
+            topic: its name.
+            stamp: log time [ns].
+            data: the message, serialised as CDR.
+            sent: time of sending [ns], if known.
         """
         self._first, self._last = min(self._first, stamp), max(self._last, stamp)
         self.counts[topic] += 1
         sent = stamp if sent is None else sent
         self._writer.add_message(self._channels[topic], stamp, data, sent, self.counts[topic])
-        self._stream.flush()  # complete chunks outlive the recorder, however it ends
+        self._stream.flush()  # complete chunks survive even if the recorder is killed
 
     def close(self) -> None:
         """Write the index and the metadata; a second call does nothing."""
@@ -326,7 +326,7 @@ class BagWriter:
         self._writer.finish()
         self._stream.close()
         content = {'rosbag2_bagfile_information': self._metadata()}
-        (self.folder / METADATA).write_text(json.dumps(content, indent=1))  # which is YAML, too
+        (self.folder / METADATA).write_text(json.dumps(content, indent=1))  # JSON is YAML, too
 
     def _metadata(self) -> dict[str, Any]:
         file, begin = f'{self.folder.name}.mcap', min(self._first, self._last)

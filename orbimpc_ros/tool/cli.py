@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc``: error lines and exit codes of its commands, each a module with a ``run``."""
+"""The ``orbimpc`` command line: arguments, error lines and exit codes of its commands."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible, 130 interrupted'
 
 IN_CLONE = ('bench', 'faults')  # in benchmarks/, which is not installed
-PLANNING = ('bench', 'demo', 'study')  # for long: a slow planner is worth a word
-SOLVING = ('bench', 'replay', 'solve', 'study', 'verify')  # in this process, after compiling
+PLANNING = ('bench', 'demo', 'study')  # long runs, which report a missing compiler
+SOLVING = ('bench', 'replay', 'solve', 'study', 'verify')  # in this process: may compile first
 CLONE = Path(__file__).resolve().parents[2]
-Argument = tuple[tuple[str, ...], dict[str, Any]]  # names and options, as argparse takes them
+Argument = tuple[tuple[str, ...], dict[str, Any]]  # of ``add_argument``: names and options
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -63,17 +63,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain('interrupted')
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader has left, as in `orbimpc solve x | head`: nothing is left to say to it.
+        # The reader has closed the pipe, as in `orbimpc solve x | head`.
         _end_output()
         return FAILED
-    except OSError as error:  # such as a disk that is full
+    except OSError as error:  # such as a full disk
         _complain(f'{error.filename or "output"}: {why(error)}')
         _end_output()
         return FAILED
 
 
 def _report_on_machine_code(command: str) -> None:
-    """Report that there is no compiler, or on a terminal how far it is."""
+    """Report a missing compiler or, on a terminal, the progress of compilation."""
     from orbimpc_ros.ros.entry import report_compilation, without_compiler
 
     if find_spec('numba') is None:
@@ -84,7 +84,7 @@ def _report_on_machine_code(command: str) -> None:
 
 
 def _end_output() -> None:
-    """Drop what nobody takes: Python would try once more at its end, and complain."""
+    """Discard unread output: Python would flush it again at exit and print an error."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -92,7 +92,7 @@ def _end_output() -> None:
 
 
 def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser; no command is imported but one of the clone that is asked for."""
+    """Return the parser; import no command but a called one of benchmarks/."""
     parser = OneLineParser(
         prog='orbimpc',
         description='Convex model predictive control on rotation orbitopes.',
@@ -116,7 +116,7 @@ def _module(command: str) -> ModuleType:
         raise BadInput.stating(f'orbimpc {command}', 'not installed', 'run it from a clone')
     if str(CLONE) not in sys.path:
         sys.path.append(str(CLONE))
-        known = os.environ.get('PYTHONPATH')  # for the processes that it starts
+        known = os.environ.get('PYTHONPATH')  # for child processes
         os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
     return import_module(f'benchmarks.{command}')
 
@@ -128,12 +128,12 @@ def _code(error: OrbimpcError) -> int:
 
 
 def _complain(message: str) -> None:
-    """Print one line to stderr, whatever a file has put into the message."""
+    """Print a message to stderr as one line of printable characters."""
     line = ' '.join(message.split())
     print('orbimpc: ' + ''.join(c if c.isprintable() else '?' for c in line), file=sys.stderr)
 
 
-# --- arguments: what a command's ``run`` is called with, by name
+# --- arguments, which are passed to a command's ``run`` by name
 
 
 def _argument(*names: str, **options: Any) -> Argument:
@@ -166,7 +166,7 @@ WHICH = 'a parameter file, a study file, or the name of one'
 OTHERS = 'separated by commas; all but orbitope need a clone of the repository'
 WHOSE = 'of the vehicle, such as uav1'
 NAMESPACE = _argument('--namespace', type=_namespace, default='', metavar='NS', help=WHOSE)
-# By command: what it does, and its arguments; those of a command in benchmarks/ are declared there.
+# Summary and arguments of each command; the commands in benchmarks/ declare their own arguments.
 COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
     'bench': ('measure side by side with the solvers that are installed', ()),
     'demo': ('run planner and simulator over DDS, record a bag, draw the picture', (

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc demo``: planner and simulator as processes over DDS, a bag, a summary, pictures.
 
-A run is of vehicles, each two processes in its namespace, and of a recorder of their messages.
+A run has two processes for each vehicle, in its namespace, and a recorder of all messages.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.processes import Child, Processes, ProgressLine, interruptions, isolate
 from orbimpc_ros.tool.settings import Values
 
-# The clock of a fleet waits for the slowest answer, which makes nothing stale.
+# The clock of a fleet waits for the slowest answer: inputs must not count as stale meanwhile.
 PACED = ('clock=shared', 'odom_timeout=60.0')
-# Flights of a demo, by name. The paper shows the Dubins car with and without minimum speed; its
-# retrieval, which follows the rope as last seen, has beside it one that intercepts it.
+# Flights of a demo, by name. The paper shows the Dubins car with and without minimum speed. Its
+# retrieval pursues the last seen position of the rope; a second flight intercepts the rope.
 VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
     'retrieval': {'': (), 'first_pass': ('objective=intercept', 'goal_prediction=harmonic')},
     'dubins': {'no_floor': ('floor.shape=none',), 'floor': ('floor.shape=polygon',)},
 }
 SPIN = 0.05  # [s]
-# A simulator that ends with its flight, and begins once planner and recorder hear it.
+# The simulator exits after its flight, and begins once planner and recorder have subscribed.
 OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
-QUIET, LAST_WORDS = 0.1, 1.0  # [s] without a message, and at most, until the bag is complete
-AGAIN = 0.2  # [s] from one message of the same time to the next; the first may be lost
+QUIET, LAST_WORDS = 0.1, 1.0  # [s] of silence that completes a bag, and at most until then
+AGAIN = 0.2  # [s] between repetitions of a time on /clock, since messages may be lost
 PATIENCE = 120.0  # [s] for the answers to a step
-STARTING = 600.0  # [s] and to the first one, before which machine code may be compiled
+STARTING = 600.0  # [s] for the answers to the first step, which may need compilation
 DEPTH = 1000  # a slow disk must not cost messages
-TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
+TRIGGER = 'odom'  # a lock-step simulator starts once this topic has its subscribers
 CALL_AGAIN = 5.0  # [s] until a planner that has not answered is called again
 
 
 def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -> int:
-    """Fly, record, sum up, draw; 0 only if the job was done."""
+    """Fly, record, summarise and plot a scenario; return 0 only if the job was done."""
     flights, own = dict[str, Values](), dict[str, Values]()
     if scenario in FLEETS:
         flights[''], own = fleet(vehicles, changes, scenario)
@@ -65,7 +65,7 @@ def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -
         flights = variants(scenario, changes)
         for values in flights.values():
             if values['vehicle'] in ENGINES:
-                class_of(values['vehicle'])  # raises, before anything is started
+                class_of(values['vehicle'])  # raises before any process is started
     folder = new_folder(out, scenario)
     bags = {name: folder / name / 'bag' for name in flights}
     for name, values in flights.items():
@@ -79,10 +79,10 @@ def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
-    """Return the parameters of each flight of a demo, by name; a single one has none.
+    """Return the parameters of each flight of a demo, by name; a single flight has an empty name.
 
-    Where what tells flights apart is set for all of them, there is one; so is a retrieval with any
-    parameter of its own, which is no longer the paper's.
+    There is a single flight if ``changes`` set the floor's shape, in which the flights would
+    differ, and for a retrieval with any changes, which is no longer the paper's.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
@@ -97,10 +97,10 @@ def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
 def fleet(
     count: int | None, changes: Sequence[str], scenario: str = 'fleet'
 ) -> tuple[Values, dict[str, Values]]:
-    """Return the values that a fleet shares, and by namespace those that differ.
+    """Return the values that a fleet shares, and the values that differ by namespace.
 
     Args:
-        count: of the vehicles; None for as many as the scenario is made for.
+        count: of the vehicles; None for the scenario's default.
         changes: ``name=value``, for every vehicle; ``seed`` is that of the whole fleet.
         scenario: ``fleet`` or ``crossing``.
 
@@ -124,14 +124,14 @@ def fleet(
 
 
 def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) -> int:
-    """Sum up the flights of a demo, draw pictures, and return the exit code.
+    """Summarise the flights of a demo, draw pictures, and return the exit code.
 
     Args:
         folder: takes the pictures.
         paths: of the bags.
         flown: the flights, by name; those of a fleet by namespace.
     """
-    from orbimpc_ros.tool import plot  # matplotlib takes time that the start of nodes has not
+    from orbimpc_ros.tool import plot  # its import is slow and would delay the start of nodes
 
     clear = True
     if any(name.startswith('/') for name in flown):
@@ -151,7 +151,7 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
 
 
 def clearance(flown: Mapping[str, History]) -> bool:
-    """Print how close vehicles that avoid each other came; return whether that is far enough."""
+    """Print the least distance of vehicles that avoid each other; return whether it suffices."""
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
@@ -172,12 +172,12 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
 
     Args:
         values: of every parameter.
-        folder: takes the bag, the parameters and what the processes print.
-        own: of a fleet: values that differ from one namespace, such as ``/uav1``, to another.
+        folder: for the bag, the parameters and the output of the processes.
+        own: a fleet's values that differ between vehicles, by namespace, such as ``/uav1``.
 
     Raises:
         OrbimpcError: a node has failed.
-        KeyboardInterrupt: somebody asked to stop; the bag is complete up to then.
+        KeyboardInterrupt: a signal arrived; the bag is complete up to then.
     """
     parameters, namespaces = folder / 'parameters.yaml', tuple(own) or ('',)
     simulated = values['clock'] != 'wall'
@@ -205,7 +205,7 @@ def _watch(
     received: Sequence[int],
     values: Values,
 ) -> None:
-    """Record until the simulators are done or somebody asks to stop."""
+    """Record until the simulators are done or a signal arrives."""
     planners, sims = nodes['planner'], nodes['sim']
     progress, pacer = ProgressLine(values['max_ticks']), None
     if values['clock'] == 'shared':
@@ -225,7 +225,7 @@ def _watch(
     progress.close()
     recorder.drain(QUIET, LAST_WORDS)
     for namespace, sim in sims.items():
-        # A simulator that has come to its end reports it, whether it caught anything or not.
+        # A simulator reports the end of its flight, with or without a catch, on this topic.
         if not received and not recorder.counts[f'{namespace}/captured']:
             sim.require_health()
 
@@ -236,21 +236,21 @@ def _flown(ticks: int, values: Values) -> str:
 
 
 def _starting(planners: Mapping[str, Child]) -> str:
-    """Return what planners that have not answered yet are at: the last that they report of it."""
+    """Return the progress of compilation that planners reported last, before any answer."""
     printed = (each.output.splitlines() for each in planners.values())
     lines = [line for each in printed for line in each if COMPILING in line]
     return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'the nodes start'
 
 
 class Pacer:
-    """The clock of a fleet in lock-step: it goes on when every vehicle has its command.
+    """The clock of a fleet in lock-step: it advances when every vehicle has its command.
 
-    On a machine that is too slow for real time the flight takes longer, and no vehicle flies blind.
+    On a machine that is too slow for real time the flight takes longer, but no command is missed.
 
     Args:
         recorder: of the fleet.
         begin: of the flight [s].
-        step: from one time to the next [s].
+        step: by which the clock advances [s].
     """
 
     def __init__(self, recorder: Recorder, begin: float, step: float) -> None:
@@ -258,13 +258,13 @@ class Pacer:
         self._count, self._since, self._sent = 0, time.monotonic(), 0.0
 
     def look(self, flying: Sequence[str]) -> None:
-        """Go on a step if the vehicles of these namespaces have answered the last one.
+        """Advance by a step if the vehicles of these namespaces have answered the last one.
 
         Raises:
-            OrbimpcError: one of them has not for too long.
+            OrbimpcError: an answer is overdue.
         """
         now, wall = round((self._begin + self._count * self._step) * SECOND), time.monotonic()
-        early = now - 0.5 * self._step * SECOND  # rounding is less
+        early = now - 0.5 * self._step * SECOND  # more than rounding errors
         answers = {name: self._recorder.latest.get(f'{name}/cmd_vel', -math.inf) for name in flying}
         silent = [name for name, stamp in answers.items() if stamp < early]
         if not silent:
@@ -276,29 +276,29 @@ class Pacer:
             self._recorder.publish_clock(self._begin + self._count * self._step)
 
 
-# --- the bag: messages byte by byte as they come, under the stamps they carry
+# --- the bag: serialised messages as they arrive, under their own stamps
 
 
 class Recorder:
-    """A node that writes what it hears into a bag.
+    """A node that records messages in a bag.
 
-    A message goes under the stamp it carries, so that the bag plays at the speed of the run
-    however fast that was simulated; one without a stamp goes under the last stamp before it, and
-    before the first one is left out. The time of sending is kept, too, for the order in which
-    things happened.
+    A message is recorded under its own stamp, so that the bag plays at the speed of the run
+    however fast that was simulated. A message without a stamp is recorded under the previous
+    stamp, or dropped before the first one. The time of sending is recorded, too, and gives the
+    order of events.
 
-    Odometry is subscribed to once every planner has answered a call. DDS announces endpoints in
-    the order of their creation: a planner that knows the last one knows every subscription, and
-    a simulator that waits for the subscription to odometry finds the recorder complete.
+    The recorder subscribes to odometry once every planner has answered a call. DDS announces
+    endpoints in the order of creation: a planner that has discovered the last one has discovered
+    all subscriptions, and a simulator that waits for that to odometry finds the recorder complete.
 
     Args:
         folder: of the bag, created.
         topics: to record.
-        notes: kept in the bag's metadata.
-        planners: nodes that must know the recorder before odometry is asked for.
+        notes: stored in the bag's metadata.
+        planners: nodes that must discover the recorder before it subscribes to odometry.
 
     Attributes:
-        counts: messages recorded, by topic.
+        counts: number of messages recorded, by topic.
         latest: stamp of the last message of a topic [ns].
     """
 
@@ -330,9 +330,9 @@ class Recorder:
         return self._node.create_client(GetParameters, f'{planner}/get_parameters')
 
     def _meet(self) -> None:
-        """Call planners that have not answered yet; when all have, listen to odometry too.
+        """Call planners that have not answered yet; when all have, subscribe to odometry, too.
 
-        One that is being configured answers when that is done. Who begins again has lost the call.
+        A planner answers once it is configured. Calls are repeated, since a restart would lose one.
         """
         now = time.monotonic()
         for name, client in self._unmet.items():
@@ -345,7 +345,7 @@ class Recorder:
 
     def _listen(self, topic: Topic) -> None:
         profile = qos(DEPTH, durability=(LATCHED if topic.latched else LATEST).durability)
-        take: Any = self._taking(topic)  # rclpy also gives what is known about the message
+        take: Any = self._taking(topic)  # rclpy also passes the message's info
         self._node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
@@ -359,18 +359,18 @@ class Recorder:
         return take
 
     def publish_clock(self, seconds: float) -> None:
-        """Publish a time on /clock, for nodes that have no simulator of their own to do so."""
+        """Publish a time on /clock, for fleets, whose simulators do not."""
         if self._clock is None:
             self._clock = self._node.create_publisher(Clock, '/clock', DEPTH)
         self._clock.publish(Clock(clock=time_message(round(seconds * SECOND))))
 
     def spin(self, seconds: float) -> None:
-        """Record for a while, or until something has come."""
+        """Record one message, if one arrives within this time."""
         self._meet()
         self._executor.spin_once(timeout_sec=seconds)
 
     def drain(self, quiet: float, limit: float) -> None:
-        """Record on until nothing has come for ``quiet`` seconds, ``limit`` seconds at most."""
+        """Record until no message has come for ``quiet`` seconds, but at most ``limit`` seconds."""
         last = time.monotonic()
         end, heard = last + limit, sum(self.counts.values())
         while time.monotonic() < min(end, last + quiet):

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Files that users name: what cannot be read or written ends in one line."""
+"""Files named by the user, with one-line errors if they cannot be read or written."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ import yaml
 from orbimpc_ros.mpc.errors import BadInput
 
 LARGEST = 1 << 18  # [bytes] of a document
-MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
+MAX_NUMBER = 1e12  # rounding errors in larger squares exceed the quantities of a plan
 ALLOWED = 'a JSON or YAML mapping is needed'
 WRITABLE = 'a folder to write to is needed'
 
 
 def why(error: OSError) -> str:
-    """Return in a few words why a file or folder cannot be used."""
+    """Return the reason why a file or folder cannot be used, in a few words."""
     if isinstance(error, FileNotFoundError):
         return 'no such file'
     words = error.strerror or str(error)
@@ -32,14 +32,14 @@ def why(error: OSError) -> str:
 
 @contextmanager
 def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
-    """Open a regular file to read; FIFOs and devices, which could block for ever, are refused.
+    """Open a regular file for reading; refuse FIFOs and devices, which could block forever.
 
     Args:
         path: of the file; it may be a link.
         largest: size allowed [bytes].
 
     Raises:
-        BadInput: not there, not readable, not a regular file, or too large.
+        BadInput: the file is missing, not readable, not regular, or too large.
     """
     try:
         size = path.stat().st_size
@@ -59,7 +59,7 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
 
 
 class StrictLoader(yaml.SafeLoader):
-    """YAML's safe subset without aliases, which can blow up, and without duplicate keys."""
+    """YAML's safe subset without aliases, which can expand exponentially, or duplicate keys."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose a node, unless it is an alias."""
@@ -68,12 +68,12 @@ class StrictLoader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
-        """Construct a mapping, unless a key comes twice."""
+        """Construct a mapping, unless a key is duplicated."""
         _unique([(self.construct_object(key, deep=True), None) for key, _ in node.value])
         return super().construct_mapping(node, deep)
 
 
-# YAML 1.1 takes 1e-3 for a string; JSON and YAML 1.2 know that it is a number.
+# In YAML 1.1, 1e-3 is a string; in JSON and YAML 1.2 it is a number.
 StrictLoader.add_implicit_resolver(
     'tag:yaml.org,2002:float',
     re.compile(r'^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$'),
@@ -85,10 +85,10 @@ def read(source: str) -> Any:
     """Return the content of a JSON or YAML file, or of standard input for ``-``.
 
     Args:
-        source: the file's path.
+        source: the file's path, or ``-``.
 
     Raises:
-        BadInput: not readable, larger than 256 KiB, malformed.
+        BadInput: the file is not readable, larger than 256 KiB, or malformed.
     """
     name = 'standard input' if source == '-' else source
     try:
@@ -109,7 +109,7 @@ def parse(text: str, name: str) -> Any:
 
     Args:
         text: the document.
-        name: where it comes from, for the message.
+        name: of the source, for error messages.
 
     Raises:
         BadInput: malformed.
@@ -134,12 +134,12 @@ def _content(text: str) -> Any:
         try:
             return json.loads(text, object_pairs_hook=_unique)
         except json.JSONDecodeError:
-            pass  # YAML's flow style
+            pass  # not JSON, but YAML's flow style
     return yaml.load(text, StrictLoader)
 
 
 def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
-    """Return a mapping, unless a key comes twice."""
+    """Return a mapping of pairs, unless a key is duplicated."""
     ((key, count),) = Counter(str(key) for key, _ in pairs).most_common(1) or [('', 0)]
     if count > 1:
         raise BadInput.stating(f'field {key}', 'given twice', 'give every field once')
@@ -147,7 +147,7 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
 
 
 def _require_plain(value: Any, path: str = '') -> None:
-    """Require mappings with names, lists and scalars, with numbers of sane size."""
+    """Require mappings with names as keys, lists, and scalars of bounded magnitude."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
@@ -166,7 +166,7 @@ def _require_plain(value: Any, path: str = '') -> None:
 
 
 def folder_at(path: Path) -> Path:
-    """Return a folder for results; created if it is not there.
+    """Return a folder for results, created if it is missing.
 
     Raises:
         BadInput: it cannot be created.
@@ -179,7 +179,7 @@ def folder_at(path: Path) -> Path:
 
 
 def new_folder(out: str, name: str) -> Path:
-    """Create ``out/name``, or ``out/name-2`` and so on: what is there stays.
+    """Create ``out/name``, or ``out/name-2`` and so on if that exists.
 
     Raises:
         BadInput: it cannot be created.
@@ -192,6 +192,6 @@ def new_folder(out: str, name: str) -> Path:
 
 
 def shown(path: Path) -> Path:
-    """Return a path as people type it: relative where it is below the present folder."""
+    """Return a path for display: relative if it is below the working directory."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path

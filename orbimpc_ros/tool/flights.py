@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The flights of a study: planner and vehicle in one process, a row of results for each.
 
-The rows are kept in a file, a line for each flight, so that a study can go on where it ended.
+The rows are saved in a file, a line for each flight, so that an interrupted study can resume.
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 Row = dict[str, Any]
 Key = tuple[str, int]  # controller, and number of a flight
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
-GLANCE = 0.2  # [s] between looks whether somebody asked to stop
+GLANCE = 0.2  # [s] between checks for a signal
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
 
 
 @dataclass(frozen=True)
 class Job:
-    """A flight to be flown."""
+    """The specification of a flight."""
 
-    study: str  # its name, by which baselines find what they were tuned to
+    study: str  # its name, by which baselines find their tuned parameters
     controller: str  # :data:`OURS`, or the name of a baseline
     index: int  # of the flight
     values: dict[str, Any]  # of all parameters, drawn ones included
-    margin: float = 0.0  # by how much larger than they are bodies in the traffic are reported [m]
+    margin: float = 0.0  # added to the reported radii of bodies in the traffic [m]
 
 
 def flown(job: Job) -> Row:
-    """Fly and return ``controller``, ``index`` and what came of the flight.
+    """Fly and return a row with ``controller``, ``index`` and the results of the flight.
 
-    The planner sees it through the faults of the simulator's parameters.
+    Measurements and commands are subject to the faults in the simulator's parameters.
 
-    ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether it ended at an
-    obstacle), ``failed`` (how an engine has failed, or an empty string); the rows of
+    The results are ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether
+    it ended in a collision), ``failed`` (error of an engine, or an empty string), and the rows of
     :func:`_of_way` and :func:`_of_ticks`.
     """
     simulated, given = sim_settings(settings.of_sim(job.values)), planner_settings(job.values)
-    # Other processes may keep the machine busy: ticks are measured in processor time.
+    # Ticks are measured in processor time, because other processes may load the machine.
     planner = OfflinePlanner(given, clock=time.thread_time, planner=_pilot(job, given))
     view = View(simulated.faults, simulated.seed, simulated.model.step)
     way, ticks, failed = list[Flight](), list[tuple[Decision, float]](), ''
@@ -105,7 +105,7 @@ def _pilot(job: Job, given: PlannerSettings) -> Planner:
 
 @lru_cache(maxsize=1)
 def _ours(given: PlannerSettings) -> Planner:
-    """Return this package's controller; making one takes long."""
+    """Return this package's controller, cached because its construction is slow."""
     return planner_of(given)[1]
 
 
@@ -113,7 +113,7 @@ def baselines() -> Any:
     """Return the package of the baselines.
 
     Raises:
-        BadInput: this is no clone of the repository.
+        BadInput: the package is not run from a clone of the repository.
     """
     try:
         return import_module(BASELINES)
@@ -123,7 +123,7 @@ def baselines() -> Any:
 
 
 def _steer(flight: Flight) -> None:
-    """Have the engine's own guidance fly to where the goal is now."""
+    """Have the engine's own guidance fly to the current position of the goal."""
     steer_to = getattr(flight.vehicle.engine, 'steer_to', None)
     if steer_to is None:
         raise BadInput('--controllers', WAYPOINT, 'an engine with a guidance of its own')
@@ -131,11 +131,11 @@ def _steer(flight: Flight) -> None:
 
 
 def _of_way(way: Sequence[Flight]) -> Row:
-    """Return how a flight went.
+    """Return the results on the trajectory of a flight.
 
-    ``closest`` to the goal [m] and ``stalls``; of an arrival ``missed`` [m] and ``speed`` [m/s] at
-    its end; of a vehicle in an engine its least ``airspeed`` [m/s], and the largest magnitudes of
-    what the engine reports, such as its ``bank`` [rad].
+    The ``closest`` distance to the goal [m] and ``stalls``; of an arrival, the final distance
+    ``missed`` [m] and ``speed`` [m/s]; of a vehicle in an engine, its least ``airspeed`` [m/s] and
+    the largest magnitude of each quantity that the engine reports, such as its ``bank`` [rad].
     """
     last = way[-1]
     row = {'closest': min(flight.miss for flight in way), 'stalls': last.stalls}
@@ -150,10 +150,10 @@ def _of_way(way: Sequence[Flight]) -> Row:
 
 
 def _of_ticks(ticks: Sequence[tuple[Decision, float]]) -> Row:
-    """Return what planning took and proved.
+    """Return the results on the planning of a flight.
 
-    How many ``ticks``, of which ``optimal`` and ``unplanned`` (by a fallback); the largest ``gap``
-    of a plan and ``projection`` loss; ``p50_ms`` and ``longest_ms``, processor time of the ticks.
+    The numbers of ``ticks``, of ``optimal`` and of ``unplanned`` (fallback) ones; the largest
+    ``gap`` and ``projection`` loss; ``p50_ms`` and ``longest_ms``, the processor time of a tick.
     """
     plans = [decision.plan for decision, _ in ticks if decision.plan is not None]
     spent = [each for _, each in ticks] or [0.0]
@@ -169,24 +169,24 @@ def _of_ticks(ticks: Sequence[tuple[Decision, float]]) -> Row:
 
 
 def _lost(plan: Plan) -> float:
-    """Return how far a rotation's thrust is from the planned one, as a share of full thrust."""
+    """Return the distance from a projected rotation's thrust to the plan's, over full thrust."""
     pushed = plan.speed_fraction[1] * plan.projected[1][:, 0]
     return float(np.linalg.norm(pushed - plan.rotations[1][:, 0]))
 
 
-# --- the file of a study: what is studied in its first line, a flight in each further one
+# --- the file of a study: its specification in the first line, a flight in each further one
 
 
 def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Row]:
-    """Return the rows of a study's file, which is begun or gone on with.
+    """Return the rows in a study's file, which is created or resumed.
 
     Args:
-        file: of the study; a line that was cut off is taken out of it.
-        about: what all rows depend on, in JSON's types.
-        resumed: whether to go on with it.
+        file: of the study; a truncated last line is removed.
+        about: specification of the study, in JSON's types.
+        resumed: whether the file is resumed.
 
     Raises:
-        BadInput: the file is of another study, damaged, or there already.
+        BadInput: the file is of another study, is damaged, is missing, or exists already.
     """
     if file.exists() != resumed:
         there = 'no study to go on with' if resumed else 'a study already'
@@ -213,7 +213,7 @@ def _kept(file: Path, about: dict[str, Any]) -> dict[Key, Row]:
 
 
 def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -> Iterator[Row]:
-    """Yield the rows of flights as they come in, as long as ``going()``.
+    """Yield the rows of flights as they are completed, as long as ``going()``.
 
     Raises:
         OrbimpcError: a flight ended with an error, or its process did.
@@ -226,7 +226,7 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
                 yield future.result()
     except OrbimpcError:
         raise
-    except Exception as error:  # whatever a worker, or the way to it, came to
+    except Exception as error:  # any error of a worker or of its connection
         raise OrbimpcError(f'a flight failed: {type(error).__name__}: {error}') from error
     finally:
         for future in pending:
@@ -235,7 +235,7 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
 
 @contextmanager
 def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
-    """Give what flies: so many processes of this machine, or the workers of a Dask cluster.
+    """Yield an executor: processes on this machine, or the workers of a Dask cluster.
 
     Args:
         cluster: address of a running scheduler, such as ``tcp://host:8786``; None for this machine.
@@ -247,7 +247,7 @@ def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
     if cluster is None:
         context = multiprocessing.get_context('spawn')
         threads = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'), '1')
-        os.environ.update(threads)  # a process a core leaves none for more threads
+        os.environ.update(threads)  # processes take all cores: threads would compete
         deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
         with ProcessPoolExecutor(count, context, *deaf) as pool:
             yield pool

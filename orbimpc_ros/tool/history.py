@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A recorded run as plain arrays, for pictures and comparisons, and in a few lines of text."""
+"""A recorded run as plain arrays, for plots and comparisons, and its summary as text."""
 
 from __future__ import annotations
 
@@ -36,58 +36,58 @@ T = TypeVar('T')
 Ticks = tuple[tuple[float, dict[str, Any]], ...]
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth', *POSE_TWIST)
 WIDTH, NAMES = 80, 14  # characters
-NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
+NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
 
 
 class Encounter(NamedTuple):
-    """A moment of vehicle and rope."""
+    """The positions of vehicle and rope at a time."""
 
-    time: float  # when [s]
+    time: float  # [s]
     distance: float  # between them [m]
-    vehicle: Array  # where the vehicle was, shape (3,) [m]
-    rope: Array  # where the rope was, shape (3,) [m]
+    vehicle: Array  # position, shape (3,) [m]
+    rope: Array  # position, shape (3,) [m]
 
 
 @dataclass(frozen=True)
 class History:
-    """A run."""
+    """A recorded run."""
 
     times: Array  # of odometry, shape (M,) [s]
     positions: Array  # of the vehicle, shape (M, 3) [m]
     attitudes: Array  # of the body in the world, shape (M, 3, 3)
     velocities: Array  # in the world, shape (M, 3) [m/s]
     rates: Array  # about the body's axes, shape (M, 3) [rad/s]
-    ropes: Array  # where the rope was at these times, shape (M, 3) [m]
+    ropes: Array  # positions of the rope at these times, shape (M, 3) [m]
     plans: tuple[
         tuple[float, Array], ...
     ]  # times [s], increasing, and points, shape (N + 1, 3) [m]
     forces: tuple[tuple[float, float], ...]  # times [s] and forces [N] of the topic ``cmd_thrust``
-    ticks: Ticks  # times [s] and fields of the topic ``tick``, as long as there is odometry
+    ticks: Ticks  # times [s] and fields of the topic ``tick``, up to the last odometry
     captured: bool  # whether the simulator reported the job as done
     values: dict[str, Any]  # parameters of the run, by name
-    # the last fields of the topic ``truth``, which a vehicle in continuous time has
+    # last fields of the topic ``truth``, which is published for continuous-time vehicles
     truth: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def arrives(self) -> bool:
-        """Return whether the job is to arrive at the goal, not to catch it in passing."""
+        """Return whether the job is an arrival at the goal, not a catch in passing."""
         return bool(self.values['finish'] == 'arrival')
 
     @property
     def radius(self) -> float:
-        """Return the radius within which the simulator has the goal caught, or arrived at [m]."""
+        """Return the simulator's capture radius, or its arrival radius for an arrival [m]."""
         name = 'arrival_radius' if self.arrives else 'capture_radius'
         return float(settings.of_sim(self.values)[name])
 
     @property
     def boxes(self) -> Array:
-        """Return the lower and the upper corner of every obstacle, shape (M, 2, n) [m]."""
+        """Return the lower and the upper corner of every box obstacle, shape (M, 2, n) [m]."""
         values = settings.of_sim(self.values)
         return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
 
     @property
     def missed(self) -> tuple[float, float]:
-        """Return how far from the goal [m] and how fast [m/s] the vehicle is at the end."""
+        """Return the vehicle's final distance from the goal [m] and its final speed [m/s]."""
         apart = self.positions[-1] - self.ropes[-1]
         return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
 
@@ -99,7 +99,7 @@ class History:
         return self.encounters([k + share for k, share in enumerate(shares)])
 
     def encounters(self, steps: Sequence[float] | Array) -> list[Encounter]:
-        """Return moments after so many steps of odometry, between which all moves straight."""
+        """Return encounters at fractional indices of odometry, by linear interpolation."""
         known = np.column_stack([self.times, self.positions, self.ropes])
         found = np.column_stack([np.interp(steps, np.arange(len(known)), c) for c in known.T])
         return [
@@ -109,7 +109,7 @@ class History:
 
     @property
     def moments(self) -> list[Encounter]:
-        """Return distances over time, up to the capture: at odometry, and where closest between."""
+        """Return encounters up to the capture: at odometry and at closest approaches between."""
         seen = (*self.encounters(range(len(self.times))), *self.approaches)
         by_time = {moment.time: moment for moment in seen}
         end = self.end
@@ -117,9 +117,9 @@ class History:
 
     @property
     def near_misses(self) -> list[Encounter]:
-        """Return the local minima of the distance that came near but were no catch."""
+        """Return the local minima of the distance that are near the goal but no catch."""
         radius, moments = self.radius, self.moments
-        # The catch itself, where somebody else judged the contact, may be outside of the radius.
+        # The catch itself may be outside of the radius if an engine detects contact.
         margin = 0.0 if self.capture is None else 0.5 * float(self.values['step'])
         return [
             now
@@ -131,12 +131,12 @@ class History:
 
     @property
     def end(self) -> float:
-        """Return when the rope was caught, or the last time [s]."""
+        """Return the time of the catch or, without one, the last time [s]."""
         return float(self.times[-1]) if self.capture is None else self.capture.time
 
     @property
     def capture(self) -> Encounter | None:
-        """Return the approach that caught the rope; None too where the job is to arrive."""
+        """Return the encounter of the catch; None without one, and for an arrival."""
         caught = self.captured and not self.arrives and len(self.times) > 1
         return self.approaches[-1] if caught else None
 
@@ -149,11 +149,11 @@ class History:
         return points
 
     def series(self, name: str, wanted: str = '') -> tuple[Array, Array]:
-        """Return times [s] and values of a field of the ticks that have it as a finite number.
+        """Return times [s] and values of a field, of the ticks where it is a finite number.
 
         Args:
             name: of the field.
-            wanted: another field, which must not be empty.
+            wanted: another field; ticks where it is empty are left out.
         """
         found = [
             (time - self.times[0], float(fields[name]))
@@ -166,10 +166,10 @@ class History:
 
 
 def of_bag(path: Path, namespace: str = '') -> History:
-    """Return the history in a bag.
+    """Return the history of a vehicle recorded in a bag.
 
     Args:
-        path: of the bag.
+        path: path of the bag.
         namespace: of the vehicle, such as ``/uav1``.
 
     Raises:
@@ -210,10 +210,10 @@ def of_bag(path: Path, namespace: str = '') -> History:
 def _valid(
     read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any], frames: Frames
 ) -> list[T]:
-    """Return what the planner would take from messages, too, in order of time.
+    """Return the values of the messages that the planner would accept, in order of time.
 
-    In a faulty run that is not all. In lock-step the simulator asks again where an answer is late:
-    one of each stamp counts.
+    Runs with faults have invalid messages. In lock-step the simulator repeats its messages if an
+    answer is late: the last message of each stamp counts.
     """
     found: dict[int, T] = {}
     for message in messages:
@@ -224,13 +224,13 @@ def _valid(
 
 
 def _at(times: Array, seen: Sequence[GoalObservation]) -> Array:
-    """Return the goal at given times, shape (M, 3); between sightings it moves straight."""
+    """Return the goal's positions at given times, interpolated linearly, shape (M, 3)."""
     stamps = np.array([sighting.time for sighting in seen])
     places = np.array([sighting.position for sighting in seen])
     return np.column_stack([np.interp(times, stamps, column) for column in places.T])
 
 
-# --- in words: captures, arrivals, collisions, and the time of ticks
+# --- as text: captures, arrivals, collisions and solve times
 
 
 def text(history: History) -> str:
@@ -244,7 +244,7 @@ def text(history: History) -> str:
 
 
 def of_fleet(flown: Mapping[str, History]) -> str:
-    """Return the summary of a fleet's flights by namespace, a line for each and some for all."""
+    """Return the summary of a fleet's flights by namespace: a line for each, and totals."""
     rows = {
         name.strip('/'): f'{_end(each)}; {len(each.ticks)} ticks' for name, each in flown.items()
     }
@@ -254,7 +254,7 @@ def of_fleet(flown: Mapping[str, History]) -> str:
 
 
 def story(flown: Mapping[str, History]) -> str:
-    """Return how flights ended, for a headline: a line for each, or for a fleet."""
+    """Return a headline on how flights ended: a line for each, or one for a fleet."""
     job = _job(next(iter(flown.values()))).capitalize()
     if len(flown) > 2:
         return f'{job}: {sum(each.captured for each in flown.values())} of {len(flown)}'
@@ -267,7 +267,7 @@ def story(flown: Mapping[str, History]) -> str:
 
 
 def lines(rows: Mapping[str, str]) -> str:
-    """Return rows of a name and a value each, within the width of a page."""
+    """Return rows of a name and a value each as text, wrapped to the width of a page."""
     return '\n'.join(
         textwrap.fill(f'{name:<{NAMES}}{value}', WIDTH, subsequent_indent=' ' * NAMES)
         for name, value in rows.items()
@@ -294,14 +294,14 @@ def _not(yes: str) -> str:
 
 
 def _length(metres: float) -> str:
-    """Return a length in a unit that suits it."""
+    """Return a length as text, in m or mm."""
     if metres < 1e-3:
         return 'less than 1 mm'
     return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'
 
 
 def _contacts(history: History) -> dict[str, str]:
-    """Return collisions and stalls of a vehicle in continuous time that may have them."""
+    """Return collisions and stalls of a continuous-time vehicle, where they are possible."""
     rows, truth, values = {}, history.truth, settings.of_sim(history.values)
     touched = truth.get('touched')
     if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
@@ -322,7 +322,7 @@ def _ticks(flown: Sequence[History]) -> dict[str, str]:
     if times.size:
         p50, p99 = np.percentile(times, (50, 99))
         spent = f'p50 {p50:.1f} ms, p99 {p99:.1f} ms, max {times.max():.1f} ms'
-    # The last command is not flown.
+    # The last command is never applied.
     commanded = [tick for each in flown for time, tick in each.ticks if time < each.times[-1]]
     return {
         'ticks': str(sum(len(each.ticks) for each in flown)),

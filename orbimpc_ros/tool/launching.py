@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Launch descriptions: simulated flights, one or several, and planners of real vehicles.
+"""Launch descriptions of simulated flights, one or several, and of planners for real vehicles.
 
-Needs ROS 2's launch, which PyPI does not have: only launch files import this module.
+Only launch files import this module, because it needs ROS 2's launch, which is not on PyPI.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from orbimpc_ros.ros.firmware import TOPICS
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.sim.fleet import vehicles
 
-RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # read by a recorder of everything
+RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # topics whose recording starts a flight
 AUTO = 'auto'
-SEVERAL = ('crossing', 'fleet')  # files for several vehicles
+SEVERAL = ('crossing', 'fleet')  # parameter files for several vehicles
 Values = Mapping[str, object]
 
 
 def flight(scenario: str = 'retrieval') -> LaunchDescription:
-    """Return planner and simulator of a scenario; the launch ends when the flight does."""
+    """Return the launch of a scenario's planner and simulator, which ends with the flight."""
     timed = 'of the planner; auto: in lock-step alone, where the simulator makes the time'
     return _described(
         _flight,
@@ -53,9 +53,9 @@ def flight(scenario: str = 'retrieval') -> LaunchDescription:
 
 
 def fleet() -> LaunchDescription:
-    """Return a fleet; the launch ends when the last flight does.
+    """Return the launch of a fleet, which ends with the last flight.
 
-    It flies in real time: simulators cannot share one /clock.
+    The fleet flies in real time because simulators cannot share one /clock.
     """
     return _described(
         _fleet,
@@ -66,7 +66,7 @@ def fleet() -> LaunchDescription:
 
 
 def vehicle() -> LaunchDescription:
-    """Return a planner alone, on the topics of a vehicle's autopilot and with parameters for it."""
+    """Return the launch of a planner alone, with the topics and parameters of an autopilot."""
     return _described(
         _pilot,
         _argument('autopilot', None, 'what flies or drives', TOPICS),
@@ -76,7 +76,7 @@ def vehicle() -> LaunchDescription:
     )
 
 
-# --- what is launched, now that the arguments are known
+# --- actions, once the arguments are known
 
 
 def _flight(context: LaunchContext) -> list[Action]:
@@ -84,7 +84,7 @@ def _flight(context: LaunchContext) -> list[Action]:
     _settled(asked, asked['scenario'])
     told, lockstep = asked['use_sim_time'].lower(), asked['clock'] == 'lockstep'
     planner: Values = {'use_sim_time': lockstep if told == AUTO else told == 'true'}
-    if lockstep:  # on a timer it would wait for time, which waits for its answers
+    if lockstep:  # a timer would deadlock: simulated time waits for the planner's answers
         planner = {**planner, 'trigger': 'odom'}
     return _flown(asked, {_outer(asked): {'clock': asked['clock']}}, planner)
 
@@ -104,10 +104,10 @@ def _fleet(context: LaunchContext) -> list[Action]:
 
 
 def _flown(asked: dict[str, str], own: Mapping[str, Values], planner: Values) -> list[Action]:
-    """Return planners, simulators with values of their own by namespace, and a recorder."""
+    """Return planners, simulators with their own values by namespace, and a recorder."""
     recorded = asked['record'] == 'true'
     settings: Values = {'exit_when_done': asked['exit_when_done'] == 'true'}
-    if recorded:  # who records waits for the flight
+    if recorded:  # the flight waits for the recorder's subscriptions
         settings = {**settings, 'wait_for': RECORDED}
     planners, sims = [], []
     for where, values in own.items():
@@ -127,7 +127,7 @@ def _pilot(context: LaunchContext) -> list[Action]:
 
 
 def _settled(asked: dict[str, str], default: str) -> None:
-    """Settle the parameter file, and refuse one that is not there: launch itself would go on."""
+    """Resolve the parameter file; refuse a missing one, which launch would ignore."""
     file = asked['params_file'] = asked['params_file'] or str(_configs() / f'{default}.yaml')
     if not Path(file).is_file():
         raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
@@ -156,9 +156,9 @@ def _node(
 
 
 def _ending(sims: Sequence[Node], others: Sequence[ExecuteProcess]) -> list[Action]:
-    """Shut down when the last of the simulators has ended, or anything has failed.
+    """Return handlers that shut down after the last simulator's end or any process's failure.
 
-    Raised in a handler, a failure ends the launch with a code that is not 0.
+    An exception raised in a handler ends the launch with a nonzero exit code.
     """
     flying = set(sims)
 
@@ -185,7 +185,7 @@ def _described(
 
 
 def _common(file: str, whose: str) -> list[DeclareLaunchArgument]:
-    """Return the arguments of everything that is simulated."""
+    """Return the arguments common to all simulated flights."""
     return [
         _argument('params_file', '', f'of all nodes; by default {file}'),
         _argument('namespace', '', f'of {whose}'),
@@ -212,5 +212,5 @@ def _configs() -> Path:
 
 
 def _scenarios() -> list[str]:
-    """Return the names of the files that have one vehicle and its world."""
+    """Return the names of the parameter files of a single simulated vehicle."""
     return sorted({file.stem for file in _configs().glob('*.yaml')} - {*TOPICS, *SEVERAL})

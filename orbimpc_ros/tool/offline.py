@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner without its node: messages in; decisions, or the messages that publish them, out."""
+"""The planner without its node: from messages to decisions, or to the messages of these."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
 from orbimpc_ros.sim.world import Flight
 
-EPOCH = 1_700_000_000 * SECOND  # of flights in this process: stamps are dates
+EPOCH = 1_700_000_000 * SECOND  # start of flights in this process, so that stamps are dates
 Clock = Callable[[], float]
 
 
 def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
-    """Return the full names of the topics of other vehicles' plans, as a node would make them."""
+    """Return the full names of the topics of other vehicles' plans, as a node resolves them."""
 
     def resolve(topic: str) -> str:
         return topic if topic.startswith('/') else f'{namespace}/{topic}'
@@ -38,15 +38,15 @@ def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
 
 
 class OfflinePlanner(Core):
-    """The planner's core with its clock given.
+    """The planner's core with an explicit clock.
 
     Args:
         settings: of the planner.
         node: its name.
         avoided: topics of other vehicles' plans, by their full names.
-        clock: that deadlines are kept by [s]; None where a solve has none, so that what it finds
-            does not depend on the machine.
-        planner: decides; by default the planner of the package.
+        clock: for deadlines [s]; None to solve without deadlines, so that results do not depend on
+            the machine.
+        planner: that decides; by default the planner of the package.
 
     Attributes:
         decision: behind the last answer; None before the first.
@@ -67,11 +67,11 @@ class OfflinePlanner(Core):
 
     @property
     def stamp(self) -> int | None:
-        """Return the stamp of the odometry that a plan would start from [ns]; None without."""
+        """Return the stamp of the odometry for the next plan [ns]; None if an input is missing."""
         known = None if self.inputs.missing else self.inputs.odometry
         return None if known is None else known.stamp.nanoseconds
 
-    # --- answers as messages, at times that are given
+    # --- answers as messages, at given times
 
     def answer(
         self,
@@ -84,11 +84,11 @@ class OfflinePlanner(Core):
         """Answer the latest odometry with a plan or a fallback.
 
         Args:
-            stamp: to answer with, that of the odometry [ns].
+            stamp: of the answer, that of the odometry [ns].
             now: on the steady clock [s].
-            advanced: how far the measurement is advanced, to when the answer takes effect [s].
-            stop: why the answer is the safe command, a reason that is no solver's.
-            solve_time_ms: to report; by default what was measured.
+            advanced: time from the measurement to the effect of the answer, to extrapolate by [s].
+            stop: reason for a safe command instead of a plan, other than the solver's.
+            solve_time_ms: to report; by default as measured.
         """
         known = self.inputs.odometry
         ros = None if stop else stamp + round(advanced * SECOND)
@@ -104,10 +104,10 @@ class OfflinePlanner(Core):
         }
 
     def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
-        """Note the command that was published; by default the last answer's.
+        """Register the published command; by default that of the last answer.
 
         Args:
-            at: when, on the ROS clock [s].
+            at: time of publication, on the ROS clock [s].
             pushed: speed [m/s] or, at translation order 2, force [N].
             rate: body rate, shape (3,) [rad/s].
         """
@@ -120,7 +120,7 @@ class OfflinePlanner(Core):
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
         self.planner.sent(command, at)
 
-    # --- aboard a flight in this process, at times since its start
+    # --- on board a flight in this process, at times since its start
 
     def hear(self, topic: str, message: Any, now: float) -> None:
         """Take in a message at a time [s]."""
@@ -129,19 +129,19 @@ class OfflinePlanner(Core):
     def sense(
         self, now: float, content: Odometry | GoalObservation, measured: float | None = None
     ) -> None:
-        """Take in what a sensor has measured, by default now [s]."""
+        """Take in a sensor's measurement, by default measured now [s]."""
         stamp = self.at(now if measured is None else measured)
         self.hear(*sensed(stamp, content), now)
 
     def report(self, now: float) -> Decision:
-        """Plan at a time [s]; return what was decided and has been sent."""
+        """Plan at a time [s]; return the decision, with its command registered as sent."""
         at = _nanoseconds(now)
         decision = self.decide(now, at)
         self.planner.sent(decision.command, at / SECOND)
         return decision
 
     def at(self, now: float) -> Stamp:
-        """Return the stamp of a message of a time [s]."""
+        """Return the stamp of a message at a time [s]."""
         return Stamp(_nanoseconds(now), self.settings.frames)
 
 
@@ -157,18 +157,18 @@ def closed_loop(
     ahead: int = 0,
     margin: float = 0.0,
 ) -> Iterator[tuple[Flight, Decision | None, float]]:
-    """Yield a flight at each step, what is decided then, and in what processor time [ms].
+    """Yield a flight at each step, the decision then, and its processor time [ms].
 
-    As in a simulator in lock-step, the planner answers odometry that is new; where none comes, or
-    the answer is lost, the last command is in force for a time since it came.
+    As in a simulator in lock-step, the planner answers new odometry. If none arrives, or the
+    answer is lost, the last command stays in force until it times out.
 
     Args:
-        planner: that hears of the flight.
+        planner: of the vehicle.
         flight: at its start.
-        view: what reaches the planner of it.
-        held: that time [s].
+        view: measurements of the flight that reach the planner, with faults.
+        held: time for which a command stays in force [s].
         ahead: steps of the goal's future that are published.
-        margin: by which the balls in the traffic are reported larger than they are [m].
+        margin: added to the reported radii of the balls in the traffic [m].
     """
     answered, came = planner.stamp, -math.inf
     order: tuple[float, Array] = (0.0, np.zeros(flight.scenario.model.rates))

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc plot``: the path of a flight with headings, its numbers over time, and an animation.
+"""``orbimpc plot``: the path of a flight with headings, time series, and an animation.
 
-Figures are drawn in colours by place in the cycle, ``C0`` and so on; a look has the colour of each:
-one for print, legible in grey, and one for dark pages. In the animation vehicle, plan and goal move
-beside charts of distance and speed.
+Figures refer to colours by their place in the cycle, ``C0`` and so on. A look defines these
+colours: one for print, legible in greyscale, and one for dark pages. The animation shows vehicle,
+plan and goal in motion, next to charts of distance and speed.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from orbimpc_ros.tool.files import folder_at, shown
 from orbimpc_ros.tool.history import History, of_bag, story
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
-# Okabe and Ito's, distinct with every common colour blindness.
+# Okabe and Ito's palette, distinguishable with every common form of colour blindness.
 PRINT = ('#222222', '#0072B2', '#56B4E9', '#E69F00', '#009E73', '#D55E00', '#8C8C8C', '#B5B5B5')
 DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
-PAGE = '#0D1117'  # dark
+PAGE = '#0D1117'  # background of dark pages
 DOTS_PER_INCH = 200
 PATH, DATA = 'trajectory.png', 'data.png'
-LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # of lines in one chart
-AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body; RViz's colours
+LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of the lines in one chart
+AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
 MOST_HEADINGS, MOST_PLANS = 20, 6
 NOSE = 0.05  # length of a heading, as a share of the flight's extent
-LEAST = 1e-16  # drawn for zero, which has no place on a logarithmic axis
+LEAST = 1e-16  # drawn instead of zero on a logarithmic axis
 Flights = Mapping[str, History]  # by name
 Line = tuple[Array, Array]  # times [s] and values
 ANIMATION = 'animation.gif'
 COARSE = 90  # dots per inch of an animation
-FRAMES = 150  # at most, or one a tick
-PER_STEP = 5  # frames, at most
-FRAME, LAST = 80, 2500  # [ms] that frames are shown
+FRAMES = 150  # at most, or one per tick
+PER_STEP = 5  # frames per tick, at most
+FRAME, LAST = 80, 2500  # [ms] that a frame is shown, and the last one
 PALETTE = 128
 MOVING: dict[str, dict[str, Any]] = {
     'plan': {'color': GREEN, 'lw': 1.6, 'marker': 'o', 'ms': 3.5, 'ls': '--'},
     'flown': {'color': GREY, 'lw': 1.4},
     'vehicle': {'color': BLUE, 'lw': 3.5, 'marker': 'o', 'ms': 7.0, 'markevery': [0]},
     'goal': {'color': ORANGE, 'marker': 'o', 'ms': 9.0, 'mec': INK, 'ls': ''},
-}  # looks of what moves
+}  # styles of the animated lines
 
 
 def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> int:
@@ -79,7 +79,7 @@ def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> in
 
 
 def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
-    """Return matplotlib's settings for a look: colours by place, the page's, the grid's."""
+    """Return matplotlib's settings for a colour cycle, page colour and grid colour."""
     inked = ('text.color', 'axes.edgecolor', 'axes.labelcolor', 'xtick.color', 'ytick.color')
     return {
         **dict.fromkeys(inked, colors[0]),
@@ -116,37 +116,37 @@ def save(figure: Figure, file: Path) -> None:
 
 
 def in_both_looks(draw: Callable[[], Figure], file: Path) -> None:
-    """Write a picture for print and, beside it, ``name-dark.png``, one for dark pages."""
+    """Write a picture for print and, next to it, ``name-dark.png`` for dark pages."""
     for dark in (False, True):
         with look(dark):
             save(draw(), file.with_stem(f'{file.stem}-dark') if dark else file)
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Return red, green and blue, 0 to 255, of a colour of the cycle in print."""
+    """Return red, green and blue, 0 to 255, of a cycle colour in the look for print."""
     red, green, blue = bytes.fromhex(PRINT[int(color[1:])][1:])
     return red, green, blue
 
 
 def paper() -> str:
-    """Return the colour behind what is drawn now."""
+    """Return the background colour of the current look."""
     return mpl.rcParams['axes.facecolor']
 
 
 def halo() -> list[withStroke]:
-    """Return an effect that sets text off from what is behind it."""
+    """Return a path effect that sets text off from its background."""
     return [withStroke(linewidth=2.5, foreground=paper())]
 
 
 def headline(figure: Figure, text: str) -> None:
-    """Put a line above the whole figure."""
+    """Set the title of the whole figure."""
     figure.suptitle(text, x=0.01, ha='left', fontsize=12.0, fontweight='bold')
 
 
 def of_runs(flown: Flights) -> dict[str, Figure]:
-    """Return the pictures of flights by file name: their paths and, of a single one, its numbers.
+    """Return the figures of flights by file name: paths and, for a single flight, time series.
 
-    They are drawn in a :func:`look`, as all that follows.
+    Call this and all functions below within a :func:`look`.
     """
     found = {PATH: paths(flown)}
     return found if len(flown) > 1 else found | {DATA: data(*flown.values())}
@@ -164,7 +164,7 @@ def written(flown: Flights, folder: Path) -> list[str]:
 
 
 def paths(flown: Flights) -> Figure:
-    """Return the paths of flights, with their distances and commanded shares over time."""
+    """Return a figure of the paths of flights, with distances and commanded shares over time."""
     figure, axes = stage(flown)
     for (name, history), kind in zip(flown.items(), itertools.cycle(LOOKS)):
         _draw_flight(axes, history, kind, _plain(name))
@@ -177,7 +177,7 @@ def paths(flown: Flights) -> Figure:
 
 
 def stage(flown: Flights) -> tuple[Figure, Any]:
-    """Return a figure with two charts, and its axes of the world with the obstacles and goals."""
+    """Return a figure with two charts and a view of obstacles and goals, and this view's axes."""
     figure = Figure(figsize=(10.0, 6.5), layout='constrained')
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
     first = next(iter(flown.values()))
@@ -190,7 +190,7 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
         if np.ptp(history.ropes, axis=0).any():
             axes.plot(*history.ropes.T[:n], color=ORANGE, lw=4, alpha=0.5, label="goal's way")
     axes.set_aspect('equal', adjustable='box' if n == 3 else 'datalim')
-    axes.autoscale(n == 2)  # in space it would undo the aspect
+    axes.autoscale(n == 2)  # in 3D it would undo the aspect
     several = len(flown) > 2 and first.values['avoid_radius']
     draw_panel(figure.add_subplot(grid[0, 1]), separation(flown) if several else distance(flown))
     draw_panel(figure.add_subplot(grid[1, 1]), shares(flown))
@@ -235,10 +235,10 @@ def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) 
 class Panel(NamedTuple):
     """A chart over time."""
 
-    title: str  # in words
+    title: str
     unit: str  # of the values; empty for none
-    lines: Mapping[str, Line]  # by label, those of labels that begin with ``_`` without a legend
-    limits: Mapping[str, float] = {}  # values of horizontal lines, by their meaning
+    lines: Mapping[str, Line]  # by label; labels that begin with ``_`` have no legend
+    limits: Mapping[str, float] = {}  # values of horizontal lines, by label
     steps: bool = False  # whether a value holds until the next
     log: bool = False  # whether the axis is logarithmic
 
@@ -262,7 +262,7 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
 
 
 def distance(flown: Flights) -> Panel:
-    """Return distances to the goal, at odometry and at the closest approach of every step."""
+    """Return the chart of distances to the goal, at odometry and at closest approaches."""
     lines = {}
     for name, each in flown.items():
         found = [(moment.time - each.times[0], moment.distance) for moment in each.moments]
@@ -273,7 +273,7 @@ def distance(flown: Flights) -> Panel:
 
 
 def separation(flown: Flights) -> Panel:
-    """Return the least distance of the closest pair of vehicles since the odometry before."""
+    """Return the chart of the least distance between two vehicles since the previous odometry."""
     times, found = separations({name: (each.times, each.positions) for name, each in flown.items()})
     least = np.min([*found.values()], axis=0)
     radius = next(iter(flown.values())).values['avoid_radius']
@@ -282,7 +282,7 @@ def separation(flown: Flights) -> Panel:
 
 
 def shares(flown: Flights) -> Panel:
-    """Return the commanded shares of full speed or thrust, |R e1|, and the floor below them."""
+    """Return the chart of commanded shares of full speed or thrust, |R e1|, and of the floor."""
     lines, first = {}, next(iter(flown.values())).values
     for name, each in flown.items():
         found = [
@@ -305,12 +305,12 @@ def _label(name: str, flown: Flights) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return the name of a flight for a legend; a namespace is written at the start of its path."""
+    """Return a flight's name for a legend; empty for a namespace, which marks the path's start."""
     return '' if name.startswith('/') else name.replace('_', ' ')
 
 
 def data(history: History) -> Figure:
-    """Return motion, thrust or speed, and what planning took and proved, over time."""
+    """Return a figure of motion, thrust or speed, solve times and proved bounds over time."""
     panels = [*motion(history), *planning(history)]
     rows = math.ceil(len(panels) / 2)
     figure = Figure(figsize=(10.0, 2.2 * rows), layout='constrained')
@@ -349,20 +349,20 @@ def motion(history: History) -> list[Panel]:
 
 
 def applied(history: History) -> Line:
-    """Return times [s] and the share of thrust or speed from then on, for each step flown."""
+    """Return times [s] and the share of full thrust or speed applied from each of them on."""
     values, begun, last = history.values, history.times[0], history.times[-1]
     if values['translation_order'] == 1:
         speeds = np.linalg.norm(history.velocities, axis=1)
         return history.times - begun, speeds / values['forward']
     full, step = values['mass'] * values['forward'], values['step']
     found = {begun: values['start.speed_fraction']}
-    # A thrust is taken over at the end of the step in which it is commanded.
+    # A thrust takes effect at the end of the step in which it is commanded.
     found |= {time + step: force / full for time, force in history.forces if time + step <= last}
     return np.array(list(found)) - begun, np.array(list(found.values()))
 
 
 def planning(history: History) -> list[Panel]:
-    """Return the charts of what planning took and proved."""
+    """Return the charts of plan costs, proved bounds, gaps, solve times and nodes."""
     line = history.series
     tolerance = history.values['gap_tolerance']
     below = {f'optimal below {tolerance:g}': tolerance}
@@ -380,11 +380,11 @@ def planning(history: History) -> list[Panel]:
     return found
 
 
-# --- in motion
+# --- animation
 
 
 def instants(history: History) -> Iterator[dict[str, Array]]:
-    """Yield the points of what moves, shape (K, 3) each [m]; between odometry it moves straight."""
+    """Yield the points of each animated line, shape (K, 3) [m], interpolated between odometry."""
     path, odometry = history.way, np.arange(len(history.times))
     reach = NOSE * float(np.ptp(path, axis=0).max())
     per_step = int(np.clip(FRAMES // max(1, len(path) - 1), 1, PER_STEP))
@@ -402,7 +402,7 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
 
 
 def write_gif(history: History, file: Path) -> None:
-    """Write a flight as an animation that repeats for ever."""
+    """Write a flight as an endlessly repeating animation."""
     shown = [Image.fromarray(frame) for frame in _frames(history)]
     # One palette for all frames: colours must not flicker.
     palette = shown[len(shown) // 2].quantize(PALETTE, Image.Quantize.MAXCOVERAGE)
@@ -417,7 +417,7 @@ def write_gif(history: History, file: Path) -> None:
 
 
 def _frames(history: History) -> Iterator[Array]:
-    """Yield pictures, shape (height, width, 3), of which only what moves is drawn each time."""
+    """Yield frames, shape (height, width, 3), redrawing only the animated lines."""
     figure, axes = stage({'': history})
     figure.set_dpi(COARSE)
     canvas, n = FigureCanvasAgg(figure), history.values['dimension']

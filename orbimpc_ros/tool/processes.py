@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Nodes as operating-system processes: started, watched, stopped, and gone with their parent.
+"""Nodes as operating-system processes: started, monitored, stopped, and ended with their parent.
 
-They meet in a DDS domain of one run: its own number, this machine only, and at once. How far a run
-is shows a progress bar in plain text: redrawn in a terminal, a few lines elsewhere.
+The nodes of a run share a DDS domain of their own, on this machine only, with fast discovery. A
+progress bar in plain text is redrawn in a terminal, and takes a few lines elsewhere.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from pathlib import Path
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import SIGNALS
 
-# Of util-linux: runs a program that the kernel ends as soon as whoever started it is gone, even if
-# that was killed. By SIGTERM: a shell has its background jobs ignore SIGINT, and all they start.
+# From util-linux: runs a program that the kernel ends as soon as its parent has ended, even if that
+# was killed. By SIGTERM, because the background jobs of a shell and their children ignore SIGINT.
 TETHER = ('setpriv', '--pdeathsig', 'TERM', '--')
 PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
-DOMAINS = range(1, 102)  # beyond them DDS ports meet those that Linux hands out
+DOMAINS = range(1, 102)  # higher domains use ports in Linux's ephemeral range
 # Fast DDS announces a participant five times in half a second, then every three seconds: nodes
-# that start together miss each other and wait. This keeps announcing while they start.
+# that start together miss each other and wait. This profile announces throughout the start.
 PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <participant profile_name="announced_often" is_default_profile="true">
@@ -40,19 +40,19 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 </profiles>
 """
 WIDTH = 20
-LINES = 5  # where there is no terminal
+LINES = 5  # of progress, where there is no terminal
 LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
 _CLAIMS: deque[socket.socket] = deque(maxlen=6)
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
 
 
 class Child:
-    """A process of its own, which ends with this one, on Linux however that ends.
+    """A child process, which ends with this one; on Linux even if this one is killed.
 
     Args:
-        name: for complaints.
+        name: for error messages.
         words: the program to run, and its arguments.
-        log: takes what the process prints.
+        log: for the output of the process.
         domain: of ROS; this process's by default.
     """
 
@@ -63,7 +63,7 @@ class Child:
         tether = TETHER if shutil.which(TETHER[0]) else ()
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
-            # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
+            # In its own session: Ctrl-C reaches only the tool, which then stops its children.
             self._child = subprocess.Popen(
                 [*tether, *words],
                 stdin=subprocess.DEVNULL,
@@ -77,19 +77,19 @@ class Child:
 
     @property
     def output(self) -> str:
-        """Return what the process has printed."""
+        """Return the output of the process so far."""
         return self._log.read_text(errors='replace')
 
     @property
     def running(self) -> bool:
-        """Return whether the process lives."""
+        """Return whether the process is running."""
         return self._child.poll() is None
 
     def require_health(self) -> None:
-        """Raise unless the process lives or has ended well.
+        """Raise an error if the process has failed.
 
         Raises:
-            OrbimpcError: with the last lines of its log.
+            OrbimpcError: it has failed; the last lines of its log are printed.
         """
         if self._child.poll():
             print('\n'.join(self.output.splitlines()[-LAST_LINES:]), file=sys.stderr)
@@ -103,7 +103,7 @@ class Child:
             return None
 
     def stop(self, number: int = signal.SIGINT) -> None:
-        """Ask the process to end by a signal; kill it if it does not."""
+        """End the process by a signal; kill it if it does not end in time."""
         if self.running:
             self.tell(number)
             if self.wait(PATIENCE) is None:
@@ -112,13 +112,13 @@ class Child:
 
 
 class Processes(list[Child]):
-    """Nodes in processes, stopped all at the same time when a context ends."""
+    """Nodes in processes, all stopped at the same time at the end of a context."""
 
     def __enter__(self) -> Processes:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        for process in self:  # each takes its time
+        for process in self:  # first all, so that they stop in parallel
             if process.running:
                 process.tell(signal.SIGINT)
         for process in self:
@@ -137,7 +137,7 @@ class Processes(list[Child]):
         Args:
             module: to run, such as ``orbimpc_ros.sim``.
             parameters: file of ROS parameters.
-            log: takes what the process prints.
+            log: for the output of the process.
             domain: of ROS; this process's by default.
             namespace: of the node, such as ``/uav1``.
         """
@@ -154,8 +154,8 @@ def isolate(folder: Path) -> int:
     """Give this process and its children a ROS domain of their own and return its number.
 
     Args:
-        folder: takes the DDS profile, and ROS's logs unless they are to go elsewhere: no home
-            folder is needed.
+        folder: for the DDS profile, and for ROS's logs unless the environment sets another
+            place: no home folder is needed.
     """
     candidates = random.sample(DOMAINS, len(DOMAINS))
     domain = next((d for d in candidates if claimed(d)), candidates[0])
@@ -171,11 +171,11 @@ def isolate(folder: Path) -> int:
 
 
 def claimed(domain: int) -> bool:
-    """Return whether a domain is free, and if so keep others of this package from it.
+    """Return whether a domain is free; if so, reserve it against other processes of this package.
 
-    From the choice of a domain to its first participant takes a while, in which somebody else might
-    choose it as well. A TCP port of the same number as the domain's UDP port, which DDS leaves
-    alone, is held until this process ends or has claimed many more.
+    Between the choice of a domain and its first participant, another process might choose it, too.
+    Therefore the TCP port with the number of the domain's UDP port, which DDS does not use, is held
+    until this process ends or has claimed several more.
     """
     if not free(domain):
         return False
@@ -192,7 +192,7 @@ def claimed(domain: int) -> bool:
 
 
 def free(domain: int) -> bool:
-    """Return whether no participant of a domain lives here (RTPS 9.6.2.3: its discovery ports)."""
+    """Return whether a domain has no participant here (RTPS 9.6.2.3: its discovery ports)."""
     for offset in (0, 10):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
@@ -207,7 +207,7 @@ def free(domain: int) -> bool:
 
 @contextmanager
 def interruptions() -> Iterator[list[int]]:
-    """Remember SIGINT and SIGTERM instead of having them break in; yield those that have come."""
+    """Record SIGINT and SIGTERM instead of being interrupted; yield the list of those received."""
     received: list[int] = []
     before = {
         number: signal.signal(number, lambda number, _frame: received.append(number))
@@ -224,10 +224,10 @@ def interruptions() -> Iterator[list[int]]:
 
 
 class ProgressLine:
-    """Shows how much of something is done.
+    """A progress bar on stderr.
 
     Args:
-        total: what there is to do.
+        total: amount of work.
     """
 
     def __init__(self, total: int) -> None:
@@ -237,7 +237,7 @@ class ProgressLine:
         self._shown: tuple[int, str] | None = None
 
     def show(self, done: int, text: str) -> None:
-        """Draw ``done`` with a text beside it, unless nothing has changed that is worth it."""
+        """Draw ``done`` and a text, if the bar has changed; without a terminal, in coarse steps."""
         share = min(1.0, done / self._total)
         shown = (done, text) if self._live else (int(share * LINES), '')
         if shown == self._shown:
@@ -245,12 +245,12 @@ class ProgressLine:
         self._shown = shown
         filled = int(share * WIDTH)
         line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
-        line = line[: shutil.get_terminal_size().columns - 1]  # a second line would stay
+        line = line[: shutil.get_terminal_size().columns - 1]  # a wrapped line could not be redrawn
         self._stream.write(f'\r{line}\x1b[K' if self._live else f'{line}\n')
         self._stream.flush()
 
     def close(self) -> None:
-        """Leave the bar behind."""
+        """End the line of the bar."""
         if self._live and self._shown is not None:
             self._stream.write('\n')
             self._stream.flush()

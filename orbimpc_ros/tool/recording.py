@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A bag as a regression test: inputs in the order of their arrival, and answers made anew.
+"""A bag as a regression test: its inputs in order of arrival, and their answers computed again.
 
-What was planned is solved again; when it was planned is timing, and taken from the recording. So
-is which tick was not planned at all (an input was stale, the planner was disabled) and what was
-really commanded on the tick before: one difference does not cause all that follow.
+Plans are solved again, but timing is taken from the recording. So are ticks without a plan (an
+input was stale, the planner was disabled) and the command published on the previous tick, so that
+one difference does not cause differences in all later ticks.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ KINDS: dict[str, type | tuple[type, ...]] = {
     'bound_checked': bool,
     'speed_fraction': list,
 }  # values of ``tick`` that a replay needs; those of another type are dropped
-UNDATED = -1  # [ns] for a stamp that is none
+UNDATED = -1  # [ns], for a missing stamp
 Messages = Mapping[str, Any]  # by topic
-Answer = dict[str, Any]  # what the planner published on a tick; what is not known is not in it
+Answer = dict[str, Any]  # values published on a tick; unknown ones are absent
 
 
 def published(messages: Messages) -> Answer:
-    """Return what messages by topic hold: the values of a tick by their names on it.
+    """Return the values in messages by topic: the fields of ``tick`` by name, and the command.
 
-    Besides the ``speed`` [m/s], ``body_rate``, shape (3,) [rad/s], ``force`` [N] and ``rotation``,
-    a quaternion of shape (4,), that were commanded.
+    The latter has the ``speed`` [m/s], ``body_rate``, shape (3,) [rad/s], ``force`` [N] and
+    ``rotation``, a quaternion, shape (4,).
     """
     found: Answer = {}
     if 'cmd_vel' in messages:
@@ -70,54 +70,54 @@ def published(messages: Messages) -> Answer:
 
 
 def was_solved(answer: Answer) -> bool:
-    """Return whether a solver was asked, as far as is known."""
+    """Return whether a solver was called, as far as is known."""
     return answer.get('solve_time_ms') != 0.0
 
 
 def was_planned(answer: Answer) -> bool:
-    """Return whether it came of odometry and goals, be it without a solver, as far as is known.
+    """Return whether the answer is based on odometry and goals, as far as is known.
 
-    Without one it goes on with the plan before, since every goal is old; what is safe for any
-    other reason names no goal.
+    If every goal is stale, it continues the previous plan without a solve, and still lists goal
+    stamps; a safe command for any other reason lists none.
     """
     return was_solved(answer) or bool(answer.get('goal_stamps'))
 
 
 @dataclass(frozen=True)
 class RecordedTick:
-    """A tick of the planner."""
+    """A recorded tick of the planner."""
 
     stamp: int  # of the odometry that it answers [ns]
     sent: int  # when its first message was sent, by the clock of the inputs [ns]
-    answer: Answer  # what its messages hold
+    answer: Answer  # the values in its messages
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What a bag holds of one planner."""
+    """The inputs and answers of one planner in a bag."""
 
     namespace: str  # of the vehicle, such as ``/uav1``
-    inputs: tuple[Message, ...]  # under the stamps they carry, in the order in which they were sent
-    answers: tuple[RecordedTick, ...]  # in the order in which they were sent
+    inputs: tuple[Message, ...]  # with their own stamps, in the order of sending
+    answers: tuple[RecordedTick, ...]  # in the order of sending
 
     @property
     def received(self) -> int:
-        """Return how many messages the planner was sent, besides the time."""
+        """Return the number of messages sent to the planner, without those of /clock."""
         return sum(each.topic != CLOCK for each in self.inputs)
 
     @property
     def simulated(self) -> bool:
-        """Return whether somebody published simulated time."""
+        """Return whether simulated time was published."""
         return self.received < len(self.inputs)
 
 
 def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) -> Recording:
-    """Return what a bag holds of the planner in a namespace.
+    """Return the recording of the planner in a namespace.
 
     Args:
-        path: of the bag.
+        path: path of the bag.
         namespace: of the vehicle, such as ``/uav1``.
-        others: topics of other vehicles' plans that it heard.
+        others: topics of other vehicles' plans that it received.
 
     Raises:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
@@ -138,7 +138,7 @@ def _own_stamp(each: Message) -> int:
 
 
 def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
-    """Yield every answer, of which each topic has one message; a mere repetition counts once."""
+    """Yield every answer, of at most one message per topic; repeated answers count once."""
     by_stamp: dict[int, list[dict[str, Message]]] = defaultdict(lambda: [{}, {}])
     for each in sent:
         groups = by_stamp[each.stamp]
@@ -154,17 +154,17 @@ def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
                 yield RecordedTick(stamp, begun, published(contents))
 
 
-# --- solved again
+# --- replay
 
 
 @dataclass(frozen=True)
 class ReplayedTick:
-    """A tick made anew."""
+    """A tick answered again."""
 
-    recorded: RecordedTick  # what was answered then
-    answer: Answer  # what is answered now
-    refusals: tuple[str, ...]  # complaints of the validators about the inputs since the tick before
-    decision: Decision  # behind it
+    recorded: RecordedTick  # the recorded answer
+    answer: Answer  # the answer of the replay
+    refusals: tuple[str, ...]  # validation errors of inputs since the previous tick
+    decision: Decision  # behind the answer of the replay
 
 
 def replayed(
@@ -173,7 +173,7 @@ def replayed(
     """Yield a tick for each that was recorded.
 
     Args:
-        recording: the inputs, and when they were answered.
+        recording: the inputs, and the times of their answers.
         settings: of the planner.
         simulated: whether its time came from ``/clock``.
     """
@@ -206,12 +206,12 @@ def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
 
 
 class Feed:
-    """The inputs of a recording, given to a planner as it had them.
+    """Feeds a planner with the inputs of a recording, as it originally received them.
 
     Args:
-        planner: takes them in.
-        recording: what there is to take in.
-        simulated: whether the ROS clock is ``/clock``, or the one by which messages were sent.
+        planner: to feed.
+        recording: its inputs.
+        simulated: whether the ROS clock is ``/clock``, or that of the times of sending.
     """
 
     def __init__(self, planner: OfflinePlanner, recording: Recording, simulated: bool) -> None:
@@ -222,7 +222,7 @@ class Feed:
         self._counts: Counter[str] = Counter()
 
     def until(self, recorded: RecordedTick) -> Iterator[str]:
-        """Give what had come when a tick was begun; yield refusals."""
+        """Feed the inputs received before a tick began; yield validation errors."""
         sent = list(takewhile(lambda each: each.sent <= recorded.sent, self._inputs))
         latest = _latest(sent, recorded)
         came = [each for k, each in enumerate(sent) if k <= latest.get(each.topic, -1)]
@@ -234,9 +234,9 @@ class Feed:
         self._inputs[: len(sent)] = rest
 
     def _lost(self, came: Sequence[Message], counts: Mapping[str, int]) -> list[Message]:
-        """Return the goals that the planner never saw, by how many it reports to have taken in.
+        """Return the goals that the planner never received, from the counts that it reports.
 
-        Its queues hold one message: of several, the newest are those that it took.
+        Its queues hold one message: of several goals, it received the newest.
         """
         lost: list[Message] = []
         for topic, count in counts.items():
@@ -256,7 +256,7 @@ class Feed:
 
 
 def _increasing(goals: Iterable[Message], settings: PlannerSettings) -> list[Message]:
-    """Return the valid goals, without those that come behind a later stamp or repeat one."""
+    """Return the valid goals in order, without those whose stamps do not increase."""
     good: list[Message] = []
     for each in goals:
         unset = each.topic == 'goal' and each.stamp == 0
@@ -266,8 +266,8 @@ def _increasing(goals: Iterable[Message], settings: PlannerSettings) -> list[Mes
 
 
 def _acceptable(goal: Message, settings: PlannerSettings) -> bool:
-    """Return whether a goal is a message that the planner's validators take."""
-    # Whether a goal of another frame could be moved is not known.
+    """Return whether the planner's validators accept a goal."""
+    # Accept other frames: whether the goal could be transformed is not recorded.
     if settings.tf or settings.transforms:
         settings = replace(settings, frame_id='')
     try:
@@ -278,18 +278,18 @@ def _acceptable(goal: Message, settings: PlannerSettings) -> bool:
 
 
 def _latest(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
-    """Return the index of the last input that was known, by topic.
+    """Return the index of the last input that a tick used, by topic.
 
-    The stamps on a tick are those of the messages that it was made of. Where it has none, the times
-    of sending decide, up to what a message takes on its way.
+    The stamps in a tick identify its input messages. For inputs without stamps there, the times of
+    sending decide, which ignores the transport delay.
     """
     answer = recorded.answer
     begun = recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0))
     measured = _last(sent, 'odom', recorded.stamp)
-    # By a clock of stamps no time passes: what was sent before odometry came in time.
+    # If times are mere stamps, a solve takes no time: inputs sent before the odometry count.
     known = begun if measured < 0 else max(begun, sent[measured].sent)
     latest = {each.topic: k for k, each in enumerate(sent) if each.sent <= known}
-    if measured >= 0 or was_solved(answer):  # else it came before, for another answer
+    if measured >= 0 or was_solved(answer):  # else the odometry belongs to an earlier answer
         latest['odom'] = measured
     for topic, stamp in answer.get('goal_stamps', {}).items():
         latest[topic] = _last(sent, topic, stamp)
@@ -301,6 +301,6 @@ def _latest(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
 
 
 def _last(sent: Sequence[Message], topic: str, stamp: int) -> int:
-    """Return the last index under which a topic has a stamp; -1 for none."""
+    """Return the last index of a topic's message with a stamp; -1 if there is none."""
     found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc replay``: a bag's inputs solved again, tick by tick, and compared with its outputs."""
+"""``orbimpc replay``: solve a bag's inputs again, tick by tick, and compare with its outputs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.offline import resolved
 from orbimpc_ros.tool.recording import Answer, Recording, ReplayedTick, recording_of, replayed
 
-LINES = 20  # differences printed one by one
+LINES = 20  # differences printed individually
 SAME, DIFFERENT = 0, 1
-# Solvers of other versions, and numba or not, find the same optimum up to these. An objective is
-# flat there: it agrees better than the command that reaches it.
+# Solver versions, with and without numba, agree on an optimum within these tolerances. The
+# objective is flat at its optimum: it agrees more closely than the command that attains it.
 SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
-OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
+OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative; absolute near zero
 UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
 PLANNED = Status.OPTIMAL, Status.FEASIBLE
 WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
@@ -38,7 +38,7 @@ QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
 def run(
     bag: str, params: str | None, changes: Sequence[str], tick: int | None, namespace: str
 ) -> int:
-    """Solve a bag's inputs again, compare, report; 0 if nothing differs beyond the tolerances."""
+    """Replay a bag and report differences; return 0 if all are within the tolerances."""
     begun, path = time.perf_counter(), Path(bag)
     recording, planner, simulated = opened(path, namespace, params, changes)
     if tick is not None:
@@ -62,7 +62,7 @@ def opened(
 ) -> tuple[Recording, PlannerSettings, bool]:
     """Return what a bag holds, the planner's settings, and whether its time was simulated.
 
-    The settings are those that are given, or noted in the bag by its recorder.
+    The settings come from the given file or, by default, from the recorder's notes in the bag.
     """
     if params is not None:
         values = settings.resolve(Path(params), changes)
@@ -78,7 +78,7 @@ def opened(
 
 
 def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:
-    """Print differences one by one, and how many there are of what."""
+    """Print the first differences, and a summary by quantity."""
     differences = [each for each in found if each.differs]
     for each in differences[:LINES]:
         print(each)
@@ -124,12 +124,12 @@ class Comparison(NamedTuple):
     quantity: str  # one of :data:`QUANTITIES`
     recorded: Any  # its value
     replayed: Any  # its value
-    apart: float  # how far these are apart; infinite if one is missing or a word differs
-    allowed: float  # how far they may be
+    apart: float  # distance of the values; infinite if one is missing or words differ
+    allowed: float  # largest distance allowed
 
     @property
     def differs(self) -> bool:
-        """Return whether the values are further apart than allowed."""
+        """Return whether the distance exceeds what is allowed."""
         return not self.apart <= self.allowed
 
     def __str__(self) -> str:
@@ -154,15 +154,15 @@ def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> Ite
 
 
 def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> float:
-    """Return what a quantity of some answers may differ by; words must be the same.
+    """Return the tolerance of a quantity between answers; words must be equal.
 
-    But an exact proof is searched as long as there is time after the command, and no bound is
-    published without: where there was none, gaps and ``optimal`` or ``feasible`` are not compared.
-    Nor are two gaps that are both left open: where a search ends before its proof does, rounding
-    decides which nodes came last.
+    Exact proofs use the time left after the command, and a bound without one is not published:
+    unless both answers have one, gaps and ``optimal`` versus ``feasible`` are not compared. Nor
+    are two gaps that both remain open: if a search ends before its proof is complete, rounding
+    decides which nodes were explored last.
 
-    A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
-    points, and the less exactly that is known: what a turn may differ by is divided by its share.
+    A plan determines attitude as a direction of thrust. The smaller the thrust, the less its
+    direction matters, and the less precise it is: a turn's tolerance is divided by the share.
     """
     problem, least_gap = settings.problem, settings.gap_tolerance
     gaps = [each['gap'] for each in answers if each.get('gap') is not None]
@@ -173,9 +173,9 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
     if quantity == 'gap':
         left_open = len(gaps) == len(answers) and all(least_gap < gap < math.inf for gap in gaps)
         return math.inf if left_open else least_gap
-    if quantity == 'objective':  # two searches may end at any plans within what they leave open
+    if quantity == 'objective':  # searches may end at different plans within their gaps
         return max(OBJECTIVE, min(max(gaps, default=0.0), least_gap))
-    if quantity in TURNS:  # so many steps of the plan decide the command
+    if quantity in TURNS:  # the command depends on these steps of the plan
         steps = slice(1, problem.rotation_order + 1)
         shares = itertools.chain(*(each.get('speed_fraction', [])[steps] for each in answers))
         least = min([1.0, *shares])
@@ -186,7 +186,7 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
 
 
 def distance(quantity: str, before: Any, now: Any, step: float) -> float:
-    """Return how far two values of a quantity are apart; a step [s] is commanded at a time."""
+    """Return the distance between two values of a quantity; body rates are held for a step [s]."""
     if now is None:
         return math.inf
     if quantity in WORDS:
@@ -194,7 +194,7 @@ def distance(quantity: str, before: Any, now: Any, step: float) -> float:
     if quantity == 'rotation':
         return _turned(before, now)
     if quantity == 'body_rate':
-        # As turns: half a turn to the left is one to the right.
+        # Compared as rotations: half a turn to the left equals half a turn to the right.
         return _turned(*(to_quaternion(exp(step * rate)) for rate in (before, now))) / step
     if before == now or (math.isnan(before) and math.isnan(now)):  # both infinite, or unknown
         return 0.0
@@ -211,7 +211,7 @@ def _turned(before: Any, now: Any) -> float:
 
 
 def shown(value: Any, digits: int = 6) -> str:
-    """Return a value as text, to compare it by eye; arrays with so many digits."""
+    """Return a value as text for comparison by eye; arrays with the given number of digits."""
     if value is None:
         return 'none'
     if isinstance(value, str):

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Messages, drawn at the time of their stamps: the same for a bag and for running nodes."""
+"""A scene that draws messages at the time of their stamps, from a bag or from running nodes."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ SHOWN = {
     'Earliest catch, and its bound [s]': ('earliest_catch', 'catch_bound'),
 }  # lines of each chart, below CHARTS
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
-REMEMBERED = 500  # places on the flown path
-SWING = 50  # sightings of the goal
+REMEMBERED = 500  # positions kept of the flown path
+SWING = 50  # sightings kept of the goal
 SIZE = 0.06  # of a vehicle, as a share of the scene
-LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
-CUBE = 1  # type of a Marker; every other body is round
+LEAST_GAP = 1e-12  # drawn for smaller gaps, since zero has no logarithm
+CUBE = 1  # type of a Marker; all other bodies are balls
 CLEAR = rr.components.FillMode.TransparentFillMajorWireframe
 
-# A paper dart: nose, wing tips, and the keel that tells up from down.
+# A paper dart: nose, wing tips, and a keel to distinguish up from down.
 NOSE, LEFT, RIGHT, TAIL, KEEL = (
     (0.6, 0.0, 0.0),
     (-0.4, 0.32, 0.08),
@@ -56,7 +56,7 @@ class Scene:
 
     Args:
         recording: to draw into.
-        values: parameters of planner and simulator, as far as they are known.
+        values: parameters of planner and simulator, or their defaults.
     """
 
     def __init__(self, recording: rr.RecordingStream, values: settings.Values) -> None:
@@ -64,7 +64,7 @@ class Scene:
         self._way: deque[Array] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
-        self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
+        self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # tick's stamp [s], directions
         self._shares: tuple[float, Array] = self._pointing
         self._takers = {
             'odom': self._take_odometry,
@@ -82,7 +82,7 @@ class Scene:
         return tuple(self._takers)
 
     def configure(self, values: settings.Values) -> None:
-        """Draw what parameters state: hull, floor, obstacles; nothing if they contradict."""
+        """Draw hull, floor and obstacles of the parameters; invalid ones give a default problem."""
         try:
             self._problem = planner_settings(values).problem
         except BadInput:
@@ -111,7 +111,7 @@ class Scene:
         self._to.flush()
 
     def take(self, topic: str, message: Any) -> None:
-        """Draw a message, unless the planner would refuse it; ``topic`` has no namespace."""
+        """Draw a message unless the planner would refuse it; ``topic`` has no namespace."""
         if topic not in self._takers:
             return
         if stamp_of(message) is not None:
@@ -141,7 +141,7 @@ class Scene:
         self._to.log(f'{WORLD}/goal', ball, trail)
 
     def _begin(self) -> None:
-        """Choose the size of things once both ends of the way are known."""
+        """Choose the scale and draw the vehicle's body once vehicle and goal have been seen."""
         if self._unit or not (self._way and self._swing):
             return
         ends = np.array([self._way[0], self._swing[0]])
@@ -164,7 +164,7 @@ class Scene:
         self._draw_thrust()
 
     def _take_markers(self, message: Any) -> None:
-        """Draw the bodies that a plan stays clear of."""
+        """Draw the obstacles that a plan avoids."""
         bodies = [each for each in message.markers if each.ns == 'hazards']
         places = [(point(m.pose.position), 0.5 * point(m.scale)) for m in bodies]
         found = np.reshape(places, (-1, 2, 3))
@@ -193,7 +193,7 @@ class Scene:
         self._draw_thrust()
 
     def _draw_thrust(self) -> None:
-        """Draw R_k e1 = sigma_k Q_k e1 once direction and share of the same tick are there."""
+        """Draw R_k e1 = sigma_k Q_k e1 once directions and shares of the same tick have arrived."""
         (planned, axes), (ticked, shares) = self._pointing, self._shares
         if planned != ticked or len(axes) != len(shares):
             return
@@ -225,7 +225,7 @@ def _balls(centers: Any, halves: Any, color: str) -> rr.Ellipsoids3D:
 
 
 def _table(values: dict[str, Any]) -> str:
-    """Return the values of a tick that are known as a table in Markdown."""
+    """Return the known values of a tick as a Markdown table."""
     first, *others = [
         f'| {key} | {_text(value)} |'
         for key, value in values.items()
@@ -243,7 +243,7 @@ def _text(value: Any) -> str:
 
 
 def layout(dimension: int, *, intercepting: bool) -> rrb.Blueprint:
-    """Return the page: the world, the set of thrusts, the tick in words, and charts."""
+    """Return the layout of the page: the world, the thrust set, the tick as text, and charts."""
     charts = [
         rrb.TimeSeriesView(name=title, contents=[f'/{CHARTS}/{name}' for name in lines])
         for title, lines in SHOWN.items()
@@ -261,7 +261,7 @@ def layout(dimension: int, *, intercepting: bool) -> rrb.Blueprint:
             rrb.Vertical(
                 rrb.Spatial3DView(origin=THRUST, name=thrusts, line_grid=lines),
                 rrb.TextDocumentView(origin=TICK, name='Tick'),
-                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),  # without catches
+                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),  # the last: catches
                 row_shares=[9, 9, 6],
             ),
             column_shares=[3, 2],

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The parameters of a run: defaults, then the scenario's file, then ``--set``, checked.
+"""The parameters of a run: defaults, overridden by the scenario's file and ``--set``, validated.
 
-A value is for both nodes. A value that the simulator alone has, such as a wind unknown to the
-planner, has a name of its own: ``sim.wind``.
+A value applies to both nodes. A value for the simulator only, such as a wind unknown to the
+planner, has a prefix: ``sim.wind``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     """Return every parameter's value for a run.
 
     Args:
-        file: parameters in ROS's form; one file serves both nodes.
+        file: of ROS parameters; one file serves both nodes.
         changes: ``name=value``, as given on the command line.
 
     Raises:
@@ -53,7 +53,7 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
 
 
 def changed(values: Values, changes: Sequence[str]) -> Values:
-    """Return values of which some are changed, checked as a whole.
+    """Return values with some of them changed, validated together.
 
     Args:
         values: of every parameter.
@@ -63,7 +63,7 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
     found, given = dict(values), dict(map(_change, changes))
-    for name in given:  # a value for both nodes, but for what the simulator is given of its own
+    for name in given:  # a value for both nodes replaces the simulator's own
         found.pop(f'{OF_SIM}{name}', None)
     found |= given
     planner_settings(found)
@@ -72,13 +72,13 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
 
 
 def of_sim(values: Values) -> Values:
-    """Return the values that the simulator gets."""
+    """Return the values for the simulator, without prefix."""
     common, own = _parted(values)
     return common | own
 
 
 def _parted(values: Values) -> tuple[Values, Values]:
-    """Return values for all nodes, and those that the simulator has of its own."""
+    """Return the values for both nodes, and those for the simulator only."""
     own = {name.removeprefix(OF_SIM): v for name, v in values.items() if name.startswith(OF_SIM)}
     return {name: v for name, v in values.items() if not name.startswith(OF_SIM)}, own
 
@@ -88,7 +88,7 @@ def text(values: Values, own: Mapping[str, Values] = {}) -> str:
 
     Args:
         values: for all nodes.
-        own: values that differ from one namespace, such as ``/uav1``, to another.
+        own: values that differ between vehicles, by namespace, such as ``/uav1``.
     """
     differ = {name for each in own.values() for name in each}
     common, alone = _parted({n: value for n, value in values.items() if n not in differ})
@@ -99,32 +99,32 @@ def text(values: Values, own: Mapping[str, Values] = {}) -> str:
 
 
 def _plain(values: Values) -> Values:
-    """Return values for YAML, without empty lists: to ROS they have no type."""
+    """Return values for YAML, without empty lists, which have no type in ROS."""
     plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
     return {name: value for name, value in plain.items() if value != []}
 
 
 def of_bag(path: Path, namespace: str = '') -> Values | None:
-    """Return the values that the recorder of a bag has noted in it; None if it has not.
+    """Return the values in the recorder's notes of a bag; None without notes.
 
     Args:
-        path: of the bag.
-        namespace: whose values are wanted in the bag of a fleet.
+        path: path of the bag.
+        namespace: of the vehicle, in the bag of a fleet.
 
     Raises:
-        BadInput: no bag, or notes that are none.
+        BadInput: no bag, or malformed notes.
     """
     noted = bags.notes(path).get('parameters')
     return None if noted is None else read(noted, namespace, f'{path}: parameters')
 
 
 def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
-    """Return the values of what :func:`text` made, defaults where there are none.
+    """Return the values in a text made by :func:`text`, and defaults for all others.
 
     Args:
-        written: the parameter file.
-        namespace: whose values are wanted in the file of a fleet.
-        name: where it comes from, for the message.
+        written: content of the parameter file.
+        namespace: of the vehicle, in the file of a fleet.
+        name: of the source, for error messages.
 
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
@@ -133,7 +133,7 @@ def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
 
 
 def _completed(content: Any, name: str, namespace: str = '') -> Values:
-    """Return the values in a parameter file over the defaults."""
+    """Return the values in a parameter file, and defaults for all others."""
     if namespace and isinstance(content, dict):
         wanted = ('/**', f'{namespace}/')
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
@@ -179,7 +179,7 @@ def _change(given: str) -> tuple[str, Any]:
 
 
 def _typed(row: ParameterSpec, value: Any) -> Any:
-    """Return a value as the parameter's type; a whole number may stand for a float."""
+    """Return a value in the parameter's type; integers are accepted for floats."""
     kind: type = type(row.default)
     if kind is tuple and isinstance(value, list):
         return tuple(_of_kind(row, str if row.words else float, each) for each in value)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc solve``: one problem from a file, one plan, as a table or as JSON."""
+"""``orbimpc solve``: solve one problem from a file, and print the plan as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -53,23 +53,23 @@ def run(
 
 
 def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> None:
-    """Prove that nothing is feasible, and write that down if there is a path to.
+    """Prove infeasibility, and write the certificate if a path is given.
 
     Raises:
-        Infeasible: there is no proof of it, which is to be said then.
+        Infeasible: it could not be proved; the message adds why.
     """
     try:
         made = refutation_of(Sought(*case), late)
         if not holds(made):
             raise Unproved('the proof found does not hold in exact arithmetic')
-    except (Unproved, BadInput) as error:  # the latter without Clarabel
+    except (Unproved, BadInput) as error:  # BadInput if Clarabel is not installed
         raise Infeasible(f'{why}; {WORD}; {error}') from None
     if path:
         Path(path).write_text(made.text() + '\n')
 
 
 def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
-    """Return a plan as plain values; what is unknown (no bound was proved) is None."""
+    """Return a plan as plain values; bound and gap are None if no bound was proved."""
     command = command_of(case.problem, case.state, plan)
     return {
         'status': plan.status,
@@ -91,7 +91,7 @@ def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
 
 
 def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
-    """Return a plan for people: how good it is, what to do now, and a line for each step."""
+    """Return a plan as text: its quality, the command, and a line for each step."""
     problem, bound, command = case.problem, found['lower_bound'], found['command']
     least = 'unknown' if bound is None else f'{bound:.6g}'
     turn = ', '.join(f'{math.degrees(each):.1f}' for each in command['body_rate'])

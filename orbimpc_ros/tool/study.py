@@ -1,28 +1,28 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc study``: fly many random tasks of one vehicle, and report how they end.
 
-The report is a table, and the share caught over time as a picture.
+The report is a table, with a plot of the share caught over time.
 
-A study file names a parameter file, and has a rule for each parameter that is drawn:
+A study file names a parameter file, and has a rule for each random parameter:
 
 - a range ``[low, high]``; ``{x: range, y: range}`` for a vector; ``{towards: range, length:
-  range}`` for one in the plane by its angle [rad] and length; ``{turned: distance}`` for one in any
-  direction, ``{heading: range}`` for an attitude in the plane, ``{turned: any}`` for any in space;
-  ``{whole: n}`` for a whole number below n.
+  range}`` for a vector in the plane by its angle [rad] and length; ``{turned: length}`` for a
+  vector of this length in a random direction; ``{heading: range}`` for an attitude in the plane;
+  ``{turned: any}`` for a random attitude in space; ``{whole: n}`` for a whole number below n.
 - ``{bodies: n, at: vector, when: range, speed: range, radius: range, clear: distance}``: n discs
-  that move evenly in any direction, through places where they are at a drawn time, and start clear
-  of the origin.
-- ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}``: walls of four standing discs
-  each, across the x axis, with a gap about a middle.
+  of constant velocity in random directions. Each passes a random point at a random time, and its
+  edge starts at least a distance clear of the origin.
+- ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}``: walls of four static discs
+  each, across the x axis, with a gap around a middle.
 
 Instead of a parameter file (``config``: a name in ``config/``, or a path from the study file such
-as ``./boat.yaml``) it may name another study that it is ``like`` and give what
-differs. ``margin`` is by how much larger than they are the discs are reported [m]: the vehicle is
-no point, and it is blown off its plans.
+as ``./boat.yaml``) a study file may name another study (``like``) and give the differences.
+``margin`` [m] enlarges the reported radii of the discs, because the vehicle has an extent and
+disturbances move it off its plans.
 
-A parameter file without rules is studied as it is: every flight draws the direction of the goal,
-the phase of its swing, the heading at the start and the seed of the noise. A planner that allows
-for lags flies a vehicle that has them.
+A parameter file without rules is a study, too: every flight draws the direction of the goal, the
+phase of its swing, the initial heading and the noise seed. If the planner compensates for lags,
+the vehicle has them.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ OUT, FLIGHTS, REPORT, PICTURE = 'out', 'flights.jsonl', 'report.md', 'caught.png
 Rule = Any
 FIELDS, OPTIONAL = {'about', 'set', 'draw'}, {'config', 'like', 'margin'}
 TURN = [-math.pi, math.pi]
-LARGEST_DRAWN = 2**31 - 1  # of seeds of the noise
+LARGEST_DRAWN = 2**31 - 1  # for seeds of the noise
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
 MOST_NAMED = 20
 COLUMNS = (
@@ -82,10 +82,10 @@ def run(
     cluster: str | None,
     workers: int | None,
 ) -> int:
-    """Fly what is still to be flown, then report.
+    """Fly the remaining flights, then report.
 
     Raises:
-        KeyboardInterrupt: somebody asked to stop; the results so far are kept.
+        KeyboardInterrupt: a signal arrived; the results so far are kept.
     """
     whole(runs, '--runs', 1, MOST_RUNS)
     whole(seed, '--seed', 0, LARGEST_SEED)
@@ -147,7 +147,7 @@ def _fly(
     cluster: str | None,
     count: int | None,
 ) -> None:
-    """Fly the flights that are lacking of a total; each is kept as soon as it is over."""
+    """Fly the remaining flights of a total; save each as soon as it is over."""
     done, progress = total - len(jobs), ProgressLine(total)
     with (
         interruptions() as received,
@@ -166,27 +166,27 @@ def _fly(
         raise KeyboardInterrupt
 
 
-# --- what flights draw
+# --- random parameters
 
 
 @dataclass(frozen=True)
 class Draws:
-    """What is flown."""
+    """The parameters of a study's flights, fixed and random."""
 
-    name: str  # of the file
+    name: str  # of the study
     about: str  # the task, in one line
-    values: Values  # the parameters that all flights have in common
-    rules: Mapping[str, Rule]  # how a flight draws a parameter, by its name
-    margin: float = 0.0  # by how much larger than they are bodies in the traffic are reported [m]
+    values: Values  # the parameters common to all flights
+    rules: Mapping[str, Rule]  # for random parameters, by name
+    margin: float = 0.0  # added to the reported radii of bodies in the traffic [m]
 
     def of(self, seed: int, index: int) -> Values:
-        """Return all parameters of a flight; each drawn one has a random stream of its own."""
+        """Return all parameters of a flight; each random one has its own random stream."""
         streams = {name: _stream(seed, index, name) for name in self.rules}
         return self.values | {name: _drawn(self.rules[name], rng) for name, rng in streams.items()}
 
     @property
     def limit(self) -> float:
-        """Return how long a flight is at most [s]."""
+        """Return the longest duration of a flight [s]."""
         return float(self.values['max_ticks'] * self.values['step'])
 
 
@@ -195,7 +195,7 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
 
     Args:
         name: a path, or the name of a file in ``config/studies`` or ``config``, without its ending.
-        changes: ``name=value``; what they set is not drawn.
+        changes: ``name=value``; parameters set here are not drawn.
 
     Raises:
         BadInput: there is no such file, it is malformed, or a change is not allowed.
@@ -238,7 +238,7 @@ def _file(name: str) -> Path:
 
 
 def _content(file: Path) -> Values:
-    """Return the fields of a study file; those of a parameter file without rules."""
+    """Return the fields of a study file; a parameter file becomes a study without rules."""
     content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
         names = {name for name, _ in settings.parameters_of(content, str(file))}
@@ -259,7 +259,7 @@ def _content(file: Path) -> Values:
 
 
 def _default_rules(values: Values) -> dict[str, Rule]:
-    """Return what a flight draws of a parameter file; among obstacles the goal stays in place."""
+    """Return the rules for a parameter file; among obstacles the goal stays in place."""
     flat, swing = values['dimension'] == 2, {axis: [0.0, 2.0 * math.pi] for axis in 'xyz'}
     rules: dict[str, Rule] = {'rope.phase': swing, 'seed': {'whole': LARGEST_DRAWN}}
     if not (values['obstacles'] or values['traffic']):
@@ -280,7 +280,7 @@ def _drawn(rule: Rule, rng: np.random.Generator) -> Any:
     """Return a value drawn by a rule.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the rule is unknown.
     """
     match rule:
         case [low, high]:
@@ -312,7 +312,7 @@ def _drawn(rule: Rule, rng: np.random.Generator) -> Any:
 def _wall(
     rule: Mapping[str, Any], x: float, radius: float, rng: np.random.Generator
 ) -> Iterator[float]:
-    """Yield place, velocity and radius of the four discs of a wall."""
+    """Yield position, velocity and radius of the four discs of a wall."""
     middle, half = rng.uniform(*rule['middle']), 0.5 * rng.uniform(*rule['gap'])
     for side in (-1.0, 1.0):
         for away in (half + radius, half + 3.0 * radius):
@@ -320,7 +320,7 @@ def _wall(
 
 
 def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
-    """Return place, velocity and radius of a disc that starts clear of the origin."""
+    """Return position, velocity and radius of a disc that starts clear of the origin."""
     while True:
         x, y, _ = _drawn(rule['at'], rng)
         when, way = rng.uniform(*rule['when']), rng.uniform(-math.pi, math.pi)
@@ -335,7 +335,7 @@ def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
 
 
 def report(draws: Draws, rows: Rows) -> str:
-    """Return the report in Markdown: a row for each controller, and which flights it missed."""
+    """Return the report in Markdown: a row for each controller, and the flights that it missed."""
     count = len(next(iter(rows.values())))
     lines = [f'# {draws.name}: {draws.about}', '', f'{count} flights by each controller.', '']
     lines += [_cells(*COLUMNS), '|' + ' --- |' * len(COLUMNS)]
@@ -344,7 +344,7 @@ def report(draws: Draws, rows: Rows) -> str:
 
 
 def times_of(draws: Draws, rows: Sequence[Row]) -> Array:
-    """Return the times to the catch, the limit of a flight without one, shape (M,) [s]."""
+    """Return the times to the catch, or the limit for flights without one, shape (M,) [s]."""
     return np.array([row['time'] if row['caught'] else draws.limit for row in rows])
 
 
@@ -368,7 +368,7 @@ def _row(draws: Draws, name: str, rows: Rows) -> str:
 
 
 def _beside_ours(draws: Draws, name: str, rows: Rows) -> str:
-    """Compare flight by flight; one without a catch lasts as long as a flight may."""
+    """Return the shares of flights in which our controller catches sooner and later."""
     if name == OURS or OURS not in rows:
         return ''
     apart = times_of(draws, rows[OURS]) - times_of(draws, rows[name])
@@ -396,7 +396,7 @@ def _cells(*cells: str) -> str:
 
 
 def draw(draws: Draws, rows: Rows, file: Path) -> None:
-    """Draw the share caught over time; write a PNG, and one for dark pages beside it."""
+    """Plot the share caught over time as a PNG for print, and another for dark pages."""
     lines = {}
     for name, flights in rows.items():
         times = sorted(row['time'] for row in flights if row['caught'])

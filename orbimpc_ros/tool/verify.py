@@ -1,10 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc verify``: lower bounds proved again, in exact arithmetic.
+"""``orbimpc verify``: verification of lower bounds in exact arithmetic.
 
-A file's certificate is verified as it is, and so are those that a bag holds. A bag's ticks are
-solved again, for the problem that each of them was about; that the bound which was published then
-holds is certified now. So are the claims that nothing is feasible, and that nothing catches the
-goal before a time.
+The certificates in a file or a bag are verified directly. A bag's ticks are also solved again, each
+for its own problem, and certificates are made for the bounds that were published. So are they for
+claims that a problem is infeasible, or that no trajectory catches the goal before a given time.
 """
 
 from __future__ import annotations
@@ -40,15 +39,15 @@ HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no c
 
 
 class TickVerdict(NamedTuple):
-    """What became of a tick's bound."""
+    """The verdict on a bound."""
 
-    tick: int | None  # its number, None of a file
-    of: str  # what is bounded: a cost, infinite where nothing is feasible, or a time [s]
-    claimed: float | None = None  # the bound that was published; None if none was
-    proved: float | None = None  # the bound that holds; None without a certificate
+    tick: int | None  # its number; None for a published certificate
+    of: str  # bounded quantity: a cost, infinite if infeasible, or a time to the catch [s]
+    claimed: float | None = None  # published bound, if any
+    proved: float | None = None  # bound that the certificate proves, if any
     leaves: int = 0  # of the certificate
-    outcome: str = NOTHING  # in a word or two
-    words: str = ''  # the same, and why, if there is more to it
+    outcome: str = NOTHING  # verdict in a word or two
+    words: str = ''  # verdict with its reason, if it has one
 
     def __str__(self) -> str:
         name = '' if self.tick is None else f'{self.tick:>6}  '
@@ -57,11 +56,11 @@ class TickVerdict(NamedTuple):
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
 
     def failed(self, why: str) -> TickVerdict:
-        """Return that the bound does not hold, and why."""
+        """Return the verdict that the bound does not hold, with the reason."""
         return self._replace(outcome=FAILS, words=f'{FAILS}: {why}')
 
     def unproved(self, why: str) -> TickVerdict:
-        """Return that there is no certificate, and why."""
+        """Return the verdict that there is no certificate, with the reason."""
         return self._replace(outcome=NONE, words=f'{NONE}: {why}')
 
 
@@ -78,7 +77,7 @@ def run(
     first, found = '' if of_file else '  tick  ', list[TickVerdict]()
     bag = Path(path), namespace, params, tick, out
     for row in [_file(Path(path), problem)] if of_file else _bag(*bag):
-        if not found:  # after what may be wrong with a file
+        if not found:  # no header above an error about the file
             print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
         found.append(row)
         print(row, flush=True)
@@ -99,7 +98,7 @@ def _file(path: Path, problem: str | None) -> TickVerdict:
 
 
 def _is_of(known: Any, case: Case) -> bool:
-    """Return whether a certificate is of a problem, a state and goals."""
+    """Return whether a certificate belongs to a case: problem, state and goals."""
     made = document.statement(*case)
     if 'refuted' in known:
         known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
@@ -120,14 +119,14 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
 def _bag(
     path: Path, namespace: str, params: str | None, tick: int | None, out: str | None
 ) -> Iterator[TickVerdict]:
-    from orbimpc_ros.tool import recording, replay  # need ROS, which a file does not
+    from orbimpc_ros.tool import recording, replay  # need ROS, unlike a certificate file
 
     if tick is None:
         yield from _published(path, namespace)
     known = replay.opened(path, namespace, params)
     for number, each in enumerate(recording.replayed(*known)):
         if number == 0:
-            gc.freeze()  # each full collection would look through all that was imported
+            gc.freeze()  # else each full collection scans all imported objects
         if tick in (None, number):
             yield _tick(number, each, out)
             yield from _catch(number, each, out)
@@ -136,7 +135,7 @@ def _bag(
 
 
 def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
-    """Verify the certificates that a planner published, each as it is."""
+    """Verify the certificates that a planner published, without solving again."""
     for each in bags.read(path, {'certificate'}):
         if each.topic == f'{namespace}/certificate':
             try:
@@ -146,7 +145,7 @@ def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
 
 
 def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
-    """Certify what was published on a tick, of the problem that its inputs pose."""
+    """Certify the bound published on a tick, for the problem that its inputs define."""
     then, tick, plan = each.recorded.answer, each.decision, each.decision.plan
     claimed = then.get('lower_bound')
     if then.get('status') == Status.INFEASIBLE:
@@ -169,9 +168,9 @@ def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
 
 
 def _is_about(earliest: float | None, tick: Decision) -> bool:
-    """Return whether a tick now flies the catch that it flew then, or none, as far as is known.
+    """Return whether replay and recording plan the same catch, or none, as far as is known.
 
-    Each catch is a problem of its own, and a deadline can end the search for the earliest.
+    Each time of catch is a separate problem, and a deadline can end the search for the earliest.
     """
     if earliest is None or tick.catch is None:
         return True
@@ -179,7 +178,7 @@ def _is_about(earliest: float | None, tick: Decision) -> bool:
 
 
 def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVerdict]:
-    """Certify before which time no trajectory catches the goal, where a tick claims one."""
+    """Certify the time before which a tick claims that no trajectory catches the goal."""
     claimed, catch = each.recorded.answer.get('catch_bound'), each.decision.catch
     if claimed is None or not math.isfinite(claimed):
         return
@@ -198,7 +197,7 @@ def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVer
 def _certified(
     row: TickVerdict, out: str | None, make: Callable[[], document.Certificate | Refutation]
 ) -> TickVerdict:
-    """Return what becomes of a claim whose certificate is made now."""
+    """Return the verdict on a claim by making and verifying its certificate."""
     try:
         made = make()
         found = _verified(row.tick, document.parsed(made.text().encode()))
@@ -209,6 +208,6 @@ def _certified(
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
         (folder_at(Path(out)) / name).write_text(made.text() + '\n')
-    if found.outcome == FAILS:  # no trajectory is known to cost less
+    if found.outcome == FAILS:  # not refuted: no trajectory is known to cost less
         return found.unproved(f'another search proves {found.proved!r}')
     return found

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc view``: a flight to look at and to scrub through in a browser, live or from a bag.
+"""``orbimpc view``: a flight in a browser with a timeline to scrub, live or from a bag.
 
-The page is Rerun's web viewer, served from its own wheel to this machine alone. A viewer of running
-nodes only listens, and draws messages as they come.
+The page is Rerun's web viewer, served from its wheel to this machine only. With running nodes, the
+viewer publishes nothing, and draws messages as they arrive.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ if TYPE_CHECKING:
     from orbimpc_ros.tool.scene import Scene
 
 SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY', 'BROWSER')
-PAUSE = 0.1  # [s] between looks at the server
+PAUSE = 0.1  # [s] between checks of the server
 HOST = '127.0.0.1'
-PORT = 9090  # of the page, unless it is taken
-PATIENCE = 30.0  # [s] until the page is there
-LOOK = 0.05  # [s]
+PORT = 9090  # of the page, unless it is in use
+PATIENCE = 30.0  # [s] for the page to come up
+LOOK = 0.05  # [s] between checks for the page
 SPIN = 0.05  # [s]
-ASK = 2.0  # [s] between questions for parameters: they may change, nodes may come later
-DEPTH = 20  # a viewer that is behind loses messages; it never holds a controller up
+ASK = 2.0  # [s] between requests for parameters: they may change, nodes may start later
+DEPTH = 20  # a slow viewer loses messages; it never delays a controller
 NODES = {'sim': SIM, 'planner': PLANNER}
 
 
 def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> int:
-    """Show a bag, or what is running, until somebody asks to stop."""
+    """Show a bag, or the running nodes, until a signal arrives."""
     if not installed():
         raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
     import rerun as rr
@@ -64,7 +64,7 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
         values = settings.of_bag(Path(bag), namespace) or values
         messages = bags.of_vehicle(Path(bag), namespace)
     recording = rr.RecordingStream('orbimpc')
-    recording.set_log_tick_enabled(False)  # nothing but the stamps of messages is time
+    recording.set_log_tick_enabled(False)  # the only timeline is that of message stamps
     recording.set_log_time_enabled(False)
     with interruptions() as received, served(port) as (page, data, server):
         print(f'page          {page} (Ctrl-C ends it)', flush=True)
@@ -84,17 +84,17 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
             while going():
                 time.sleep(PAUSE)
         finally:
-            recording.disconnect()  # before the server goes
+            recording.disconnect()  # before the server stops
     return 0
 
 
 def installed() -> bool:
-    """Return whether the viewer is there: rerun's library, and its server in the same wheel."""
+    """Return whether the viewer is installed: rerun's library, and its server in the same wheel."""
     return all(find_spec(name) is not None for name in ('rerun', 'rerun_cli'))
 
 
 def _has_screen() -> bool:
-    """Return whether a browser can show itself; else one in the terminal would take its place."""
+    """Return whether a browser can open a window; a text browser would occupy the terminal."""
     return sys.platform == 'darwin' or any(os.environ.get(name) for name in SCREENS)
 
 
@@ -102,13 +102,13 @@ def _has_screen() -> bool:
 
 
 def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
-    """Draw the vehicle that runs now in a namespace, such as ``/uav1``, while ``going()``."""
+    """Draw the running vehicle in a namespace, such as ``/uav1``, while ``going()``."""
     os.environ.setdefault(RANGE, 'LOCALHOST')
     latest = qos(DEPTH, LATEST.reliability)
     with attached('viewer', namespace=namespace or '/') as (node, executor):
         for topic in VEHICLE:
             if topic.name in scene.topics:
-                # What is kept for those who come late is only handed over reliably.
+                # Late subscribers get latched messages only with reliable QoS.
                 profile = LATCHED if topic.latched else latest
                 take: Any = partial(scene.take, topic.name)
                 node.create_subscription(topic.message, topic.name, take, profile)
@@ -118,7 +118,7 @@ def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
 
 
 def watch_parameters(node: Node, scene: Scene) -> None:
-    """Ask a vehicle's nodes for their parameters again and again; show them if they change."""
+    """Poll the parameters of a vehicle's nodes; redraw the scene if they change."""
     learned: dict[str, settings.Values] = {name: {} for name in NODES}
     clients = {name: AsyncParameterClient(node, name) for name in NODES}
 
@@ -144,12 +144,12 @@ def watch_parameters(node: Node, scene: Scene) -> None:
 
 @contextmanager
 def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
-    """Yield the address of a page, that of its data, and their server, which ends with this one.
+    """Yield the address of the page, that of its data, and their server process.
 
-    The page is at the port that is wanted, by default the usual one or any; its data at any.
+    The page is at the wanted port, by default at 9090 or any free one; its data at any free port.
 
     Raises:
-        BadInput: the port that is wanted is taken or none.
+        BadInput: the wanted port is in use or invalid.
     """
     import rerun_cli
 
@@ -158,7 +158,7 @@ def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
     port, data = wanted or (PORT if _free(PORT) else _any()), _any()
     source = f'rerun+http://{HOST}:{data}/proxy'
     page = f'http://{HOST}:{port}/?url={quote(source, safe="")}'
-    # The program itself, not the wheel's script: that would leave it behind when stopped.
+    # The program itself, not the wheel's script, which leaves the program running when stopped.
     program = str(Path(rerun_cli.__file__).parent / 'rerun')
     words = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
     numbers = ['--port', str(data), '--web-viewer-port', str(port)]
