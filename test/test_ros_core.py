@@ -432,7 +432,8 @@ def test_another_forecast_begins_with_the_last_goal():
     assert driven.inputs.heard['goal_model'] != ''
     held = np.tile(carried(1.0), (5, 1))
     np.testing.assert_allclose(targets(driven.inputs, EPOCH / SECOND + ahead, 1.0), held)
-    driven.inputs.forget()
+    driven.inputs.latest.clear()
+    driven.inputs.start_afresh()
     assert 'goal_model' not in driven.inputs.heard
 
 

@@ -183,7 +183,8 @@ def test_a_source_once_timed_stays_so(inputs):
     assert 'odometry is 119.90 s old' in stale_odometry(inputs, 120.0, clock(120.0))
     assert inputs.update('odom', stamped(odometry, -0.1), 240.0, clock(240.0)) == ''
     assert 'odometry' in stale_odometry(inputs, 240.0, clock(240.0))
-    inputs.forget()
+    inputs.latest.clear()
+    inputs.start_afresh()
     inputs.update('odom', odometry(1.0), 240.1, clock(240.1))
     assert inputs.untimed == 'odom'
 
@@ -315,7 +316,8 @@ def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
     np.testing.assert_array_equal(targets(moving, np.array([19.0]), 9.1), held)
     assert moving.update('goal', goal(0.6, 8.0), 9.2) == ''  # of whatever time
     np.testing.assert_array_equal(targets(moving, np.array([19.0]), 9.2), [[8.0, 0.0]])
-    moving.forget()
+    moving.latest.clear()
+    moving.start_afresh()
     assert 'goal' in moving.missing
 
 

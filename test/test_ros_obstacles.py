@@ -197,7 +197,8 @@ def test_a_reset_forgets_what_moved(inputs):
     assert inputs.update('obstacles', array(), 0.0) == ''
     assert inputs.traffic_stamps == {'obstacles': 0}
     inputs.update(OTHER, plan(1.0), 0.0)
-    inputs.forget()
+    inputs.latest.clear()
+    inputs.start_afresh()
     assert inputs.traffic(1.0) is None
     assert inputs.traffic_stamps == {}
 

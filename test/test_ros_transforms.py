@@ -174,7 +174,8 @@ def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all(
     box.update(TF, tf(1.0, 'map', 'odom', (9.0, 0.0, 0.0)), 0.0)
     box.update('goal', goal(2.0, 5.0, 0.0), 0.0)
     np.testing.assert_allclose(target(box), [4.0, 0.0])
-    box.forget()
+    box.latest.clear()
+    box.start_afresh()
     assert 'missing transform' in refusal(box, 2.0)[0]
 
 

@@ -159,12 +159,6 @@ class Inputs:
             if 'goal' in self.latest:
                 self.forecast.observe(self.latest['goal'].value)
 
-    def forget(self) -> None:
-        """Forget every input and whose clock is whose."""
-        self.start_afresh()
-        self.latest.clear()
-        self.forecast.reset()
-
     def start_afresh(self) -> None:
         """Forget all but a goal sent by hand, as after a reset or when time jumped."""
         self._keep_goal_alone()

@@ -184,8 +184,8 @@ class PlannerNode(Managed):
     def activate(self) -> None:
         """Plan and command, of what comes from now on."""
         self._patience.cancel()
+        self._core.inputs.latest.clear()  # nor does a goal sent by hand stay
         self._core.start_afresh()
-        self._core.inputs.forget()
         self._begin_anew()
 
     def deactivate(self) -> None:
