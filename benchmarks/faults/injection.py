@@ -21,7 +21,6 @@ TIMES = (START, *RUNNING)
 SEEDS = (1, 2, 3)
 AFTER = 3  # ticks that a fault lasts beyond the latest reaction
 INTO = 0.03  # [s] of a solve
-UNITS = {'ticks': STEP, 's': 1.0}  # of reactions [s]
 # A search that lasts until its deadline, with a plan at hand: nearly constant speed, limited turns,
 # and a gap that it cannot close.
 SLOW = {
@@ -56,7 +55,6 @@ def fault_case(
     short: Sequence[str] = (MIDWAY,),
     *,
     allowed: float = 1.0,
-    unit: str = 'ticks',
     simulated: bool = False,
 ) -> FaultCase:
     """Return a row of faults that are injected into a running planner of the row's own.
@@ -66,8 +64,7 @@ def fault_case(
         title: description.
         faults: makes them anew.
         short: moments of injection in the short form, the faults taken in turns.
-        allowed: latest reaction.
-        unit: of reactions.
+        allowed: latest reaction, in ticks.
         simulated: whether the harness is the planner's clock as well.
     """
 
@@ -81,13 +78,13 @@ def fault_case(
                 slow = SLOW if solving else {}
                 if some:
                     with closing(Harness(nodes, slow, simulated=simulated, seed=seed)) as harness:
-                        yield from (injected(harness, *pair, UNITS[unit]) for pair in some)
+                        yield from (injected(harness, *pair) for pair in some)
 
-    return FaultCase(name, title, allowed, run, unit)
+    return FaultCase(name, title, allowed, run)
 
 
-def injected(harness: Harness, fault: Fault, when: str, unit: float) -> Outcome:
-    """Return the outcome of a fault, in units of time [s]; the planner is healthy again at the end.
+def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
+    """Return the outcome of a fault; the planner is healthy again at the end.
 
     Raises:
         OrbimpcError: it does not recover.
@@ -109,7 +106,7 @@ def injected(harness: Harness, fault: Fault, when: str, unit: float) -> Outcome:
         due = time.monotonic() + fault.wait
         harness.spin(due + STEP - time.monotonic())
         if when != START:
-            late = max(0.0, harness.until_first(fault.event, begin) - due) / unit
+            late = max(0.0, harness.until_first(fault.event, begin) - due) / STEP
         harness.spin(AFTER * STEP)
         unsafe = unsafe_commands(harness.monitor, fault, begin, due)
         if when == START and fault.strict:  # then there is nothing from before to be flown

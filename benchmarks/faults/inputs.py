@@ -27,10 +27,9 @@ from orbimpc_ros.ros.process import LATCHED, qos
 STALE = 0.3  # [s] odom_timeout: 1.5 steps
 LADDER = FALLBACK_TICKS * STEP  # [s] that a shifted plan may be flown
 LOST = 0.4 + LADDER  # [s] goal_timeout of the harness, and the last plan after it
-HEALTH = 1.2  # [s] in which counts are reported
-REPORT = 1.0  # [s] in which a mismatch must be reported
+REPORT = 5.0  # ticks in which a mismatch must be reported
 MEET = 0.6  # [s] that discovery may take
-TURNED = 6.0  # [s] in which a velocity's frame must be doubted: first the vehicle has to turn
+TURNED = 30.0  # ticks in which a velocity's frame must be doubted: first the vehicle has to turn
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)
 TO_ONE = 1.0  # [s] first time of a reset clock
@@ -154,9 +153,9 @@ FAULT_CASES = (
     fault_case('twist', 'velocities in the wrong frame: reported', lambda: [
         _spoiled('of the world', 'odometry', stimulus.in_the_world, times=(MIDWAY,),
                  strict=False, event=complaint('see velocity_frame'))],
-               allowed=TURNED, unit='s'),
+               allowed=TURNED),
     fault_case('infeasible', 'no plan: shifted plan, then safe', _infeasible),
     fault_case('qos', 'a quality of service that does not match: reported', _mismatch,
-               allowed=REPORT, unit='s'),
+               allowed=REPORT),
     fault_case('sources', 'two publishers of odometry', _sources),
 )  # fmt: skip
