@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Findings from odometry: the capture of a goal, and velocities of another frame than stated."""
+"""Events inferred from odometry: capture of a goal, and velocities in another frame than stated."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from orbimpc_ros.mpc.problem import Approach
 
 STAY = 1.0  # [s] within the radius, after which the vehicle has arrived
 WINDOW = 20  # measurements
-FITS_BETTER = 0.3  # times the error as given: that of the other frame, to be believed
-TELLING = 0.3  # of the speed: an error as given that is no noise
+FITS_BETTER = 0.3  # ratio of errors, other frame to stated one, below which the other is believed
+TELLING = 0.3  # of the speed: larger errors of the stated frame are not noise
 
 
 def closest_approach(flown: tuple[Array, Array], swung: tuple[Array, Array]) -> tuple[float, float]:
-    """Return the least distance [m] during a step and when, as a share of the step in [0, 1].
+    """Return the least distance [m] during a step and its time, as a share of the step in [0, 1].
 
     Args:
-        flown: the vehicle's positions at the ends of the step, each of shape (n,) [m].
-        swung: the goal's.
+        flown: positions of the vehicle at both ends of the step, each of shape (n,) [m].
+        swung: positions of the goal.
     """
     apart = flown[0] - swung[0]
     drift = (flown[1] - swung[1]) - apart
@@ -35,12 +35,12 @@ def closest_approach(flown: tuple[Array, Array], swung: tuple[Array, Array]) -> 
 
 
 def is_headed(approach: Approach, headings: tuple[Array, Array], share: float) -> bool:
-    """Return whether a vehicle is within the cone of approach at some moment of a step.
+    """Return True if a vehicle is inside the approach cone at a moment of a step.
 
     Args:
         approach: the cone, with its direction.
-        headings: where its pushing axis points at the ends of the step, each of shape (n,).
-        share: the moment, as a share of the step; headings turn evenly, but for half a turn.
+        headings: thrust axis at both ends of the step, each of shape (n,).
+        share: the moment, as a share of the step; headings turn evenly by less than half a turn.
     """
     if not approach.exists:
         return True
@@ -55,25 +55,25 @@ class Events:
     """Whether a goal has been caught or reached.
 
     Attributes:
-        caught: whether the vehicle has come within the radius since there is this goal, in
-            between two measurements too.
+        caught: whether the vehicle has come within the radius of the present goal, including
+            between two measurements.
         arrived: whether it has stayed within the radius for a while, up to now.
     """
 
     caught: bool = False
     arrived: bool = False
-    _goal: Array | None = field(default=None, init=False)  # as it was sent last
-    _moves: bool = field(default=False, init=False)  # whether that was elsewhere than before
+    _goal: Array | None = field(default=None, init=False)  # last goal sent
+    _moves: bool = field(default=False, init=False)  # whether it differed from the one before
     _last: tuple[Odometry, Array] | None = field(default=None, init=False)
-    _entered: float | None = field(default=None, init=False)  # the radius [s]
+    _entered: float | None = field(default=None, init=False)  # time of entry into the radius [s]
 
     def begin(self) -> None:
-        """Begin anew: nothing is caught or reached."""
+        """Start anew, with nothing caught or reached."""
         self.caught = self.arrived = False
         self._last = self._entered = None
 
     def send(self, goal: Array, *, streams: bool) -> None:
-        """Take in a goal, shape (n,) [m]; one that goes on moving in a stream is no new one."""
+        """Take in a goal, shape (n,) [m]; one that keeps moving in a stream is not a new one."""
         moves = self._goal is None or not np.array_equal(goal, self._goal)
         if moves and not (streams and self._moves):
             self.begin()
@@ -90,11 +90,11 @@ class Events:
         """Take in a measurement.
 
         Args:
-            odometry: where the vehicle is.
-            goal: at that time, shape (n,) [m].
-            radius: within which it counts [m].
-            patience: of measurements further apart nothing is known in between [s].
-            approach: the cone, with its direction, within which a catch counts; any if left out.
+            odometry: measured motion of the vehicle.
+            goal: its position at that time, shape (n,) [m].
+            radius: distance that counts as a catch or an arrival [m].
+            patience: longest interval between measurements that is interpolated [s].
+            approach: the cone, with its direction, in which a catch counts; by default no cone.
         """
         before, then = self._last or (odometry, goal)
         if not 0.0 <= odometry.time - before.time <= patience:
@@ -118,10 +118,10 @@ class VelocityFrameCheck:
     def __init__(self, given: str) -> None:
         self._given = given
         self._last: Odometry | None = None
-        self._errors: deque[Array] = deque(maxlen=WINDOW)  # as given, otherwise, and the speed
+        self._errors: deque[Array] = deque(maxlen=WINDOW)  # errors by frame; the speed
 
     def note(self, odometry: Odometry) -> None:
-        """Take in a measurement; one that is not newer starts afresh."""
+        """Take in a measurement; one that is not newer than the last restarts the comparison."""
         last, self._last = self._last, odometry
         if last is None or odometry.time <= last.time:
             self._errors.clear()
@@ -129,14 +129,14 @@ class VelocityFrameCheck:
         moved = (odometry.position - last.position) / (odometry.time - last.time)
         turned, velocity = odometry.attitude, odometry.body_velocity
         as_given = turned @ velocity
-        # What was read as the body's had been the world's all along; or it was turned needlessly.
+        # If wrong, body velocities are world ones already, and world ones still to be rotated.
         otherwise = velocity if self._given == 'body' else turned @ as_given
         compared = np.array([moved - as_given, moved - otherwise, velocity])
         self._errors.append(np.linalg.norm(compared, axis=1))
 
     @property
     def doubt(self) -> str:
-        """Return that velocities fit the other frame, in words; empty if they do not."""
+        """Return a message if velocities fit the other frame better; otherwise an empty string."""
         if len(self._errors) < WINDOW:
             return ''
         given, other, speed = np.sum(self._errors, axis=0)

@@ -1,12 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Compensation of delay, lags and disturbances.
 
-*Delay.* A measurement is moved on along the commands in force to the time of the next one.
+*Delay.* A measurement is propagated with the commands in force to the time of the next command.
 
-*Lags.* A body rate with a first-order lag, :math:`\tau\dot\omega = c - \omega`, leaves the vehicle
-on the way that one without a lag takes a time :math:`\tau` later, from
+*Lags.* With a first-order lag of the body rate, :math:`\tau\dot\omega = c - \omega`, the vehicle
+flies, a time :math:`\tau` later, the path of a vehicle without lag that starts from
 :math:`\hat\theta = \theta + \tau\omega` with :math:`\dot{\hat\theta} = c`. A plan that starts from
-there, at that time, is made of commands that the vehicle follows within all limits.
+there, at that time, consists of commands that the vehicle follows within all limits.
 
 *Disturbance.* A Kalman filter with a constant disturbance w makes the loop offset-free:
 
@@ -14,9 +14,9 @@ there, at that time, is made of commands that the vehicle follows within all lim
     \dot s = v + w + \xi, \quad \dot w = \zeta \qquad\text{(order 1)}, \qquad
     \dot s = p, \quad \dot p = a + w + \xi, \quad \dot w = \zeta \qquad\text{(order 2)}
 
-with v or a what was commanded, along the measured attitude. Measured is the position, and at order
-2 the velocity; one covariance serves all axes. At order 1 the airspeed before the first command is
-a state, too, which fades with the lag of the speed.
+where v or a is the commanded value along the measured attitude. The position is measured, at order
+2 also the velocity; all axes share one covariance. At order 1, another state is the excess airspeed
+before the first command, which decays with the lag of the speed.
 
 Mathematics: docs/mathematics.md, 7.1, 7.3, 7.8 and 7.9.
 """
@@ -37,8 +37,8 @@ from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
 
 SOURCES = ('ground', 'air')  # of a measured velocity
-MEMORY = 32  # commands; whatever was sent before them is taken as measured
-NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
+MEMORY = 32  # commands; the effect of earlier ones counts as measured
+NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,21 +66,21 @@ class Odometry(ByContent):
 
 @dataclass(frozen=True, eq=False)
 class WindReport(ByContent):
-    """A wind that somebody else has estimated."""
+    """A wind estimate from an external source."""
 
     time: float  # stamp [s]
     velocity: Array  # shape (n,) [m/s]
-    variance: float = math.nan  # along each axis [m^2/s^2]; NaN where it is not known
+    variance: float = math.nan  # along each axis [m^2/s^2]; NaN if unknown
 
     def __post_init__(self) -> None:
         sealed(self.velocity)
 
 
 def along_the_air(odometry: Odometry) -> Odometry:
-    """Return the measurement of a wing with its axis along its velocity through the air.
+    """Return the measurement of a wing with its body axis along its velocity through the air.
 
-    A gust from the side turns the nose of a wing into it, and leaves its way over ground nearly as
-    it is: what goes on is the velocity, and the nose is turned back to it.
+    A side gust turns the nose of a wing into the wind but hardly changes its path over ground: the
+    velocity persists, and the nose turns back to it.
     """
     ahead, aside = odometry.body_velocity.tolist()
     slip = np.array([math.atan2(aside, ahead)])
@@ -89,7 +89,7 @@ def along_the_air(odometry: Odometry) -> Odometry:
 
 
 def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:
-    """Return the speed through the air along the thrust axis [m/s]; across it only wind moves."""
+    """Return the airspeed along the thrust axis [m/s]; across it, only wind moves the vehicle."""
     speed = float(odometry.body_velocity[0])
     if wind is None or velocity_source == 'air':
         return speed
@@ -97,19 +97,19 @@ def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'gro
 
 
 class Interval(NamedTuple):
-    """An interval of time with one command in force, or None where none is known."""
+    """A time interval with one command in force, or None if it is unknown."""
 
     duration: float  # [s]
     command: Command | None
-    before: Command | None  # whose speed or thrust was taken over when it ended
+    before: Command | None  # previous one, whose speed or thrust was in effect
 
 
 class CommandHistory:
-    """The commands of late, and since when each is in force.
+    """The recent commands with their times.
 
     Attributes:
         last: the last command, sent or about to be; None before the first.
-        sent: commands of late and when they were, where that is known [s].
+        sent: recent commands with known times [s].
     """
 
     def __init__(self) -> None:
@@ -118,13 +118,13 @@ class CommandHistory:
 
     @property
     def fraction(self) -> float:
-        """Return the share of full speed or thrust commanded last; 0 before the first command."""
+        """Return the last commanded share of full speed or thrust; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
     def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
-        """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
+        """Return the actual share of speed or thrust at a time [s], with a lag [s] behind commands.
 
-        Without times the last command counts as reached; ``begun`` is the share before the first.
+        Without times, the last command counts as reached; ``begun`` is the share before the first.
         """
         if not self.sent or lag == 0.0:
             return self.fraction
@@ -138,7 +138,7 @@ class CommandHistory:
     def mean(self, begin: float, end: float, lag: float, begun: float = 0.0) -> float | None:
         """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
 
-        Without a lag a command's speed or thrust is taken over when the next command comes.
+        Without a lag, the speed or thrust of a command takes effect when the next command comes.
         ``begun`` is the share before the first command.
         """
         flown, reached = 0.0, self.applied(begin, lag, begun)
@@ -151,17 +151,17 @@ class CommandHistory:
         return flown / (end - begin)
 
     def add(self, command: Command, at: float | None = None) -> None:
-        """Note a command sent at a time [s], if that is known; times do not decrease."""
+        """Record a command, with its time [s] if that is known; times must not decrease."""
         self.last = command
         if at is not None:
             self.sent.append((at, command))
 
     def forget(self) -> None:
-        """Forget since when commands are in force, for instance because the clock jumped."""
+        """Forget the times of commands, for instance because the clock jumped."""
         self.sent.clear()
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
-        """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
+        """Return the commands in force from ``begin`` to ``end`` [s]; empty unless begin < end."""
         found, before, command, since = [], None, None, begin
         for at, following in self.sent:
             if since < at < end:
@@ -190,19 +190,19 @@ def advanced(
     disturbance: Array | None = None,
     velocity_source: str = 'ground',
 ) -> Odometry:
-    """Return the measurement as it would be after the intervals; the same one without any.
+    """Return the measurement propagated over the intervals; unchanged without any.
 
-    Within an interval body rate and forward speed (or thrust) are constant, so that the vehicle
-    flies an arc, integrated exactly. As in the discrete model, a commanded rate applies at once at
-    rotation order 1; everything else of a command is taken over when the next command comes, and
-    until then the vehicle goes on as it was measured. Speeds through the air turn with the body,
-    the wind, shape (n,), does not; ``velocity_source`` is what odometry measures.
+    Within an interval, body rate and forward speed (or thrust) are constant, so that the vehicle
+    flies an arc, integrated exactly. As in the discrete model, a commanded rate acts at once at
+    rotation order 1; the rest of a command takes effect when the next command comes, and until then
+    the vehicle continues as measured. Airspeed turns with the body; the wind, shape (n,), does not.
+    ``velocity_source`` is the velocity measured by odometry.
     """
     if not intervals:
         return odometry
     attitude, body_velocity = odometry.attitude, odometry.body_velocity
     blown = np.zeros(problem.dimension) if disturbance is None else disturbance
-    # Of a vehicle without inertia, what turns with the body is its velocity through the air.
+    # Without inertia, the velocity through the air turns with the body.
     still = velocity_source == 'air' or problem.inertial
     carrying = np.zeros(problem.dimension) if still else blown
     position, rate = odometry.position, odometry.body_rate
@@ -242,11 +242,11 @@ LONGEST = 1e3  # [s]
 
 @dataclass(frozen=True)
 class Response:
-    """First-order lags of a vehicle that obeys at once.
+    """First-order lags of a vehicle that otherwise follows commands at once.
 
     Attributes:
         speed: time constant of the speed, or at translation order 2 of the thrust [s].
-        rate: of the body rate [s].
+        rate: time constant of the body rate [s].
     """
 
     speed: float = 0.0
@@ -258,14 +258,14 @@ class Response:
 
     @property
     def lags(self) -> bool:
-        """Return whether there is any lag."""
+        """Return True if there is any lag."""
         return self.speed > 0.0 or self.rate > 0.0
 
     def lead(self, problem: Problem) -> float:
-        """Return by how long a plan starts ahead of the vehicle [s].
+        """Return the time by which a plan starts ahead of the vehicle [s].
 
-        Half a step of it the ``euler`` model has already: it keeps R_k for the whole step in which
-        a vehicle turns on to R_{k+1}.
+        The ``euler`` model already contains half a step of it: it keeps R_k for the whole step in
+        which a vehicle turns to R_{k+1}.
         """
         known = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
         return max(0.0, self.rate - known)
@@ -273,46 +273,46 @@ class Response:
 
 GIVEN, ESTIMATED = 'given', 'estimated'
 DISTURBANCES = (GIVEN, ESTIMATED)
-GATE = 5.0  # standard deviations: what is farther off is no measurement of the model
-PATIENCE = 2  # measurements in a row that are refused, after which the position is believed
-SHIFT = 3.0  # standard deviations: measurements that lean to one side by more show another wind
-RECENT = 0.5  # [s] over which they are looked at
-GAP = 2.0  # [s] without odometry, over which nothing is learnt
-LARGEST = 0.8  # of full speed or thrust: what is left steers
-REPORTED = 1.5  # the same of a wind that is reported: it blows wings backwards
-UNSTATED = 1.0  # [m^2/s^2] variance of a reported wind that comes without one
-ALIKE = 10.0  # [s] over which the errors of reported winds are alike
+GATE = 5.0  # standard deviations: larger deviations are rejected as outliers
+PATIENCE = 2  # consecutive rejected measurements, after which the position is accepted
+SHIFT = 3.0  # standard deviations: a larger bias of the innovations indicates another wind
+RECENT = 0.5  # [s] time constant of that bias
+GAP = 2.0  # [s] longest gap in odometry that is bridged
+LARGEST = 0.8  # of full speed or thrust, as the largest estimate: the rest is for steering
+REPORTED = 1.5  # the same with a reported wind, which may blow wings backwards
+UNSTATED = 1.0  # [m^2/s^2] variance of a reported wind that states none
+ALIKE = 10.0  # [s] correlation time of the errors of reported winds
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations of the model, as shares of full speed or thrust z."""
+    """Standard deviations of the model, relative to full speed or thrust z."""
 
-    position: float = 0.01  # measured, of z s (order 1) or z s^2 (order 2)
-    velocity: float = 0.01  # measured (order 2), of z s
-    model: float = 0.05  # of what commands do, over a second: gusts, gains, discretisation
-    drift: float = 0.03  # by how much the disturbance changes in a second
-    prior: float = 0.3  # of the disturbance before anything is known
+    position: float = 0.01  # of measurements, in z s (order 1) or z s^2 (order 2)
+    velocity: float = 0.01  # of measurements (order 2), in z s
+    model: float = 0.05  # of the effect of commands per second: gusts, gains, discretisation
+    drift: float = 0.03  # of the change of the disturbance per second
+    prior: float = 0.3  # of the initial disturbance
 
 
-MEASURED = NoiseModel(model=0.01)  # gusts are seen in the velocity, and commands have no part
+MEASURED = NoiseModel(model=0.01)  # the velocity contains gusts; commands are not used
 PUSHED = NoiseModel(drift=0.2)  # gusts push a vehicle with inertia for as long as they last
 
 
 class Estimator:
-    """Learns a disturbance from odometry and the commands that were in force.
+    """Estimates a disturbance from odometry and the commands in force.
 
     Args:
-        problem: gives the orders and the full speed or thrust.
+        problem: source of the orders and the full speed or thrust.
         lag: of speed or thrust [s].
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        given: the disturbance that is known, shape (n,); None for none.
-        measured: whether the measured speed is believed, through the air, not the commanded one.
+        velocity_source: measured velocity of odometry: over ``ground`` or through the ``air``.
+        given: the known part of the disturbance, shape (n,); None for zero.
+        measured: whether to use the measured instead of the commanded airspeed.
 
     Attributes:
-        innovation: how far the last measurement was from what was expected, in standard
-            deviations; 0 before the second.
-        refused: measurements in a row that were too far off to be believed.
+        innovation: deviation of the last measurement from its prediction, in standard deviations;
+            0 before the second.
+        refused: number of consecutive measurements rejected as outliers.
     """
 
     def __init__(
@@ -332,21 +332,21 @@ class Estimator:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the disturbance too."""
+        """Forget everything, including the disturbance."""
         self._estimate = np.zeros((3, self._problem.dimension))
         self._covariance = np.diag([0.0, 0.0, self._noise.prior**2])
         self.start_afresh()
 
     def start_afresh(self) -> None:
-        """Forget where the vehicle was, for instance because the clock jumped."""
+        """Forget the vehicle's state, for instance because the clock jumped."""
         self._last: Odometry | None = None
-        self._begun = 0.0  # share of full speed with which the first command found the vehicle
-        self._leaning = np.zeros(self._problem.dimension)  # innovations of late, as if only noise
-        self._reported = -math.inf  # stamp of the last wind that was reported [s]
+        self._begun = 0.0  # share of full speed at the first command
+        self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
+        self._reported = -math.inf  # stamp of the last reported wind [s]
         self.innovation, self.refused = 0.0, 0
 
     def continue_from(self, other: Estimator) -> None:
-        """Take over what another estimator of the same vehicle knows."""
+        """Take over the state of another estimator of the same vehicle."""
         self._estimate, self._covariance = other._estimate, other._covariance
         self._last, self._begun = other._last, other._begun
         self._leaning, self._reported = other._leaning, other._reported
@@ -354,17 +354,17 @@ class Estimator:
 
     @property
     def disturbance(self) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2], the given one included, shape (n,)."""
+        """Return the wind [m/s] or acceleration [m/s^2], including the given part, shape (n,)."""
         return np.asarray(self._given + self._estimate[-1])
 
     @property
     def _measured(self) -> tuple[float, ...]:
-        """Return the variances of what is measured."""
+        """Return the variances of the measured quantities."""
         noise = self._noise
         return (noise.position**2, noise.velocity**2)[: 1 + self._problem.inertial]
 
     def observe(self, odometry: Odometry, history: CommandHistory) -> None:
-        """Take in a measurement; stamps that do not increase are passed over."""
+        """Take in a measurement; it is ignored if its stamp does not increase."""
         last = self._last
         if last is not None and odometry.time <= last.time:
             return
@@ -380,7 +380,7 @@ class Estimator:
             self._correct(odometry, time)
 
     def hear(self, wind: WindReport) -> None:
-        """Take in a reported wind, once; reports that follow soon add as little as they are new."""
+        """Take in a reported wind, once; the sooner it follows another, the less it counts."""
         since = wind.time - self._reported
         if since <= 0.0:
             return
@@ -391,19 +391,19 @@ class Estimator:
         self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
 
     def _learn(self, rows: Array, missed: Array, variances: Array) -> None:
-        """Correct the state by what ``rows`` of it, shape (M, 3), were measured to be beyond it.
+        """Correct the state by measurements of its components ``rows``, shape (M, 3).
 
-        ``variances``, shape (M,), are those of the measurements; ``missed`` has shape (M, n).
+        ``missed``, shape (M, n), are innovations, ``variances``, shape (M,), of the measurements.
         """
         spread = rows @ self._covariance @ rows.T + np.diag(variances)
         gain = self._covariance @ rows.T @ np.linalg.inv(spread)
         self._estimate = self._estimate + gain @ missed
         left = np.eye(3) - gain @ rows
-        # Joseph's form: symmetric and positive whatever is rounded.
+        # Joseph's form stays symmetric and positive under rounding.
         self._covariance = left @ self._covariance @ left.T + gain * variances @ gain.T
 
     def limit(self) -> str:
-        """Keep the whole disturbance within what the vehicle can work against; return if it is."""
+        """Limit the disturbance to what the vehicle can counteract; return a message if limited."""
         problem, given, whole = self._problem, self._given, self.disturbance
         known = REPORTED if self._reported > -math.inf else LARGEST
         size, most = float(np.linalg.norm(whole)), known * problem.forward
@@ -415,9 +415,9 @@ class Estimator:
         return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
 
     def _begin(self, odometry: Odometry) -> None:
-        """Take the measured airspeed for that with which the first command finds the vehicle.
+        """Take the measured airspeed as the initial one, at the first command.
 
-        Over ground it is known as well as the wind is, or as what the vehicle can fly.
+        Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
         """
         least = self._problem.least_speed
         source, noise = self._velocity_source, self._noise.velocity
@@ -429,23 +429,23 @@ class Estimator:
         self._estimate[1] = 0.0
 
     def _doubt(self) -> None:
-        """Forget how well the disturbance is known: it has shifted."""
+        """Reset the uncertainty of the disturbance to its prior: it has shifted."""
         self._forget(2, self._noise.prior**2)
         self._leaning = np.zeros_like(self._leaning)
 
     def _forget(self, row: int, variance: float) -> None:
-        """Let a part of the state be known by no more than its variance."""
+        """Reset a component of the state to a variance, without correlations."""
         self._covariance[row] = self._covariance[:, row] = 0.0
         self._covariance[row, row] = variance
 
     def _seen(self, odometry: Odometry) -> Array:
-        """Return what is measured: the position, and at order 2 the velocity; shape (1 or 2, n)."""
+        """Return the measured position, at order 2 also the velocity; shape (1 or 2, n)."""
         if not self._problem.inertial:
             return odometry.position[None]
         return np.array([odometry.position, odometry.attitude @ odometry.body_velocity])
 
     def _believe(self, odometry: Odometry) -> None:
-        """Take the measurement for the state, which says nothing about the disturbance."""
+        """Reset the state to the measurement, which carries no information on the disturbance."""
         seen = self._seen(odometry)
         self._estimate[: len(seen)] = seen
         for row, variance in enumerate(self._measured):
@@ -453,7 +453,7 @@ class Estimator:
         self.innovation, self.refused = 0.0, 0
 
     def _moved(self, last: Odometry, now: Odometry, history: CommandHistory) -> Array | None:
-        """Return what commands and the given disturbance did since, shape (1 or 2, n); or None."""
+        """Return the motion by commands and given disturbance since, shape (1 or 2, n), or None."""
         time = now.time - last.time
         share = self._mean_share(last, now, history)
         if time > GAP or share is None:
@@ -466,13 +466,13 @@ class Estimator:
         return np.array([place, time * (last.attitude @ once + given)])
 
     def _mean_share(self, last: Odometry, now: Odometry, history: CommandHistory) -> float | None:
-        """Return the mean share of full speed, or thrust, in between; None if it is unknown."""
+        """Return the mean share of full speed or thrust between measurements; None if unknown."""
         if self._as_measured:
             return 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / self._problem.forward
         return history.mean(last.time, now.time, self._lag, self._begun)
 
     def _predict(self, moved: Array, time: float) -> None:
-        """Move the state on by so much, and by itself for a time [s]."""
+        """Propagate the state by a time [s], with known increments ``moved``."""
         step, driven = np.eye(3), np.array([0.0, 1.0, 0.0])
         step[:2, 2] = 0.5 * time * time, time
         step[0, 1] = driven[0] = time
@@ -487,7 +487,7 @@ class Estimator:
         self._covariance = step @ self._covariance @ step.T + spread
 
     def _correct(self, odometry: Odometry, time: float) -> None:
-        """Learn from a measurement a time [s] after the last, unless it is out of the question."""
+        """Update with a measurement, a time [s] after the last, unless it is an outlier."""
         seen = self._seen(odometry)
         count, unit = len(seen), self._problem.forward
         missed = seen - self._estimate[:count]
@@ -509,25 +509,25 @@ class Estimator:
 
 
 class Start(NamedTuple):
-    """Where a plan starts."""
+    """Initial state of a plan."""
 
-    odometry: Odometry  # what to plan from
+    odometry: Odometry  # initial motion of the plan
     state: dict[str, Any]  # the same as arguments of State.at
-    told: dict[str, Any]  # of how it was found: fields of a decision
-    limited: str  # that the estimate was limited, in words; empty if not
-    odd: str  # that the speed is not one that the model knows, in words; empty if it is
+    told: dict[str, Any]  # fields of a decision on how it was found
+    limited: str  # message if the estimate was limited; otherwise empty
+    odd: str  # message if the speed is outside the range of the model; otherwise empty
 
 
 class Compensator:
-    """Moves measurements on to where plans start, by the commands sent of late.
+    """Propagates measurements to the start of plans, along the recent commands.
 
     Arguments are those of :class:`orbimpc_ros.loop.planner.Planner`.
 
     Attributes:
-        history: the commands of late.
-        due: the command of the step that begins, of a vehicle that lags; None where it is the last.
+        history: the recent commands.
+        due: the command of the step that begins, of a vehicle with lags; None if it is the last.
         response: lags of the vehicle.
-        disturbance: known or estimated by now, shape (n,); None for none.
+        disturbance: given or estimated so far, shape (n,); None for zero.
     """
 
     def __init__(
@@ -551,14 +551,14 @@ class Compensator:
             self._estimator = Estimator(*known, measured=sideslip)
 
     def start_afresh(self, *, wind: bool = False) -> None:
-        """Forget where the vehicle was, when commands were sent and, with ``wind``, what blows."""
+        """Forget the vehicle's state, command times and, with ``wind``, the disturbance."""
         self.history.forget()
         self.due = None
         if self._estimator is not None:
             (self._estimator.reset if wind else self._estimator.start_afresh)()
 
     def continue_from(self, other: Compensator) -> None:
-        """Take over what another one remembers."""
+        """Take over the memory of another compensator."""
         self.history, self.due = other.history, other.due
         if self._estimator is not None and other._estimator is not None:
             self._estimator.continue_from(other._estimator)
@@ -575,16 +575,16 @@ class Compensator:
         now: float | None = None,
         wind: WindReport | None = None,
     ) -> Start:
-        """Return where a plan starts that follows a measurement by a ``latency`` [s].
+        """Return the start of a plan that follows a measurement by a ``latency`` [s].
 
-        ``now`` is when its command is in force, on the clock of the commands sent [s]; None where
-        delays are not compensated.
+        ``now`` is when its command takes effect, on the clock of sent commands [s]; None if delays
+        are not compensated.
         """
         odometry = along_the_air(measured) if self._sideslip else measured
         limited = self._estimate(odometry, wind)
         coming = [] if now is None else self.history.intervals(now - latency, now)
         if coming and self.response.lags:
-            # For a time that is short against its lags, a vehicle goes on as it was measured.
+            # Over a time that is short compared with its lags, a vehicle continues as measured.
             whole = sum(each.duration for each in coming)
             coming = [Interval(whole, None, self.history.last)]
         known = self.disturbance, self._velocity_source
@@ -599,7 +599,7 @@ class Compensator:
         return Start(odometry, self.state(odometry), told, limited, self.odd_speed(odometry))
 
     def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
-        """Learn the disturbance from a measurement; return that it is limited, if it is."""
+        """Update the disturbance with a measurement; return a message if it was limited."""
         if self._estimator is None:
             return ''
         self._estimator.observe(odometry, self.history)
@@ -610,10 +610,10 @@ class Compensator:
         return limited
 
     def _settled(self, measured: Odometry) -> Odometry:
-        """Return where a vehicle without lags would have to be to fly the same, a lag later.
+        """Return the state from which a vehicle without lags would fly the same path, a lag later.
 
-        What a thrust that settles from f to c leaves is a speed of z tau (f - c), whenever it is
-        looked at; the turn that is left over turns the axis of it meanwhile.
+        A thrust that settles from f to c leaves a residual speed of z tau (f - c) at all times; its
+        axis is turned by the remaining rotation.
         """
         problem, response, coming = self._problem, self.response, self.coming
         if not response.lags:
@@ -643,10 +643,9 @@ class Compensator:
     def state(self, odometry: Odometry) -> dict[str, Any]:
         """Return the state there, as arguments of State.at: R_0 = sigma_0 Q_0, in conv SO(n).
 
-        At translation order 1 sigma_0 is the measured share of full speed, but with ``max_rate``
-        the one that commands have led to: a gust is no change of speed that a plan has to make up
-        for, and a vehicle in a dead band would never be told more than a step from the speed that
-        it has.
+        At translation order 1, sigma_0 is the measured share of full speed; with ``max_rate``, the
+        share reached by commands: plans must not correct speed changes by gusts, and a vehicle with
+        a dead band would never be sent a speed more than one step from its own.
         """
         problem, coming, velocity = self._problem, self.coming, None
         applied = 0.0 if coming is None else coming.speed_fraction
@@ -673,9 +672,9 @@ class Compensator:
         }
 
     def odd_speed(self, odometry: Odometry) -> str:
-        """Return that the measured speed is not one that the model knows, in words; else empty.
+        """Return a message if the measured speed is outside the model's range; otherwise empty.
 
-        Such a speed counts as the nearest that it does: none, or full speed.
+        Such a speed is clipped to zero or full speed.
         """
         full = self._problem.forward
         speed = airspeed(odometry, self.disturbance, self._velocity_source)
@@ -685,11 +684,11 @@ class Compensator:
         return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'
 
     def held_back(self, problem: Problem, plan: Plan, command: Command) -> Command:
-        """Return what to send now of a plan's first command, which becomes due.
+        """Return the command to send now, given the first command of a plan, which becomes due.
 
-        At second order the model takes a command over at the end of a step: a vehicle that obeys
-        at once is sent in this one what was commanded before. With ``exact`` steps thrust changes
-        evenly from one to the other.
+        At second order, the model adopts a command at the end of a step: a vehicle that responds at
+        once is sent the previous command during this step. With ``exact`` steps, thrust changes
+        linearly between both.
         """
         before, self.due = self.coming, command
         fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation

@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Fallbacks where there is no new plan: a clear way among hazards, or the safe command.
+"""Fallbacks without a new plan: a clear path among hazards, or the safe command.
 
-Without a floor ``max_rate`` bounds chords, and at a low speed a short chord is a wide angle: a plan
-may pass a body by a turn that is cut when it is flown. So each plan is *steered*: its headings are
-followed as fast as the vehicle turns. Where its first steps then meet a hazard, a clear way that
-takes no search is flown instead; without any plan, the clearest of these ways.
+Without a floor, ``max_rate`` bounds chords, and at low speed a short chord spans a wide angle: a
+plan may pass a body by a turn that the vehicle cannot complete. So each plan is *steered*: its
+headings are followed at the vehicle's turn limit. If its first steps then meet a hazard, a clear
+path found without search is flown instead; without any plan, the clearest of these paths.
 
 Mathematics: docs/mathematics.md, 7.7 and 7.12.
 """
@@ -30,22 +30,22 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
-SURE_STEPS = 4  # of a steered plan, that have to be clear
-TOUCHING = 1e-6  # of a step's length
-SAME = 1e-2  # of a step's length: ways that differ by less stay out as far
+SURE_STEPS = 4  # first steps of a steered plan that must be clear
+TOUCHING = 1e-6  # in units of a step's length
+SAME = 1e-2  # in units of a step's length: smaller differences of distance count as equal
 SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter', 'hover')
-CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
+CIRCLE_STEPS = 16  # steps in which a loitering vehicle completes its circle
 
 
 def is_clear(task: Task, plan: Plan) -> bool:
-    """Return whether the first steps of a checked plan stay clear of hazards with turns cut."""
+    """Return True if the first steps of a checked plan, steered, stay clear of hazards."""
     if not cuts_turns(task.problem):
         return True
     return _suffices(task.problem, _room(task, plan, SURE_STEPS))
 
 
 def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
-    """Return the cheapest of some plans that pass their check and are clear; None if none is."""
+    """Return the cheapest of the plans that pass their check and are clear, or None."""
     for each in sorted(plans, key=attrgetter('objective')):
         if holds(*task.known, each) and is_clear(task, each):
             return each
@@ -53,10 +53,10 @@ def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
 
 
 def clear_instead(task: Task, plan: Plan) -> Plan:
-    """Return the cheapest way that is clear when steered instead of a plan that is not.
+    """Return the cheapest fallback path that is clear when steered, in place of a plan that is not.
 
-    Where none is, that way or plan whose first steps stay the farthest out of hazards. The bound of
-    the plan holds for what takes its place.
+    Without one, return the path or plan whose first steps keep farthest from hazards. The bound of
+    the plan also holds for its replacement.
     """
     ways = [*_ways(task, plan.proof)]
     found = cheapest_clear(task, ways)
@@ -67,12 +67,12 @@ def clear_instead(task: Task, plan: Plan) -> Plan:
 
 
 def clearest(task: Task) -> tuple[Plan | None, float]:
-    """Return the way that stays out of hazards the most, and how far outside of them it is [m].
+    """Return the fallback path that keeps farthest from hazards, and its distance from them [m].
 
-    Of ways that meet all else: the rest of the plan before, straight ones and turns to all sides;
-    None if none does. The longest clear comes first, since what is met late can still be passed by
-    a later plan. From inside of a hazard all ways are as far out as their start: then where they
-    end decides.
+    Candidates meet all other constraints: the remainder of the previous plan, straight paths, and
+    turns to all sides; None without any. The longest clear one comes first, since later plans can
+    still avoid a later conflict. From inside a hazard, all paths are as far outside as their start;
+    then the distance at their end decides.
     """
     problem, alone = task.problem, replace(task, state=replace(task.state, hazards=()))
     rest = [] if task.rest is None else [replace(task.rest, proof=UNPROVED)]
@@ -92,31 +92,31 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
 
 
 def _clear_steps(task: Task, plan: Plan) -> int:
-    """Return how many of a plan's first steps are clear of hazards."""
+    """Return the number of a plan's first steps that are clear of hazards."""
     steps = range(1, plan.horizon + 1)
     return bisect_left(steps, True, key=lambda n: not _suffices(task.problem, _room(task, plan, n)))
 
 
 def _suffices(problem: Problem, room: float) -> bool:
-    """Return whether a distance out of hazards [m] counts as clear of them."""
+    """Return True if a distance from hazards [m] counts as clear."""
     return room >= -TOUCHING * problem.length_unit
 
 
 def _end(task: Task, plan: Plan) -> float:
-    """Return how far outside of hazards a plan ends [m]."""
+    """Return the distance of the end of a plan from hazards [m]."""
     over, place = np.array([task.problem.step * plan.horizon]), plan.positions[-1:]
     return min(-float(each.body.depth(place - each.moved(over))[0]) for each in task.state.hazards)
 
 
 def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
-    """Yield plans that take no search, held against a proof; turns first, which lead aside."""
+    """Yield plans found without search, checked against a proof; turns first, which evade."""
     for rotations in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
         x = coordinates(rotations)
         yield assemble(*task.known, x, projection=task.projection, proof=proof)
 
 
 def _room(task: Task, plan: Plan, steps: int) -> float:
-    """Return how far outside of hazards the first steps of a plan are when it is steered [m]."""
+    """Return the distance of the first steps of a plan, when steered, from hazards [m]."""
     steps, (problem, state, goals) = min(steps, plan.horizon), task.known
     part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
     if cuts_turns(problem):
@@ -126,13 +126,13 @@ def _room(task: Task, plan: Plan, steps: int) -> float:
 
 
 def cuts_turns(problem: Problem) -> bool:
-    """Return whether commands may turn less than plans of a problem, in the plane."""
+    """Return True if commands in the plane may turn less than the plans of a problem."""
     planar = problem.dimension == 2 and problem.rotation_order == 1
     return planar and problem.max_rate > 0.0 and not problem.turns_are_angles
 
 
 def _steered(problem: Problem, state: State, x: Array) -> Array:
-    """Return headings followed by turns that the vehicle can make, shape (N, 2); (7.2a)."""
+    """Return headings, followed at the turn limit of the vehicle, shape (N, 2); (7.2a)."""
     widest, followed = problem.max_rate * problem.step, np.zeros_like(x)
     angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
     for k, (along, aside) in enumerate(x.tolist()):
@@ -146,10 +146,10 @@ def _steered(problem: Problem, state: State, x: Array) -> Array:
 
 
 def decided(kind: str, problem: Problem, gravity: float = 0.0) -> str:
-    """Return the kind of safe command that ``auto`` stands for, and any other kind as it is.
+    """Return the kind of safe command that ``auto`` selects; return other kinds unchanged.
 
-    A vehicle with a minimum speed circles. A minimum thrust does not make it circle: stopping the
-    engine is then what coasting is. Under gravity [m/s^2] that is to fall: there it hovers.
+    A vehicle with a minimum speed circles. One with a minimum thrust does not: stopping its engine
+    means coasting. Under gravity [m/s^2], coasting means falling, and the vehicle hovers instead.
     """
     if kind != 'auto':
         return kind
@@ -160,7 +160,7 @@ def decided(kind: str, problem: Problem, gravity: float = 0.0) -> str:
 
 
 def may_stop(kind: str, problem: Problem) -> bool:
-    """Return whether the safe command may be below the floor: as it was asked for, or coasts."""
+    """Return True if the safe command may be below the floor: it stops, or the vehicle coasts."""
     return decided(kind, problem) == 'stop' or problem.inertial
 
 
@@ -174,18 +174,18 @@ def safe_command(
     """Return a safe command.
 
     Args:
-        kind: ``auto``: as :func:`decided`; ``stop``: no speed or thrust, no turning;
+        kind: ``auto``: see :func:`decided`; ``stop``: no speed or thrust, no turning;
             ``hold_rate_zero``: the present speed, at least the floor, no turning (translation order
-            2: to coast); ``loiter``: a level circle at the least speed, or at full speed without a
+            2: coasting); ``loiter``: a level circle at the least speed, or at full speed without a
             floor, to which the speed changes as ``max_acceleration`` allows; ``hover`` (order 2):
-            the thrust that :func:`carrying` has, no turning.
-        problem: gives floor and limits.
+            the thrust of :func:`carrying`, no turning.
+        problem: source of floor and limits.
         attitude: the present one, shape (n, n).
-        fraction: share of full speed commanded last, in [0, 1].
-        disturbance: the acceleration to hover against, shape (n,) [m/s^2]; None for none.
+        fraction: last commanded share of full speed, in [0, 1].
+        disturbance: acceleration to hover against, shape (n,) [m/s^2]; None for zero.
     """
     kind = decided(kind, problem)
-    if kind == 'stop':  # at once: what brakes does so as fast as it can
+    if kind == 'stop':  # without limit: a braking vehicle decelerates as fast as it can
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
     least = problem.least_speed
@@ -203,9 +203,9 @@ def safe_command(
 
 
 def entry_of_safety(problem: Problem, fraction: float) -> float:
-    """Return the share of full speed that the change by a safe command counts from.
+    """Return the share of full speed from which a safe command changes the speed.
 
-    That commanded last, or what every heading has at least with a floor: up to it, at once.
+    It is the last commanded share; with a floor, at least the share allowed in all headings.
     """
     if not problem.floor.exists:
         return fraction
@@ -213,11 +213,11 @@ def entry_of_safety(problem: Problem, fraction: float) -> float:
 
 
 def carrying(problem: Problem, attitude: Array, acceleration: Array) -> float:
-    """Return the share of full thrust that carries a vehicle against an acceleration, in [0, 1].
+    """Return the share of full thrust that supports a vehicle against an acceleration, in [0, 1].
 
-    Not turned, since the attitude may not be measured any more: so much thrust that along the
-    acceleration, shape (n,) [m/s^2], nothing is left. Tilted so far that full thrust would not do
-    that, as much as leaves the least acceleration altogether.
+    The attitude is kept, since it may no longer be measured. The thrust cancels the acceleration,
+    shape (n,) [m/s^2], along its own direction. If the tilt is too large for that even at full
+    thrust, the total remaining acceleration is minimised instead.
     """
     weight = float(np.linalg.norm(acceleration))
     if weight == 0.0:

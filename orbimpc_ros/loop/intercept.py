@@ -1,40 +1,40 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Interception: the earliest step of a plan that can catch the goal, and that none before it can.
+"""Interception: the earliest step at which a plan can catch the goal, with a proof of none before.
 
-To be near a goal on average is not to touch it. For each step k that the goal is within reach of, a
-problem of k steps asks for the least miss |s_k - g_k|, and next to nothing else:
+Tracking a goal on average does not guarantee a catch. For each step k at which the goal is within
+reach, a problem of k steps minimises the miss |s_k - g_k|, and next to nothing else:
 
     minimise |s_k - g_k|^2 + r (|u_0|^2 + ... + |u_{k-1}|^2),
 
-with r so small that the inputs of no trajectory cost more than a share of the squared radius.
-Whatever catches the goal at step k then costs at most (1 + share) radius^2: a greater lower bound
-proves that nothing does. The first step whose plan comes well within the radius is aimed at, or
-else the one whose plan comes closest, if that is within the radius.
+with r so small that the inputs of no trajectory cost more than a share of the squared radius. Any
+catch at step k costs at most (1 + share) radius^2: a greater lower bound proves that there is none.
+The aim is the first step whose plan ends well within the radius, or else the one with the smallest
+miss, if that is within the radius.
 
-Where no step of the horizon has a catch, one is looked for beyond it, by as many steps that are
-longer: so a vehicle that cannot stop finds the way out and back to a goal inside its smallest
-circle. It keeps to the time at which it means to catch the goal, unless it can be sooner; to look
-anew each time could put the catch off for ever.
+If there is no catch within the horizon, later ones are sought with the same number of longer steps:
+so a vehicle that cannot stop finds the way out and back to a goal inside its smallest circle. The
+planned time of such a catch is kept unless an earlier one is found; searching anew each time could
+postpone it forever.
 
-With a cone of approach a catch counts only if its last heading is inside of it, and well within
-means inside of a narrower cone, too.
+With an approach cone, a catch counts only if its last heading is inside the cone; "well within"
+then also means inside a narrower cone.
 
-A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
-wind and the model are no better than that.
+If a planned catch is narrowly lost, the vehicle still flies towards it: forecast, wind and model
+are not more accurate than that.
 
-An ``exact`` step takes the chord between the thrust axes at its ends; a vehicle turns along the
-arc, and its speed follows with a lag. Plans are made anew for a goal moved by the difference at
+An ``exact`` step integrates the chord between the thrust axes at its ends; the vehicle turns along
+the arc, and its speed lags. Plans are solved again for a goal shifted by the resulting error at
 their end, their *defect* (iterated defect correction).
 
-Between the ends of two steps, shorter steps are tried where it is known where the goal is then:
-before the end of a step that has a catch, and within steps that could have led past the goal, so
-finely that no radius is jumped over. A command is obeyed until the next tick, which may come after
-the first of these steps. Then none is tried but where turns are limited, or take place within a
-step; and none that would turn by more than half a turn until then.
+Between the ends of two steps, shorter steps are tried if the goal's position is known then: before
+the end of a step that has a catch, and within steps that may pass the goal, finely enough not to
+skip a radius. A command remains in force until the next tick, which may come after the first
+shorter step. In that case, they are tried only if turns are limited or take place within a step,
+and not if the vehicle would turn by more than half a turn until the tick.
 
-The first catch turns at once and as fast as it may, for a centimetre's sake; a vehicle whose turns
-take time swings about such plans. On demand a catch is *centred*: it ends at the same time, a
-little short of that, and heads through the middle of the goal, so that turns are gentle.
+The earliest catch turns at once and as fast as possible to gain a centimetre; a vehicle with lags
+in its turns oscillates about such plans. A catch can be *centred* instead: it ends at the same
+time, slightly short of the goal, and heads through the goal's centre, so that turns are gentle.
 
 Mathematics: docs/mathematics.md, 7.10.
 """
@@ -64,32 +64,32 @@ from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
 
-AIM = 0.95  # of the radius, within which the plan of a catch ends
-NARROW = 0.5  # of radius and cone, where a heading is asked for: gusts leave some of it
-GRAZE = 1.5  # radii: a goal missed by no more is still flown at
-SLACK = 0.5  # of that, by which a plan that leads through the middle ends before it
-TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
-WORTH = 0.01  # of the radius, by which another plan for the same end should come nearer
-EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
-LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
-FARTHEST = 4  # times the horizon, to look beyond it
-COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
+AIM = 0.95  # of the radius: largest miss of the plan of a catch
+NARROW = 0.5  # of radius and cone, if a heading is required: a margin for gusts
+GRAZE = 1.5  # radii: a goal missed by at most this is still flown at
+SLACK = 0.5  # of the largest miss: distance of the end of a centred plan before the goal
+TRIES = 3  # plans for one end, each for a goal shifted by the defect of the one before
+WORTH = 0.01  # of the radius: improvement that justifies another plan for the same end
+EFFORT = 0.1  # of the squared radius: largest cost of the inputs of a plan
+LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, for half a turn
+FARTHEST = 4  # horizons: latest catch that is sought
+COARSEST, FINEST = 0.25, 0.0625  # of a step: range of the resolution of the time of a catch
 TINY = 1e-9  # [m]
 MEMORY = 256  # problems
-SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
+SHARPEST = 0.5 * math.pi  # turn within a step, above which the path is too inaccurate
 
 
 @dataclass(frozen=True)
 class Intercept:
-    """How soon the goal can be caught, as far as it is known.
+    """The earliest catch of the goal, as far as it is known.
 
     Attributes:
-        time: when the plan catches it, from its start [s]; nan if no plan was found that does.
-        bound: no trajectory of the problem's own steps catches it at the end of one before this
-            time [s]; that of the first step past the horizon if none catches it at all. Where a
-            catch between two ends is sooner, its time.
-        sought: what both are about.
-        counted: up to when the bound was verified by code that shares nothing with the solvers [s].
+        time: when the plan catches it, from its start [s]; nan if no catching plan was found.
+        bound: proved: no trajectory catches it at the end of one of the problem's steps before this
+            time [s]; the end of the first step past the horizon if none in it has a catch. If a
+            catch between two ends is earlier, its time.
+        sought: what time and bound refer to.
+        counted: time up to which the bound was verified independently of the solvers [s].
     """
 
     time: float
@@ -99,33 +99,33 @@ class Intercept:
 
     @property
     def checked(self) -> bool:
-        """Return whether all of the bound was verified."""
+        """Return True if the whole bound was verified."""
         return self.bound <= self.counted
 
 
 def steps_before(bound: float, step: float) -> int:
-    """Return how many steps [s] end before a time [s], but for rounding."""
+    """Return the number of steps [s] that end before a time [s], up to rounding."""
     return max(0, math.ceil(bound / step - TINY) - 1)
 
 
 def catching(problem: Problem, radius: float, end: float) -> Problem:
-    """Return the problem of coming as close as possible to the goal at an end, counted in steps.
+    """Return the problem of minimising the miss at an end, in units of steps.
 
-    Within a step all are shorter; beyond the horizon as many are longer, and turns within them are
-    integrated, however the shorter ones are.
+    An end within a step shortens all steps. One beyond the horizon lengthens them; turns within
+    longer steps are integrated, whatever the discretisation of the original ones.
     """
     steps = min(math.ceil(end), problem.horizon)
     length = problem.step if end == steps else problem.step * end / steps
     how = 'exact' if end > steps else problem.discretisation
     change = LARGEST_CHANGE / length**2
     if problem.rotation_order == 2:
-        change *= 4.0 / length**2  # a change, and back
+        change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
     return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
 
 
 class Target(NamedTuple):
-    """When a goal is to be caught, counted in steps, and whether inside of the narrower cone."""
+    """End of a catch, in units of steps, and whether to use the narrower cone."""
 
     end: float
     narrow: bool = False
@@ -133,26 +133,26 @@ class Target(NamedTuple):
 
 @dataclass
 class InterceptQuery:
-    """What an intercept is looked for with."""
+    """Inputs of a search for an intercept."""
 
-    task: Task  # of tracking the goal, without what moves
-    motion: GoalMotion | None  # None where the goal is known at the ends of the task's steps alone
-    now: float  # when the task begins, on the clock of the motion [s]
+    task: Task  # of tracking the goal, without hazards
+    motion: GoalMotion | None  # None if the goal is known only at the ends of the task's steps
+    now: float  # start of the task, on the clock of the motion [s]
     pause: float = math.inf  # between ticks, in steps
-    expected: float = 0.0  # the end at which the goal was to be caught, in steps; 0 or less if none
-    most: float = math.inf  # plans that are tried
+    expected: float = 0.0  # planned end of the catch, in steps; none if not positive
+    most: float = math.inf  # largest number of plans tried
     tried: int = 0
 
     def late(self) -> bool:
-        """Return whether time is up, or enough was tried."""
+        """Return True if the deadline has passed, or the limit of plans is reached."""
         late = self.task.late
         return self.tried >= self.most or (late is not None and late())
 
 
 class _Attempt(NamedTuple):
-    """A plan that comes as close to the goal at an end as was found, and whether none catches it.
+    """The plan found nearest to the goal at an end; ``never``: a catch there is refuted.
 
-    That none does is ``checked`` where it was verified.
+    The refutation has been verified if ``checked``.
     """
 
     found: tuple[Task, Answer] | None = None
@@ -163,24 +163,24 @@ class _Attempt(NamedTuple):
 
     @property
     def plan(self) -> Plan | None:
-        """Return the plan, if there is one."""
+        """Return the plan, or None."""
         return None if self.found is None else self.found[1][0]
 
 
 MISSED = _Attempt()
-NEVER = _Attempt(never=True)  # too far away, or nothing leads into the cone of approach
+NEVER = _Attempt(never=True)  # too far away, or no trajectory ends in the approach cone
 _miss = attrgetter('miss')
 
 
 class Interception:
-    """Looks for the earliest catch within a radius [m].
+    """Searches for the earliest catch within a radius [m].
 
     Args:
-        problem: what is solved where no catch is found, with the cone of approach of a catch.
+        problem: the problem solved without a catch, with the approach cone of a catch.
         radius: within which the goal is caught [m].
-        solver_for: makes a solver of a problem; ``enough`` as of :class:`Solver`.
+        solver_for: makes the solver of a problem; ``enough`` as for :class:`Solver`.
         lag: of the speed [s].
-        centred: whether a catch leads through the middle of the goal, with a little to spare.
+        centred: whether a catch leads through the centre of the goal, with a small margin.
     """
 
     def __init__(
@@ -198,13 +198,13 @@ class Interception:
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
         self._finest = _finest(problem, radius)
-        self._divides = problem.rotation_order == 1  # at order 2, what coasts does so for a step
+        self._divides = problem.rotation_order == 1  # at order 2, coasting lasts for a whole step
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
         self.problem = lru_cache(maxsize=MEMORY)(self._problem)
         self.solver = lru_cache(maxsize=MEMORY)(self._solver)
-        for end in range(1, self._horizon + 1):  # what nearly every search tries
+        for end in range(1, self._horizon + 1):  # used by nearly every search
             for narrow in (False, True) if self._coned else (False,):
                 self.solver(Target(end, narrow))
 
@@ -216,9 +216,9 @@ class Interception:
         return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
 
     def enough(self, end: float) -> Enough:
-        """Return what settles whether the goal is caught at an end.
+        """Return the bounds that decide whether the goal is caught at an end.
 
-        Past the horizon any way will do; within it the best one is wanted.
+        Past the horizon, any plan well within the radius will do; within it, the best is wanted.
         """
         squared = self._radius**2
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
@@ -228,12 +228,12 @@ class Interception:
         return self._solver_for(self.problem(target), enough=self.enough(target.end))
 
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
-        """Return the task of the earliest catch with its answer, and how early one can be.
+        """Return the task of the earliest catch with its answer, and bounds of its time.
 
-        Without a catch, None. Where the catch that was flown towards has just been lost by
-        little, it is the task of the nearest miss, without a time.
+        Without a catch, the former is None. If the catch flown towards has just been narrowly lost,
+        it is the task of the nearest miss, and no time is returned.
         """
-        # Past the horizon that takes a search, which comes first; elsewhere it may not be needed.
+        # Past the horizon this takes a search and comes first; else it may be unnecessary.
         held = self._held(query) if query.expected > self._horizon else None
         best, bound, counted = self._in_view(query)
         near = self._radius < best.miss <= GRAZE * self._radius
@@ -242,7 +242,7 @@ class Interception:
         never = Intercept(math.nan, self._step * bound, sought, self._step * counted)
         if near and 0 < query.expected <= self._horizon:
             return best.found, never
-        if best.miss > self._radius:  # not even nearly
+        if best.miss > self._radius:  # not even narrowly
             rest, kept = held or self._held(query)
             best = self._sooner(query, kept) if kept.plan else self._beyond(query)
             if best.plan is None:
@@ -259,7 +259,7 @@ class Interception:
         return best.found, catch
 
     def _goals(self, query: InterceptQuery, end: float) -> Array:
-        """Return where the goal is at the ends of the steps up to an end, shape (N or less, n)."""
+        """Return the positions of the goal at all steps up to an end, shape (N or less, n)."""
         known, motion = query.task.goals, query.motion
         if motion is None or (end <= len(known) and end == int(end)):
             return known[: int(end)]
@@ -267,20 +267,20 @@ class Interception:
         return motion.at(query.now + problem.step * np.arange(1.0, problem.horizon + 1.0))
 
     def _last(self, query: InterceptQuery) -> int:
-        """Return the last end at which a catch is looked for."""
+        """Return the last end at which to search for a catch."""
         return len(query.task.goals) if query.motion is None else self.farthest
 
     def _in_view(self, query: InterceptQuery) -> tuple[_Attempt, int, int]:
-        """Return the first catch in the horizon, or the nearest miss, and the bound in steps.
+        """Return the first catch within the horizon, or the nearest miss, and the bound in steps.
 
-        Then up to where that was verified. Each end before the bound is proved to have no catch.
+        The last value is its verified part. All ends before the bound are proved to have no catch.
         """
         bound, counted, best = 1, 1, MISSED
         goals = self._goals(query, self._horizon)
         too_far = self._too_far(query.task.state, goals, self._tracked)
         surely = missed(self._tracked, query.task.state, goals, self._radius)
         moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
-        # So far a step takes a vehicle past the goal at most.
+        # Largest relative motion of vehicle and goal in a step.
         travel = self._step * self._tracked.forward + float(moved.max(initial=0.0))
         for end in range(1, self._horizon + 1):
             attempt = NEVER if too_far[end - 1] else self._tried(query, end, goals[:end])
@@ -297,7 +297,7 @@ class Interception:
         return best, bound, counted
 
     def _flown_on(self, query: InterceptQuery) -> _Attempt:
-        """Return what becomes of the goal when the plan before is flown to its end."""
+        """Return the attempt of flying the remainder of the previous plan to its end."""
         end = query.expected
         whole = end.is_integer()
         if not (0.0 < end <= self._last(query) and (whole or self._may(query, end))):
@@ -314,9 +314,9 @@ class Interception:
         return _Attempt((task, answer), end, miss)
 
     def _held(self, query: InterceptQuery) -> tuple[_Attempt, _Attempt]:
-        """Return what becomes of the goal when the plan before is flown on, and the catch to keep.
+        """Return the attempts of flying the previous plan on, and of the catch to keep.
 
-        That is the same or, where it misses past the horizon, a new plan for about the same time.
+        Both are the same unless that misses past the horizon: then a new plan for about its time.
         """
         rest = self._flown_on(query)
         if rest.miss <= self._radius:
@@ -328,7 +328,7 @@ class Interception:
     def _beyond(self, query: InterceptQuery) -> _Attempt:
         """Try to catch the goal past the horizon.
 
-        How much later than so far is doubled until a catch is found, and then halved.
+        The distance to the last miss is doubled until there is a catch, and then bisected.
         """
         missed = max(self._horizon, min(math.ceil(query.expected), self._last(query)))
         for end in _doubling(missed, self._last(query)):
@@ -339,7 +339,7 @@ class Interception:
         return MISSED
 
     def _sooner(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
-        """Return a sooner catch than the one found, by twice as much each time, if there is one."""
+        """Return an earlier catch than the one found, if any, doubling the distance each time."""
         for away in (1, 2, 4, 8):
             sooner = self._surely(query, max(self._horizon, math.ceil(found.end) - away))
             if sooner.plan is None:
@@ -348,7 +348,7 @@ class Interception:
         return found
 
     def _between(self, query: InterceptQuery, missed: float, found: _Attempt) -> _Attempt:
-        """Return the first catch that halving finds between a miss and a catch."""
+        """Return the first catch that bisection finds between a miss and a catch."""
         while found.end - missed > 1:
             middle = (missed + found.end) // 2
             sooner = self._surely(query, middle)
@@ -359,7 +359,7 @@ class Interception:
         return found
 
     def _within(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
-        """Return the first catch that halving finds within the step at whose end one is found."""
+        """Return the first catch that bisection finds within the step that ends with a catch."""
         away = 0.5
         while away >= self._finest:
             sooner = self._at(query, found.end - away, self._radius)
@@ -369,9 +369,9 @@ class Interception:
         return found
 
     def _through_the_middle(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
-        """Return the catch that leads through the middle of the goal, if there is one.
+        """Return the catch at the same end through the centre of the goal, if there is one.
 
-        It ends at the same time, before the goal by what that is short of it, and a little more.
+        It ends short of the goal by the remaining distance of the given catch, and a little more.
         """
         target, goals = Target(found.end, narrow=self._coned), self._goals(query, found.end)
         if found.plan is None or len(goals) < 2:  # too late to change much
@@ -390,12 +390,12 @@ class Interception:
         return found._replace(found=through.found, miss=miss)
 
     def _off(self, query: InterceptQuery, target: Target, plan: Plan, goals: Array) -> Array:
-        """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
+        """Return the final position error of a vehicle that flies a plan, shape (n,) [m]."""
         astray = defect(self.problem(target), query.task.state, plan, self._lag)
         return np.asarray(plan.positions[-1] + astray - goals[-1])
 
     def _passing(self, query: InterceptQuery, end: int) -> _Attempt:
-        """Return the first catch in the step before an end that has none, or the nearest miss."""
+        """Return the first catch, or the nearest miss, within the step before an end."""
         best = MISSED
         for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
             best = min(best, self._at(query, float(end - away), GRAZE * self._radius), key=_miss)
@@ -413,7 +413,7 @@ class Interception:
         return found
 
     def _may(self, query: InterceptQuery, end: float) -> bool:
-        """Return whether a catch may be looked for between the ends of steps."""
+        """Return True if catches between the ends of steps may be tried."""
         allowed = self._turns_within or end / math.ceil(end) >= query.pause
         return query.motion is not None and self._divides and allowed
 
@@ -421,7 +421,7 @@ class Interception:
         return attempt.miss <= self._well(attempt.end)
 
     def _well(self, end: float) -> float:
-        """Return within what a catch at an end is well within the radius [m]."""
+        """Return the distance below which a catch at an end is well within the radius [m]."""
         return self._aim if end <= self._horizon else NARROW * self._radius
 
     def _surely(self, query: InterceptQuery, end: float) -> _Attempt:
@@ -439,9 +439,9 @@ class Interception:
         return self._attempted(query, target, goals, near)
 
     def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
-        """Try to catch the goal at an end, given where it is at the steps that lead there.
+        """Try to catch the goal at an end, given its positions at the steps up to it.
 
-        What only the wider cone allows is not well within, however close it comes.
+        A plan possible only in the wider cone is never well within, however small its miss.
         """
         near = GRAZE * self._radius
         if not self._coned:
@@ -457,10 +457,10 @@ class Interception:
     def _attempted(
         self, query: InterceptQuery, target: Target, goals: Array, near: float
     ) -> _Attempt:
-        """Try to catch the goal at an end, less the defect of the plans towards it.
+        """Try to catch the goal at an end, with correction of the defect.
 
-        Plans are made again where they are expected to miss by less than the one before, and by no
-        more than counts as ``near`` [m].
+        Plans are solved again while the expected miss is less than that of the one before, and at
+        most ``near`` [m].
         """
         found, aims = MISSED, goals
         for _ in range(TRIES):
@@ -476,7 +476,7 @@ class Interception:
             end = plan.positions[-1]
             astray = defect(self.problem(target), query.task.state, plan, self._lag)
             miss = float(np.linalg.norm(end + astray - goals[-1]))
-            if aims is goals:  # what is proved is about the goal itself
+            if aims is goals:  # only this proof concerns the goal itself
                 never = plan.proof.lower_bound > self.enough(target.end).bound
                 found = _Attempt((task, answer), target.end, miss, never, plan.proof.checked)
             elif miss < found.miss:
@@ -489,22 +489,22 @@ class Interception:
         return found
 
     def _expected(self, target: Target, left: Array, change: Array, miss: float) -> float:
-        """Return how near a plan will come to the goal if what is aimed at changes [m].
+        """Return the expected miss of a plan for an aim moved by ``change`` [m].
 
-        To first order, where the last one, which ``left`` so much to its aim, came as near to it as
-        any; no plan for an aim that changes by so much, which the defect does then too, is nearer
-        than the ``miss`` by more than twice that.
+        To first order, for a last plan that ended as near to its aim as possible, by ``left``. If
+        it ended well within the radius, nearer plans may exist, but none that improves on ``miss``
+        by more than twice the change, since aim and defect both move by it.
         """
         away, size = math.sqrt(left @ left), math.sqrt(change @ change)
-        if away <= self._well(target.end):  # where any way will do, there may be nearer ones
+        if away <= self._well(target.end):  # the solver stops early here, so nearer plans may exist
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
 
     def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
-        """Return at the end of which steps the goal is out of reach, even if R_0 were free.
+        """Return True for steps at whose end the goal is out of reach, even if R_0 were free.
 
-        A goal that the first step passes is out of reach at its end, and met within it. The problem
-        that is tracked tells it of all ends within the horizon at once.
+        A goal passed during the first step is out of reach at its end, but met within it. The
+        tracked problem yields this for all ends within the horizon at once.
         """
         reach = np.abs(problem.maps.reach).sum(axis=1)
         away = goals - drift(problem, state)
@@ -512,14 +512,14 @@ class Interception:
 
 
 def _first_turn(plan: Plan) -> float:
-    """Return the angle that a plan turns by in its first step [rad]."""
+    """Return the angle of turn of a plan in its first step [rad]."""
     return float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
 
 
 def _farthest(problem: Problem) -> int:
-    """Return the last end, in steps, at which a catch is looked for.
+    """Return the last end, in steps, at which to search for a catch.
 
-    Steps get no longer where a box between their ends would not be seen.
+    Steps are not lengthened if a box between their ends would be missed.
     """
     if problem.rotation_order == 2 or problem.boxes:
         return problem.horizon
@@ -530,13 +530,13 @@ def _farthest(problem: Problem) -> int:
 
 
 def _finest(problem: Problem, radius: float) -> float:
-    """Return the share of a step in which a vehicle flies no farther than a radius [m], bounded."""
+    """Return the share of a step that flies no farther than a radius [m], within bounds."""
     share = radius / (problem.step * problem.forward)
     return float(min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share)))))
 
 
 def _doubling(first: int, last: int) -> Iterator[int]:
-    """Return ends after ``first``, twice as far away each, and the last of all."""
+    """Return ends after ``first`` at doubling distances, and the last of all."""
     away = 1
     while first + away < last:
         yield first + away
@@ -546,10 +546,10 @@ def _doubling(first: int, last: int) -> Iterator[int]:
 
 
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
-    """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
+    """Return the final position error of a vehicle that follows a plan, shape (n,) [m].
 
-    Its speed has a ``lag`` [s]. Zero where thrust is an acceleration, where rates are commanded a
-    step ahead, and with ``euler`` steps.
+    Its speed has a ``lag`` [s]. It is zero if thrust is an acceleration, if rates are commanded one
+    step ahead, and for ``euler`` steps.
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
@@ -560,7 +560,7 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
 
 
 def _means(attitudes: Array) -> Array:
-    """Return the mean of the thrust axis in each step, (N, n), that turns evenly between them."""
+    """Return the mean thrust axis in each step, (N, n), for even turns between attitudes."""
     turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
     if turns.shape[-1] == 2:
         half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
@@ -572,7 +572,7 @@ def _means(attitudes: Array) -> Array:
 
 
 def _speeds(step: float, commanded: Array, lag: float) -> Array:
-    """Return the mean share of full speed in each step, (N,), a lag behind commands, (N + 1,)."""
+    """Return the mean share of full speed in each step, (N,), lagging commands, (N + 1,)."""
     left = math.exp(-step / lag) if lag else 0.0
     spread = lag / step * (1.0 - left)
     now, means = float(commanded[0]), []

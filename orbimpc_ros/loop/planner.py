@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's core: from a snapshot of all inputs to a checked command.
 
-Nothing here reads a clock or a message: the node, replays, studies and tests call the same
+It reads neither clocks nor messages: the node, replays, studies and tests call the same
 :meth:`Planner.step`.
 """
 
@@ -47,65 +47,65 @@ from orbimpc_ros.mpc.solve.solver import Solver
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
     from orbimpc_ros.mpc.proof.document import Refutation
 
-FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
-ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
-CATCHES_AMONG = 16  # plans of a catch that are tried among hazards
-SNAP = 1e-3  # of a step: so exact are stamps, and steps begun
+FALLBACK_TICKS = 2  # largest number of decisions that follow the shifted previous plan
+ARRIVAL_WEIGHT = 1e4  # of the miss, if an exact arrival has become impossible
+CATCHES_AMONG = 16  # largest number of plans of a catch tried among hazards
+SNAP = 1e-3  # of a step: tolerance of stamps and of remaining steps
 WAITING = Reason(Cause.WAITING, 'waits for odometry')
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """All that one decision is made of.
+    """All inputs of one decision.
 
     A goal is g_1..g_N at the planner's :meth:`Planner.ends`, shape (N, n) [m], or a motion, which
-    can be met beyond the horizon, too.
+    can also be met beyond the horizon.
     """
 
     odometry: Odometry | None = None  # the latest measurement; None before the first
     goal: Array | GoalMotion | None = None  # None before the first
-    wanted: Array | None = None  # attitude of the goal, shape (n, n); None for any
-    hazards: tuple[MovingObstacle, ...] = ()  # what moves, its time beginning with the plan
-    traffic: Traffic | None = None  # what was seen and heard of what moves
-    wind: WindReport | None = None  # the last one that was reported
+    wanted: Array | None = None  # attitude of the goal, shape (n, n); None if free
+    hazards: tuple[MovingObstacle, ...] = ()  # hazards, with times from the start of the plan
+    traffic: Traffic | None = None  # observed bodies and published plans, instead of hazards
+    wind: WindReport | None = None  # the latest report
     odometry_age: float = 0.0  # [s]
     goal_age: float = 0.0  # [s]
-    latency: float = 0.0  # from the measurement to when the answer is in force [s]
-    stop: Reason | None = None  # why no plan may be followed, whatever the inputs
+    latency: float = 0.0  # from the measurement to the effect of the command [s]
+    stop: Reason | None = None  # reason for following no plan, whatever the inputs
 
 
 @dataclass(frozen=True, eq=False)
 class Decision(ByContent):
-    """What to do next, and why.
+    """The next command, and its reason.
 
-    The ``reason`` is given where the status is not ``optimal``, and for a goal that is too far away
-    or inside of an obstacle, a plan outside of the cones of a descent, and an odd speed. The plan
-    is checked, but for hazards where the command follows the clearest way.
+    The ``reason`` is given if the status is not ``optimal``, and for a goal that is too far away or
+    inside an obstacle, a plan outside the cones of a descent, and a speed outside the model. Plans
+    are checked, except for hazards if the command follows the clearest way.
     """
 
     status: Status  # of the solve
     reason: str
-    state: State | None  # that the plan starts from; None if nothing was to be planned
-    plan: Plan | None  # behind the command; None if the command is the safe one
-    command: Command  # what to do next
-    fallback: Fallback = Fallback.NONE  # what the command follows, if not a new plan
-    problem: Problem | None = None  # what the plan solves; None without a plan, as is the next
-    goals: Array | None = None  # g_1..g_N that it was made for, shape (N, n) [m]
-    cause: Cause = Cause.NONE  # what kept it from being planned on fresh inputs
-    catch: Intercept | None = None  # how soon the goal can be caught, where that is looked for
-    infeasible: Sought | None = None  # in what no trajectory is feasible, where that is the status
-    refutation: Refutation | None = None  # proves that nothing is feasible, or caught in time
-    advanced: float = 0.0  # from the measurement to the state planned from, but for ``led`` [s]
-    led: float = 0.0  # how far the vehicle's lag moved the state on [s]
-    disturbance: Array | None = None  # planned with, shape (n,) [m/s] or [m/s^2]; None for none
-    innovation: float | None = None  # of odometry, in deviations, where w is estimated
-    left_out: int = 0  # moving obstacles within reach that were too many to plan with
-    solve_time_ms: float = 0.0  # of all of it, check included; 0 if nothing was solved [ms]
-    heard: Mapping[str, Any] = field(default_factory=dict)  # see Inputs.heard: replays need it
+    state: State | None  # start of the plan; None if no plan was attempted
+    plan: Plan | None  # source of the command; None for the safe command
+    command: Command  # command to send
+    fallback: Fallback = Fallback.NONE  # source of the command, if not a new plan
+    problem: Problem | None = None  # problem of the plan; None without a plan, like goals
+    goals: Array | None = None  # g_1..g_N of the plan, shape (N, n) [m]
+    cause: Cause = Cause.NONE  # why there is no plan on fresh inputs
+    catch: Intercept | None = None  # earliest catch of the goal, if sought
+    infeasible: Sought | None = None  # the infeasible problem, if that is the status
+    refutation: Refutation | None = None  # proof of infeasibility, or of no earlier catch
+    advanced: float = 0.0  # from the measurement to the start of the plan, without ``led`` [s]
+    led: float = 0.0  # lead of the start due to the vehicle's lags [s]
+    disturbance: Array | None = None  # of the plan, shape (n,) [m/s] or [m/s^2]; None for zero
+    innovation: float | None = None  # of odometry, in standard deviations, if w is estimated
+    left_out: int = 0  # moving obstacles within reach beyond the limit of a plan
+    solve_time_ms: float = 0.0  # total, including the check; 0 if nothing was solved [ms]
+    heard: Mapping[str, Any] = field(default_factory=dict)  # see Inputs.heard; needed by replays
 
     @property
     def case(self) -> Case | None:
-        """Return what the plan solves; None without a plan."""
+        """Return the case that the plan solves; None without a plan."""
         if self.problem is None or self.state is None or self.goals is None:
             return None
         return Case(self.problem, self.state, self.goals)
@@ -113,67 +113,67 @@ class Decision(ByContent):
 
 @dataclass
 class _Memory:
-    """What a planner remembers of its last decisions."""
+    """Memory of a planner between decisions."""
 
-    aim: Array  # where the last plan arrives, shape (n,) [m]
+    aim: Array  # goal at the end of the last plan, shape (n,) [m]
     pace: float  # duration of a step of the previous plan [s]
     flown: float  # steps since the start
-    reached: float | None = None  # share of full speed, by a vehicle that obeys commands
+    reached: float | None = None  # share of full speed reached by following commands
     previous: Plan | None = None
-    goals: Array | None = None  # that the previous plan was made for
-    wanted: Array | None = None  # the rotation of its end
+    goals: Array | None = None  # goals of the previous plan
+    wanted: Array | None = None  # attitude at its end
     fallbacks: int = 0  # decisions since a plan was found
-    planned: int = 0  # steps of the last plan that was found
+    planned: int = 0  # number of steps of the last plan found
     since: float = 0.0  # steps since it was found
     last: float | None = None  # stamp of the last decision [s]
     arriving: bool = False  # whether a plan has been found since the start
-    catch: float = 0.0  # when the goal is to be caught [s]
-    route: Route | None = None  # the path that is followed
-    along: float = 0.0  # how far along it the vehicle was [m]
+    catch: float = 0.0  # planned time of the catch [s]
+    route: Route | None = None  # path followed
+    along: float = 0.0  # last progress of the vehicle along it [m]
 
 
 class Planner:
-    """Decides on a command for each snapshot; every command is checked, whatever it follows.
+    """Decides on a command for each snapshot; every command is checked, whatever its source.
 
     Without a plan it falls back, in this order, on
 
-    - the shifted previous plan, if it still holds from the new state, for two decisions at most and
+    - the shifted previous plan, if it still holds from the new state, for at most two decisions and
       never past its horizon;
-    - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
-      because of disturbances: the plan that comes nearest; in a descent from the start on;
-    - among hazards, the *clearest way*: a plan that meets all else, and stays out of them the most;
+    - a *soft arrival*, if disturbances have made a terminal constraint infeasible: the plan with
+      the smallest miss; in a descent from the start on;
+    - among hazards, the *clearest way*: a plan that meets all else and keeps farthest from them;
     - the safe command.
 
-    Snapshots may come as often as they like. How far the previous plan is flown, and what a
-    shrinking horizon has left, follows from the stamps of odometry; where they do not increase, a
-    step passed. A command counts only once it is reported by :meth:`sent`.
+    Snapshots may arrive at any rate. The elapsed part of the previous plan, and the remainder of a
+    shrinking horizon, follow from the stamps of odometry; if they do not increase, one step has
+    elapsed. A command takes effect only when reported by :meth:`sent`.
 
     Args:
-        problem: what to solve; compiled here, so that a step only updates data.
+        problem: the problem to solve; compiled here, so that a step only updates data.
         projection: ``nearest`` or ``thrust_aligned``.
         shrinking: whether the horizon ends N steps after the first plan (a fixed arrival time)
-            instead of receding. In between, the steps left are shortened to end with it.
+            instead of receding. Between steps, the remaining ones are shortened to end with it.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         safe: kind of safe command, see :func:`orbimpc_ros.loop.fallback.safe_command`.
-        disturbance: a wind or an acceleration, shape (n,); by default there is none.
-        estimated: whether what disturbs besides is estimated from odometry.
-        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
-        sideslip: whether odometry measures how a wing slips, which is believed.
+        disturbance: a wind or an acceleration, shape (n,); zero by default.
+        estimated: whether the remaining disturbance is estimated from odometry.
+        velocity_source: measured velocity of odometry: over ``ground`` or through the ``air``.
+        sideslip: whether odometry measures the sideslip of a wing, which is then used.
         response: lags of the vehicle.
-        capture_radius: within which the goal is caught [m]. Above 0 the earliest catch within the
-            horizon is flown, and the problem's own objective where there is none; that takes a
-            receding horizon and a terminal penalty. A catch is looked for as if there were no
+        capture_radius: within which the goal is caught [m]. If positive, the earliest catch within
+            the horizon is flown, and the problem's own objective is used without one; this takes
+            a receding horizon and a terminal penalty. A catch is sought as if there were no
             hazards, and flown if it is clear of them.
-        approach: the cone of headings in which a catch counts; by default any heading does.
-        reserve: what plans keep away from hazards beyond what is demanded, as far as there is a
-            plan that does; see :mod:`orbimpc_ros.loop.traffic` [m].
-        centred: whether catches lead through the middle of the goal, which takes gentler turns than
-            to be within the radius as soon as can be.
+        approach: the cone of headings in which a catch counts; unconstrained by default.
+        reserve: additional distance of plans from hazards, kept as far as some plan can keep it;
+            see :mod:`orbimpc_ros.loop.traffic` [m].
+        centred: whether catches lead through the centre of the goal, with gentler turns than the
+            earliest entry into the radius takes.
         odom_timeout: age of odometry beyond which no plan is followed [s].
-        goal_timeout: age of the goal beyond which only the previous plan is flown on [s].
+        goal_timeout: age of the goal beyond which only the previous plan is continued [s].
 
     Attributes:
-        problem: that plans solve.
+        problem: the problem that plans solve.
     """
 
     def __init__(
@@ -214,7 +214,7 @@ class Planner:
         self._solver_for = partial(
             Solver, projection=projection, gap_tolerance=gap_tolerance, coasting=True
         )
-        # Of steps that are cut short, none comes back: few solvers are kept.
+        # Lengths of shortened steps do not recur: few solvers are kept.
         self._solver = lru_cache(maxsize=2 * problem.horizon + 2)(self._made)
         self._solver(problem.horizon, problem.step)
         self._scout: Scout | None = None
@@ -245,30 +245,30 @@ class Planner:
         self.start_afresh(wind=True)
 
     def start_afresh(self, *, wind: bool = False) -> None:
-        """Forget the previous plan, yet not the command in force; the horizon starts anew.
+        """Forget the previous plan, but not the command in force; the horizon starts anew.
 
         Args:
-            wind: whether to forget what was estimated of the disturbance, too.
+            wind: whether to forget the estimated disturbance, too.
         """
         self._compensator.start_afresh(wind=wind)
         self._memory = self._fresh(self._memory.reached)
 
     def continue_from(self, other: Planner) -> None:
-        """Take over what another planner remembers, for instance one with other weights."""
+        """Take over another planner's memory, for instance from one with other weights."""
         self._memory = other._memory
         self._compensator.continue_from(other._compensator)
 
     def sent(self, command: Command, at: float | None = None) -> None:
-        """Take note of a command that was sent.
+        """Record a command that was sent.
 
         Args:
             command: now in force.
-            at: when, on the clock of the stamps [s]; None where that is not known.
+            at: time of sending, on the clock of the stamps [s]; None if unknown.
         """
         self._compensator.history.add(command, at)
 
     def expect_hazards(self) -> None:
-        """Compile what the first plan among hazards would have to wait for: that takes a second."""
+        """Compile in advance the code of the first plan among hazards, which takes a second."""
         self._solver(self.problem.horizon, self.problem.step).expect_hazards()
         if self._scout is None and cuts_turns(self.problem):
             self._scout = Scout(self.problem, steered=True)
@@ -277,7 +277,7 @@ class Planner:
 
     @property
     def lead(self) -> float:
-        """Return by how long a plan starts ahead of the vehicle, for its lags [s]."""
+        """Return the time by which a plan starts ahead of the vehicle because of its lags [s]."""
         return self._compensator.response.lead(self.problem)
 
     def ends(self, time: float) -> Array:
@@ -286,7 +286,7 @@ class Planner:
         return np.asarray(time + step * self._counted[:count])
 
     def _steps(self, flown: float) -> tuple[int, float]:
-        """Return how many steps are left, and how long they are [s], after so many of the start."""
+        """Return number and length [s] of the remaining steps, ``flown`` steps after the start."""
         problem = self.problem
         if not self._shrinking:
             return problem.horizon, problem.step
@@ -296,7 +296,7 @@ class Planner:
         return count, problem.step if whole else problem.step * left / count
 
     def _passed(self, time: float) -> float:
-        """Return the steps since the last decision, by stamps [s]; one if they do not increase."""
+        """Return the steps since the last decision, by stamps [s]; 1 if they do not increase."""
         if self._memory.last is None:
             return 0.0
         steps = (time - self._memory.last) / self.problem.step
@@ -305,7 +305,7 @@ class Planner:
         return steps
 
     def _begin(self, time: float, passed: float) -> Array:
-        """Count on to a decision at a time [s]; return the ends of its steps in the plan before."""
+        """Advance to a decision at a time [s]; return its step ends in the previous plan."""
         memory = self._memory
         memory.last = time
         memory.flown += passed
@@ -317,7 +317,7 @@ class Planner:
         return (passed * self.problem.step + step * self._counted[:count]) / before
 
     def _made(self, count: int, step: float, *, soft: bool = False) -> Solver:
-        """Return the solver of so many steps of a length [s], with a ``soft`` arrival if asked."""
+        """Return the solver for ``count`` steps of length ``step`` [s], or for a soft arrival."""
         problem = replace(self.problem, horizon=count, step=step)
         if soft:
             problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
@@ -326,7 +326,7 @@ class Planner:
     # --- a decision
 
     def unsafe(self, snapshot: Snapshot) -> Reason | None:
-        """Return why no plan may be followed; None if one may."""
+        """Return the reason why no plan may be followed; None if one may."""
         if snapshot.stop is not None:
             return snapshot.stop
         if snapshot.odometry is None:
@@ -340,10 +340,10 @@ class Planner:
         """Decide on the next command.
 
         Args:
-            snapshot: of the inputs.
-            now: when the command will be in force, on the clock of the stamps [s]; None where
-                delays are not compensated.
-            late: whether time is up, for long searches, which then return their best plan.
+            snapshot: the inputs.
+            now: when the command takes effect, on the clock of the stamps [s]; None if delays are
+                not compensated.
+            late: whether the deadline of searches has passed; they then return their best plan.
         """
         unsafe = self.unsafe(snapshot)
         if unsafe is not None or snapshot.odometry is None:
@@ -361,8 +361,8 @@ class Planner:
         knots = self._begin(time, passed)
         if not lost:
             memory.wanted = snapshot.wanted
-        wanted = memory.wanted if self._wants_attitude else None  # or it is not looked at
-        reached = memory.reached  # where changes of speed are limited, they count from it
+        wanted = memory.wanted if self._wants_attitude else None  # otherwise unused
+        reached = memory.reached  # base of limited changes of speed
         state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
         if lost:
             decision = self._hold(state, knots, lost)
@@ -376,7 +376,7 @@ class Planner:
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
     ) -> tuple[tuple[MovingObstacle, ...], int]:
-        """Return the hazards that matter, and how many more there are."""
+        """Return the relevant hazards, and the number of those left out."""
         if snapshot.traffic is None:
             return snapshot.hazards, 0
         horizons = float(FARTHEST if self._interception is not None else 1)
@@ -384,7 +384,7 @@ class Planner:
         return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
 
     def _change_speed(self, steps: float) -> None:
-        """Note how far towards the last command the speed has come, a number of steps later."""
+        """Update the speed reached towards the last command, a number of steps later."""
         memory, last = self._memory, self._compensator.history.last
         if not self.problem.max_acceleration or last is None:
             return
@@ -402,7 +402,7 @@ class Planner:
         passed: float,
         late: Late | None,
     ) -> Decision:
-        """Return the decision for a goal that is known, so many steps after the one before."""
+        """Return the decision for a known goal, ``passed`` steps after the last one."""
         memory, given, odometry = self._memory, snapshot.goal, start.odometry
         assert given is not None
         if not len(knots):
@@ -442,7 +442,7 @@ class Planner:
         return replace(decision, catch=catch) if catch and decision.plan else decision
 
     def _paced(self, route: Route, odometry: Odometry) -> Paced:
-        """Return the goal that moves along a path, from where the vehicle is along it."""
+        """Return the goal that moves along a path, starting at the vehicle's progress along it."""
         memory, forward = self._memory, self.problem.forward
         near = memory.along if memory.route is route else None
         within = self.problem.horizon * self.problem.step * forward
@@ -452,9 +452,9 @@ class Planner:
         return Paced(route, memory.along, odometry.time, forward, wind)
 
     def _tracked(self, task: Task) -> tuple[Task, Answer]:
-        """Return a task with as much of the reserve as there is a plan for, and its answer.
+        """Return a task with the largest reserve for which there is a plan, and its answer.
 
-        That is all of it, or what the plan before keeps.
+        The reserve is the full one, or what the previous plan keeps.
         """
         if not task.state.hazards:
             return task, task.solved()
@@ -470,9 +470,9 @@ class Planner:
         return wary, self._clear(task, wary, answer)
 
     def _clear(self, task: Task, wary: Task, answer: Answer) -> Answer:
-        """Return an answer whose plan is clear of hazards when its turns are cut, as far as any is.
+        """Return an answer whose plan, steered, is clear of hazards, as far as there is one.
 
-        Of other ways those that keep the reserve of the ``wary`` task come first.
+        Alternatives that keep the reserve of the ``wary`` task come first.
         """
         plan, status, words = answer
         if status is Status.INFEASIBLE or (plan is not None and is_clear(wary, plan)):
@@ -489,7 +489,7 @@ class Planner:
         return instead, instead.status, joined(words, less)
 
     def _clear_way(self, task: Task, wary: Task, plan: Plan | None) -> Plan | None:
-        """Return the cheapest clear way of the plan, the one before, and the one that is scouted.
+        """Return the cheapest clear plan of the given, the previous, and the scouted one.
 
         With the reserve first, then without.
         """
@@ -502,7 +502,7 @@ class Planner:
         return None
 
     def _scouted(self, task: Task) -> Plan | None:
-        """Return a way among hazards that the vehicle can turn along, if one is found."""
+        """Return a path among hazards along which the vehicle can turn, if one is found."""
         traffic = traffic_of(task.problem, task.state)
         if self._scout is None or traffic is None or task.problem != self.problem:
             return None
@@ -514,11 +514,11 @@ class Planner:
     def _caught(
         self, task: Task, interception: Interception, motion: GoalMotion | None, pause: float
     ) -> tuple[Task, Answer, Intercept]:
-        """Return the task of the earliest catch and its answer; the given one's without any.
+        """Return the task of the earliest catch and its answer; without one, of tracking.
 
-        It is looked for as if there were no hazards, which can only be sooner: its bound is one
-        among them, too. Where it leads through them, it is no catch. Among hazards only a few plans
-        are tried. ``pause`` is the time from the last decision in steps, infinite at the first.
+        It is sought as if there were no hazards, which can only be earlier, so that its bound also
+        holds among them. A catch that leads through hazards is discarded, and only a few plans are
+        tried. ``pause`` is the time since the last decision in steps, infinite at the first.
         """
         memory = self._memory
         now = memory.last or 0.0
@@ -549,7 +549,7 @@ class Planner:
     # --- without a new plan
 
     def _hold(self, state: State, knots: Array, words: str) -> Decision:
-        """Go on without a goal: by the previous plan while the fallback allows, then safely."""
+        """Continue without a goal: on the previous plan while allowed, then by the safe command."""
         memory, reason = self._memory, Reason(Cause.GOAL, words)
         unknown = memory.goals is None or (self._wants_attitude and memory.wanted is None)
         if unknown or memory.goals is None or not len(knots):
@@ -566,7 +566,7 @@ class Planner:
         lasts = memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP
         if lasts and task.rest and holds(*task.known, task.rest):
             return self._following(task, task.rest, status, reason, Fallback.SHIFTED_PLAN)
-        arriving = memory.arriving or task.problem.has_cones  # to wait is to fall
+        arriving = memory.arriving or task.problem.has_cones  # waiting means falling
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
         if task.state.hazards and not reason.cause:
@@ -574,7 +574,7 @@ class Planner:
         return self._safe(task.state, status, reason)
 
     def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
-        """Return the decision for the clearest way, if there is any that meets all else."""
+        """Return the decision for the clearest way, if one meets all other constraints."""
         plan, apart = clearest(task)
         if plan is None:
             return self._safe(task.state, status, reason)
@@ -608,7 +608,7 @@ class Planner:
         reason: Reason,
         fallback: Fallback = Fallback.NONE,
     ) -> Decision:
-        """Return the decision for a checked plan, if the command made of it may be sent."""
+        """Return the decision for a checked plan, if its command may be sent."""
         problem, memory = task.problem, self._memory
         if problem.max_rate != self._max_rate:
             problem = replace(problem, max_rate=self._max_rate)
@@ -632,12 +632,12 @@ class Planner:
         status: Status,
         reason: Reason,
     ) -> Decision:
-        """Return the decision for the safe command, the only place where one is made.
+        """Return the decision for the safe command, which is made only here.
 
-        ``measured`` is the state that was to be planned from, or what is known of the attitude.
+        ``measured`` is the state to plan from, or odometry that provides the attitude.
 
         Raises:
-            RuntimeError: the safe command itself must not be sent, which its own law excludes.
+            RuntimeError: the safe command violates its own limits, which cannot happen.
         """
         kind, problem, compensator = self._safe_kind, self.problem, self._compensator
         compensator.due, reached = None, self._memory.reached
@@ -656,8 +656,8 @@ class Planner:
 def _planned(problem: Problem) -> Problem:
     """Return the problem that plans solve: thrust in space may turn faster than the vehicle does.
 
-    Commands keep ``max_rate``. Its chord would also limit how fast thrust grows and falls, which
-    no turn does, and among boxes no search is done in time with it.
+    Commands still obey ``max_rate``. In plans, its chord would also limit changes of the thrust's
+    size, which take no turn, and with it no search among boxes would finish in time.
     """
     orders = problem.dimension, problem.rotation_order, problem.inertial
     limited = problem.floor.exists or problem.has_cones or problem.terminal == 'constraint'
@@ -667,5 +667,5 @@ def _planned(problem: Problem) -> Problem:
 
 
 def joined(*reasons: str) -> str:
-    """Return reasons in one line; empty ones do not count."""
+    """Return reasons in one line, without empty ones."""
     return '; '.join(filter(None, reasons))

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The optimisation behind a decision: problem, state and goals, with a solver and a guess."""
+"""The optimisation behind a decision: problem, state and goals, with a solver and a warm start."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Late = Callable[[], bool]
 
 @dataclass(frozen=True)
 class Deadline:
-    """The end of the time that there is for a decision; called, whether it is over."""
+    """The deadline of a decision; calling it returns whether it has passed."""
 
     clock: Callable[[], float]  # [s]
-    end: float  # by that clock; infinite for none [s]
+    end: float  # on that clock; infinite without a deadline [s]
 
     def __call__(self) -> bool:
-        """Return whether time is up."""
+        """Return True if the deadline has passed."""
         return self.clock() > self.end
 
 
@@ -38,35 +38,35 @@ class Task:
     """One optimisation."""
 
     problem: Problem
-    state: State  # that plans start from
+    state: State  # initial state of plans
     goals: Array  # g_1..g_N, shape (N, n) [m]
-    knots: Array  # ends of its steps, counted in steps of the plan before from its start, (N,)
-    solver: Solver | None = None  # of the problem
-    previous: Plan | None = None  # the plan before; None if there is none to go on from
-    projection: str = 'thrust_aligned'  # how its rest becomes rotations
-    late: Late | None = None  # whether time is up; None without a deadline
+    knots: Array  # ends of the steps, in steps of the previous plan from its start, (N,)
+    solver: Solver | None = None  # for the problem
+    previous: Plan | None = None  # the previous plan; None without one to continue
+    projection: str = 'thrust_aligned'  # projection of plans to rotations
+    late: Late | None = None  # whether the deadline has passed; None without one
 
     @cached_property
     def known(self) -> tuple[Problem, State, Array]:
-        """Return what plans are checked against: problem, state and goals."""
+        """Return the problem, state and goals against which plans are checked."""
         return self.problem, self.state, self.goals
 
     @cached_property
     def onward(self) -> Array | None:
-        """Return the rest of the previous plan, shape (N, d), if it fits."""
+        """Return the remainder of the previous plan as coordinates, shape (N, d), if it fits."""
         if self.previous is None:
             return None
         return shifted(self.problem, self.state, self.previous, self.knots)
 
     @cached_property
     def rest(self) -> Plan | None:
-        """Return the rest of the previous plan as one from this state, if it fits."""
+        """Return the remainder of the previous plan as a plan from this state, if it fits."""
         if self.onward is None:
             return None
         return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
 
     def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
-        """Return the task of a problem with another number or length of steps, and their goals."""
+        """Return the task for a problem with another number or length of steps, and its goals."""
         count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
         if step != self.problem.step:
             each = self.knots[1] - self.knots[0]
@@ -79,8 +79,8 @@ class Task:
     def solved(self, *, guessing: bool = False) -> Answer:
         """Return a checked plan, or None, with status and reason.
 
-        The search starts from the rest of the previous plan where that helps the solver, or where
-        ``guessing`` is asked for.
+        The search is warm-started from the remainder of the previous plan if that helps the solver,
+        or if ``guessing``.
         """
         assert self.solver is not None
         useful = guessing or self.solver.takes_guess or bool(self.state.hazards)

@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Moving obstacles: bodies that are seen, other vehicles that publish plans.
+"""Moving obstacles: observed bodies, and other vehicles that publish plans.
 
-Another vehicle flies what it planned last, and then on as between the last two points of that. One
-that has not published for longer than a timeout may have stopped on its way. From then on it is two
-hazards: one that flies on, and a ball around the way that it may have stopped on, which grows at
-half the speed. It is forgotten ``FORGOTTEN`` seconds later.
+Another vehicle is predicted along its latest plan, and beyond that along the plan's last segment.
+If it has not published for longer than a timeout, it may have stopped on its way. It then counts as
+two hazards: one that flies on, and a ball around all points where it may have stopped, which grows
+at half its speed. It is forgotten ``FORGOTTEN`` seconds later.
 
-Each body counts as larger later in a plan, when less is known of where both will be: by a *reserve*
-that is kept as far as there is a plan that does.
+Bodies are enlarged with time along a plan, because the uncertainty of all positions grows: by a
+*reserve* that is kept as far as some plan can keep it.
 
 Mathematics: docs/mathematics.md, 7.11.
 """
@@ -29,22 +29,22 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.reach import farthest
 
-SOON = 1e-6  # [s] a point of a track that is due sooner adds nothing to it
-LATEST = 3  # sightings that a velocity is fitted to
-MOST = 1000  # bodies remembered
-FORGOTTEN = 10.0  # [s] after it fell silent, a vehicle is no longer avoided
-SHARES = (1 / 3, 2 / 3, 1.0)  # of a reserve, that a plan may be found to keep
+SOON = 1e-6  # [s] points of a track that are due sooner are skipped
+LATEST = 3  # sightings used to fit a velocity
+MOST = 1000  # largest number of bodies
+FORGOTTEN = 10.0  # [s] after falling silent, a vehicle is no longer avoided
+SHARES = (1 / 3, 2 / 3, 1.0)  # of a reserve, tested in turn
 
 
 def centre(body: Box | Ball) -> Array:
-    """Return the middle of a body, shape (n,) [m]."""
+    """Return the centre of a body, shape (n,) [m]."""
     if isinstance(body, Ball):
         return body.centre
     return np.asarray(0.5 * (body.minimum + body.maximum))
 
 
 def placed(body: Box | Ball, at: Array) -> Box | Ball:
-    """Return a body with its middle at a position, shape (n,) [m]."""
+    """Return a body with its centre moved to a position, shape (n,) [m]."""
     if isinstance(body, Ball):
         return Ball(at, body.radius)
     way = at - centre(body)
@@ -52,9 +52,9 @@ def placed(body: Box | Ball, at: Array) -> Box | Ball:
 
 
 def position(times: Array, positions: Array, at: float) -> Array:
-    """Return where a track of (K,) times [s] and (K, n) positions [m] is at a time [s], shape (n,).
+    """Return the position at a time [s] on a track of K times and positions (K, n) [m], shape (n,).
 
-    Beyond its ends it goes straight on.
+    It is extrapolated linearly beyond both ends.
     """
     if len(times) == 1:
         return np.asarray(positions[0])
@@ -64,7 +64,7 @@ def position(times: Array, positions: Array, at: float) -> Array:
 
 
 def along(body: Box | Ball, times: Array, positions: Array, at: float) -> MovingObstacle:
-    """Return the hazard that a body is whose middle is on a track, from a time [s] on."""
+    """Return the hazard, from a time [s] on, of a body whose centre moves along a track."""
     start, later = position(times, positions, at), times > at + SOON
     ahead, points = times[later] - at, positions[later]
     if not len(ahead):
@@ -77,17 +77,17 @@ def along(body: Box | Ball, times: Array, positions: Array, at: float) -> Moving
 class ObservedBody(ByContent):
     """A sighting of a body."""
 
-    name: str  # by which the body is known again
-    time: float  # when it was there [s]
-    body: Box | Ball  # what it is and where
-    lifetime: float = math.inf  # after which it is gone unless it is seen again [s]
+    name: str  # identifies the body
+    time: float  # stamp [s]
+    body: Box | Ball  # its shape and position
+    lifetime: float = math.inf  # after which it is dropped unless seen again [s]
 
 
 Track = tuple[ObservedBody, ...]  # the latest observations of a body
 
 
 class Bodies:
-    """Bodies by name, each going straight on as its latest sightings say."""
+    """Bodies by name, each extrapolated linearly from its latest sightings."""
 
     def __init__(self) -> None:
         self._tracks: dict[str, deque[ObservedBody]] = {}
@@ -96,10 +96,10 @@ class Bodies:
         return len(self._tracks)
 
     def see(self, seen: ObservedBody, fastest: float) -> str:
-        """Take in a sighting; return what is odd about it, in words, or an empty string.
+        """Take in a sighting; return a message if it is unusual, or an empty string.
 
         A body that would have moved faster than ``fastest`` [m/s] is taken for a new one of the
-        same name, which stands still until it is seen again. Another size keeps the velocity.
+        same name, at rest until it is seen again. A change of size keeps the velocity.
 
         Raises:
             BadInput: older than the one before; another place at the same time; too many bodies.
@@ -135,7 +135,7 @@ class Bodies:
         self._tracks.clear()
 
     def current(self, at: float) -> tuple[Track, ...]:
-        """Return what is known of each body at a time [s], but for those whose lifetime is over."""
+        """Return the tracks of all bodies at a time [s]; drop those whose lifetime is over."""
         over = [n for n, track in self._tracks.items() if at - track[-1].time > track[-1].lifetime]
         for name in over:
             del self._tracks[name]
@@ -143,7 +143,7 @@ class Bodies:
 
 
 def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
-    """Return a body on the straight line that fits its latest sightings best."""
+    """Return the hazard of a body on the straight line fitted to its latest sightings."""
     last, places = track[-1], np.array([centre(seen.body) for seen in track])
     stamps = np.array([seen.time for seen in track])
     past = stamps - stamps.mean()
@@ -158,14 +158,14 @@ class AgentTrajectory:
 
     time: float  # when it was made [s]
     times: Array  # increasing, shape (K,) [s]
-    positions: Array  # of the vehicle then, shape (K, n) [m]
+    positions: Array  # shape (K, n) [m]
 
     def __post_init__(self) -> None:
         sealed(self.times)
         sealed(self.positions)
 
     def hazards(self, at: float, distance: Distance) -> list[MovingObstacle]:
-        """Return what the vehicle is from a time [s] on."""
+        """Return the hazards that the vehicle constitutes from a time [s] on."""
         age = at - self.time
         if age > distance.timeout + FORGOTTEN:
             return []
@@ -179,16 +179,16 @@ class AgentTrajectory:
 
 @dataclass(frozen=True)
 class Distance:
-    """How other vehicles are avoided."""
+    """Separation from other vehicles."""
 
-    radius: float  # from the middle of one vehicle to that of the other [m]
+    radius: float  # between the centres of both vehicles [m]
     timeout: float  # after which a vehicle counts as silent [s]
 
 
 def silence(name: str, agent: AgentTrajectory | None, due: float) -> str:
-    """Return what it means that a vehicle is not heard on the topic ``name``; empty if it is.
+    """Describe the effect of another vehicle's silence on the topic ``name``; empty if it is heard.
 
-    Its latest plan, None before the first, is ``due`` at a time [s].
+    Its next plan is ``due`` at a time [s]; ``agent`` is its latest, None before the first.
     """
     if agent is None:
         return f'nothing heard on {name}: not avoided'
@@ -199,7 +199,7 @@ def silence(name: str, agent: AgentTrajectory | None, due: float) -> str:
 
 
 def _stopped(agent: AgentTrajectory, at: float, radius: float) -> Ball:
-    """Return a ball around all that a vehicle may be at if it has stopped since its last plan."""
+    """Return a ball around all points where a vehicle may have stopped since its last plan."""
     between = (agent.times > agent.time) & (agent.times < at)
     ends = [position(agent.times, agent.positions, time) for time in (agent.time, at)]
     way = np.array([ends[0], *agent.positions[between], ends[1]])
@@ -209,7 +209,7 @@ def _stopped(agent: AgentTrajectory, at: float, radius: float) -> Ball:
 
 @dataclass(frozen=True)
 class Traffic:
-    """What is known of all that moves."""
+    """Observed bodies, and plans of other vehicles."""
 
     tracks: tuple[Track, ...] = ()  # of bodies
     agents: tuple[AgentTrajectory, ...] = ()  # plans of other vehicles
@@ -217,7 +217,7 @@ class Traffic:
     distance: Distance = Distance(0.0, math.inf)
 
     def hazards(self, at: float) -> list[MovingObstacle]:
-        """Return what moves from a time [s] on: bodies whose lifetime is not over, and vehicles."""
+        """Return the hazards from a time [s] on: bodies within their lifetime, and vehicles."""
         lasting = (each for each in self.tracks if at - each[-1].time <= each[-1].lifetime)
         bodies = [_hazard(track, at, self.unseen) for track in lasting]
         return [*bodies, *(one for each in self.agents for one in each.hazards(at, self.distance))]
@@ -230,10 +230,10 @@ def nearest(
     hazards: Sequence[MovingObstacle],
     horizons: float = 1.0,
 ) -> tuple[tuple[MovingObstacle, ...], int]:
-    """Return the hazards that a vehicle may meet, and how many more there are.
+    """Return the hazards that a vehicle may meet, and the number of those left out.
 
-    Those are the ones whose way and its own reach can meet at one and the same time, within so many
-    horizons; the ones that come nearest to where it is now, ``MAX_HAZARDS`` at most.
+    A hazard counts if the vehicle can reach it at the same time within this number of horizons. At
+    most ``MAX_HAZARDS`` are returned, those that come nearest to the vehicle's present position.
     """
     times = problem.step * np.arange(math.ceil(horizons * problem.horizon) + 1)
     speed = float(np.linalg.norm(odometry.body_velocity))
@@ -242,7 +242,7 @@ def nearest(
     met = []
     for hazard in hazards:
         apart = outside(hazard, odometry.position[None], times)
-        # In the course of a step a hazard may come closer than at both of its ends.
+        # Between both ends of a step, a hazard may come closer than at either.
         speeds = np.linalg.norm(np.diff(hazard.shifts, axis=0), axis=1) / np.diff(hazard.times)
         if (apart[:-1] - float(speeds.max()) * problem.step <= reached).any():
             met.append((float(apart.min()), hazard))
@@ -251,17 +251,17 @@ def nearest(
 
 
 def outside(hazard: MovingObstacle, points: Array, times: Array) -> Array:
-    """Return how far points, (M, n) or (1, n), are outside of a hazard at its own times, (M,) [m].
+    """Return the distances of points, (M, n) or (1, n), from a hazard at its times, (M,) [m].
 
-    Negative inside.
+    They are negative inside.
     """
     return np.asarray(-hazard.body.depth(points - hazard.moved(times)))
 
 
 def clearance(problem: Problem, state: State, positions: Array) -> float:
-    """Return the least distance of a plan, s_0..s_N, from hazards and obstacles at its ends [m].
+    """Return the least distance of a plan's points s_0..s_N from hazards and obstacles [m].
 
-    Infinite without any; from a box, the distance from the face that it is farthest beyond.
+    It is infinite without any; for a box, it is the largest distance beyond one of its faces.
     """
     times = problem.step * np.arange(len(positions))
     moving = [outside(each, positions, times).min() for each in state.hazards]
@@ -270,7 +270,7 @@ def clearance(problem: Problem, state: State, positions: Array) -> float:
 
 
 def with_clearance(state: State, reserves: Array) -> State:
-    """Return a state whose hazards have reserves, shape (J,) [m]."""
+    """Return the state with reserves added to its hazards, shape (J,) [m]."""
     pairs = zip(state.hazards, reserves.tolist(), strict=True)
     return replace(state, hazards=tuple(replace(each, reserve=room) for each, room in pairs))
 
@@ -278,7 +278,7 @@ def with_clearance(state: State, reserves: Array) -> State:
 def achieved_clearance(problem: Problem, state: State, plan: Plan | None, reserve: float) -> Array:
     """Return how much of a reserve [m] a plan from a state keeps from each hazard, shape (J,) [m].
 
-    Without a plan, nothing.
+    Without a plan, all are zero.
     """
     found = np.zeros(len(state.hazards))
     if plan is None:
