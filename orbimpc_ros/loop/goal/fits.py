@@ -1,17 +1,17 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Families of goal motion over one basis, and their fits to one stretch of sightings.
+r"""Families of goal motion over one basis, and their fits to a sequence of sightings.
 
 Every family is :math:`g(t) = \sum_i x_i(t)\,\theta_i` over the seven columns
 
 .. math:: 1,\ t,\ t^2,\ C = e^{-\delta t}\cos\omega t,\ S = e^{-\delta t}\sin\omega t,\ tC,\ tS,
 
 whose last two are the directions in which :math:`\omega` and :math:`\delta` move coefficients. A
-family is given by its Jacobian B, the coefficients that each of its parameters moves.
+family is defined by its Jacobian B, the derivatives of the coefficients by its parameters.
 
 A fit is Bayesian and linear about the present coefficients: with the columns X, the residuals E and
 prior precisions \Gamma relative to the noise, A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E.
-The noise has a gamma prior on its precision, so that the evidence has a closed form. Sums grow by a
-term a sighting; when a frequency moves, those of its family are made anew.
+The precision of the noise has a gamma prior, so that the evidence has a closed form. Sums are
+updated with each sighting; if a frequency moves, those of its family are computed anew.
 
 Mathematics: docs/mathematics.md, 7.4.
 """
@@ -29,30 +29,30 @@ from orbimpc_ros.mpc.geometry.rotations import exp, skew
 
 NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
 STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
-OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be found
+OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be estimated
 ODDS = np.array([-5.0, 0.0, -5.0, -3.0, -5.0, -6.0, -6.0])  # logarithms, before any sighting
 COLUMNS = 7
 ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
 
 SLOWEST, FASTEST = 0.02, 4.0 * math.pi  # angular frequencies considered [rad/s]
-PLACE = 3.0  # prior standard deviations: of where a motion begins [m]
+PLACE = 3.0  # prior standard deviations: of the place [m]
 SPEED = 5.0  # [m/s]
 THRUST = 1.0  # half an acceleration [m/s^2]
 SIZE, PUSH = 3.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
 PULSE = 1.0  # angular frequency and damping [1/s]
-TINY = 1e-12  # [1/m^2] in the place's stead, so that nothing is ever singular
+TINY = 1e-12  # [1/m^2] precision of the place, so that no matrix is singular
 
 
 @lru_cache(maxsize=2)
 def layout(n: int) -> tuple[Array, Array, Array]:
-    """Return what is known of the families before any sighting, for n dimensions.
+    """Return the structure and priors of the families for n dimensions.
 
     The P rows of a Jacobian are: place (n), velocity (n), then two coefficients of n (t^2, or
     cosine and sine; for a circle its relative size and its attitude), angular frequency, damping.
 
     Returns:
-        Which rows a family has, shape (K, P); the precision of the priors, shape (K, P), 1 in rows
-        that are not used; and the part of the Jacobian that never changes, shape (K, P, 7, n).
+        Rows used by each family, shape (K, P); prior precisions, shape (K, P), 1 in unused rows;
+        and the constant part of the Jacobian, shape (K, P, 7, n).
     """
     first, second, rate = 2 * n, 3 * n, 4 * n
     constant = np.zeros((len(NAMES), 4 * n + 2, COLUMNS, n))
@@ -75,14 +75,14 @@ def layout(n: int) -> tuple[Array, Array, Array]:
 
 
 def shape_rows(family: int, n: int) -> tuple[int, int]:
-    """Return the first row of an oscillation's shape, and the one after its last."""
+    """Return the first row of an oscillation's shape, and the row after its last."""
     return 2 * n, 2 * n + 1 + n * (n - 1) // 2 if family == TURN else 4 * n
 
 
 def shape_precision(family: int, rate: float) -> float:
     """Return the prior precision of an oscillation's shape at a frequency [rad/s], in 1/m^2.
 
-    A circle is as large as its speed makes it, a swing as its acceleration allows.
+    The prior limits the size of a circle by its speed, that of a swing by its acceleration.
     """
     if family == TURN:
         return (rate / SPEED) ** 2
@@ -105,7 +105,7 @@ def columns(times: Array, rates: Array | float, dampings: Array | float) -> Arra
 
 
 def jacobian(family: int, coefficients: Array) -> Array:
-    """Return the coefficients that each parameter of an oscillation moves, shape (P, 7, n)."""
+    """Return the Jacobian of an oscillation, coefficients by parameters, shape (P, 7, n)."""
     n = coefficients.shape[1]
     rows = layout(n)[2][family].copy()
     a, b, rate = coefficients[COSINE], coefficients[SINE], 4 * n
@@ -113,7 +113,7 @@ def jacobian(family: int, coefficients: Array) -> Array:
     if family == DAMPED:
         rows[rate + 1, T_COSINE], rows[rate + 1, T_SINE] = -a, -b
     if family == TURN:
-        # In metres of the rim, so that a circle of no size does not pass for a still goal.
+        # In metres at the rim, so that a circle of radius zero does not pass for a still goal.
         radius = max(float(np.linalg.norm(a)), TINY)
         rows[2 * n, COSINE], rows[2 * n, SINE] = a / radius, b / radius
         for i, axis in enumerate(np.eye(n * (n - 1) // 2) / radius):
@@ -122,7 +122,7 @@ def jacobian(family: int, coefficients: Array) -> Array:
 
 
 def stepped(family: int, coefficients: Array, step: Array) -> Array:
-    """Return coefficients after a step of the parameters that are not frequency or damping."""
+    """Return coefficients after a step of all parameters except frequency and damping."""
     n = coefficients.shape[1]
     place, velocity, first, second = step[: 4 * n].reshape(4, n)
     moved = coefficients.copy()
@@ -139,7 +139,7 @@ def stepped(family: int, coefficients: Array, step: Array) -> Array:
 
 
 def circle(coefficients: Array) -> Array:
-    """Return the circle nearest to an ellipse's coefficients, shape (7, n)."""
+    """Return the circle nearest to an ellipse, as coefficients, shape (7, n)."""
     u, sizes, v = np.linalg.svd(coefficients[COSINE : SINE + 1], full_matrices=False)
     nearest = coefficients.copy()
     nearest[COSINE : SINE + 1] = sizes.mean() * u @ v
@@ -147,9 +147,9 @@ def circle(coefficients: Array) -> Array:
 
 
 def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
-    """Return the frequency and coefficients of the turn that moves as an acceleration at a moment.
+    """Return frequency and coefficients of the turn that fits an acceleration at ``middle`` [s].
 
-    None if that is straight; ``coefficients`` are those of the family ``ACCELERATION``.
+    None if the motion is straight; ``coefficients`` are those of the family ``ACCELERATION``.
     """
     square = coefficients[SQUARE]
     velocity = coefficients[LINEAR] + 2.0 * middle * square
@@ -168,9 +168,9 @@ def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
 
 
 def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Array:
-    """Return the same oscillations with time counted from a later moment [s], shape (K, 7, n).
+    """Return the same oscillations with a later time origin [s], shape (K, 7, n).
 
-    Their middles are left as they are: the next fit finds them.
+    Their centres are left unchanged: the next fit determines them.
     """
     moved = coefficients.copy()
     turn, fade = rates[:, None] * by, np.exp(-dampings[:, None] * by)
@@ -180,21 +180,21 @@ def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Arra
     return moved
 
 
-# [rad/s]; below, by ratios; above, apart by what twenty seconds tell from one another
+# [rad/s]; geometric below; above, spaced by what twenty seconds of data resolve
 GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
-NYQUIST = 0.45  # cycles a sighting that still count as resolved
+NYQUIST = 0.45  # cycles per sighting, the highest resolved frequency
 ASSUMED = 0.01  # [m] noise, for the prior of a swing's size
-FIXED, DRIFTING = 1, 2  # columns of a line that the middle of a swing follows
+FIXED, DRIFTING = 1, 2  # columns of the line followed by the centre of a swing
 
 
 class Spectrum:
-    """How well a swing of each frequency on the grid fits, after ``count`` sightings."""
+    """Quality of fit of a swing at each frequency of the grid, after ``count`` sightings."""
 
     def __init__(self, n: int) -> None:
-        # Of cosine and sine with 1, t and the positions, and with one another.
+        # Products of cosine and sine with 1, t and the positions, and with one another.
         self._cosines, self._sines = np.zeros((2, 2 + n, len(GRID)))
         self._squares, self._products = np.zeros((2, len(GRID)))
-        self._line = np.zeros((2, 2 + n))  # of 1 and t with themselves, and with the positions
+        self._line = np.zeros((2, 2 + n))  # products of 1 and t with themselves, and with positions
         self._square = 0.0
         self.count = 0
 
@@ -214,13 +214,13 @@ class Spectrum:
     def best(self, middle: int) -> tuple[float, float]:
         """Return the best angular frequency [rad/s] and its misfit [m^2].
 
-        The ``middle`` of the swing is ``FIXED`` or ``DRIFTING``.
+        The centre of the swing (``middle``) is ``FIXED`` or ``DRIFTING``.
         """
-        # Against orthonormal columns of the line, what it explains is a sum of squares.
+        # With orthonormal columns of the line, its explained part is a sum of squares.
         unit = np.linalg.inv(np.linalg.cholesky(self._line[:middle, :middle]))
         known = unit @ self._line[:middle, 2:]
         explained = self._explained(unit, known)
-        span = math.sqrt(3.0 * self._line[1, 1] / self.count)  # of times evenly spread from 0
+        span = math.sqrt(3.0 * self._line[1, 1] / self.count)  # for times spread evenly from 0
         explained[GRID * span > 2.0 * math.pi * NYQUIST * self.count] = -np.inf
         found = int(np.argmax(explained))
         return float(GRID[found]), self._square - float(np.sum(known**2) + explained[found])
@@ -238,8 +238,8 @@ class Spectrum:
 
 
 MOST_DAMPED = 2.0  # [1/s]
-BENT_FROM = 5  # sightings: through three any change of course is an acceleration
-# Of a few numbers at a time: to import SciPy's takes longer than all that a flight needs of it.
+BENT_FROM = 5  # sightings: any three fit an acceleration
+# For a few numbers at a time: importing SciPy's takes longer than a flight's calls.
 log_gamma = np.vectorize(math.lgamma, otypes=[float])
 
 
@@ -247,7 +247,7 @@ Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n)
 
 
 class Placement(NamedTuple):
-    """Where a family is to be put; ``moved`` there by a step, its frequency has its price."""
+    """A new linearisation point of a family; ``moved`` if a step led there (see Fits.weighed)."""
 
     family: int
     rate: float  # [rad/s]
@@ -260,36 +260,36 @@ class Placement(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What is known of the noise of sightings: a gamma distribution of its precision."""
+    """The noise of sightings: a gamma distribution of its precision."""
 
-    share: float  # half as many numbers as hold as much information
+    share: float  # half the equivalent number of values
     scale: float  # half the sum of their squares [m^2]
 
     @property
     def variance(self) -> float:
-        """Return the likeliest variance [m^2]."""
+        """Return the most likely variance [m^2]."""
         return self.scale / self.share
 
 
-UNKNOWN = Noise(1.0, 2e-4)  # 1.4 cm, or ten times less or more
-LEAST = 1e-5  # [m^2] variance that is recalled at least
-RECALLED = 8.0  # most that an earlier motion's noise counts for
+UNKNOWN = Noise(1.0, 2e-4)  # 1.4 cm, within a factor of ten
+LEAST = 1e-5  # [m^2] least variance that is recalled
+RECALLED = 8.0  # largest share recalled from an earlier motion's noise
 
 
 class Fits:
-    """The families fitted to a stretch of sightings in n dimensions.
+    """The families fitted to a sequence of sightings in n dimensions.
 
     Attributes:
         known: which families have been placed, shape (K,).
-        weighed: which have also been moved since, so that their frequency has its price, (K,).
+        weighed: which have also been moved since, so that evidence covers the frequency, (K,).
         rates: angular frequencies, shape (K,) [rad/s].
         dampings: shape (K,) [1/s].
-        coefficients: about which a fit is linear, shape (K, 7, n).
-        count: of sightings.
-        misfit: sums of squared residuals, with what the priors add, shape (K,) [m^2].
+        coefficients: linearisation points, shape (K, 7, n).
+        count: number of sightings.
+        misfit: sums of squared residuals, including prior terms, shape (K,) [m^2].
         evidence: logarithms, shape (K,).
-        noises: variance that each family takes sightings to have, shape (K,) [m^2].
-        gain: what the latest step explains, in units of the noise, shape (K,).
+        noises: variance of sightings according to each family, shape (K,) [m^2].
+        gain: reduction of the misfit by the latest step, in units of the noise, shape (K,).
     """
 
     def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
@@ -305,7 +305,7 @@ class Fits:
         self._transposed = np.ascontiguousarray(
             self._jacobian.transpose(0, 2, 3, 1).reshape(size, COLUMNS, n * rows)
         )
-        self._pull = np.zeros((size, rows))  # parameters that the priors draw to zero
+        self._pull = np.zeros((size, rows))  # parameters that the priors pull to zero
         self._gram = np.zeros((size, COLUMNS, COLUMNS))
         self._moments = np.zeros((size, COLUMNS, n))
         self._square, self.count = 0.0, 0
@@ -315,7 +315,7 @@ class Fits:
         self._diagonal = np.arange(rows)
         precision = np.where(self._used, noise.variance * prior, 1.0)
         self._prior = ODDS + 0.5 * np.sum(np.log(precision), axis=1)
-        self._free = precision  # but for the place, which may be anywhere
+        self._free = precision  # with the place unconstrained
         self._free[:, :n] = TINY * noise.variance
 
     def rows(self, time: float) -> Array:
@@ -323,7 +323,7 @@ class Fits:
         return columns(np.full(len(NAMES), time), self.rates, self.dampings)
 
     def add(self, rows: Array, position: Array) -> None:
-        """Add a sighting, given its ``rows``, shape (K, 7)."""
+        """Add a sighting with its ``rows``, shape (K, 7)."""
         self._gram += rows[:, :, None] * rows[:, None, :]
         self._moments += rows[:, :, None] * position
         self._square += float(position @ position)
@@ -338,13 +338,13 @@ class Fits:
         past: Past,
         moved: bool = False,
     ) -> Placement:
-        """Return a family at a frequency, damping and coefficients, with its sums over the past."""
+        """Return the placement of a family at a frequency, damping and coefficients."""
         x = columns(past[0], rate, damping)
         rows = jacobian(family, coefficients)
         return Placement(family, rate, damping, coefficients, x.T @ x, x.T @ past[1], rows, moved)
 
     def put(self, to: Placement) -> None:
-        """Put a family where it is to be; ``solve`` has to follow."""
+        """Apply a placement; ``solve`` must follow."""
         n, family = self._n, to.family
         self._gram[family], self._moments[family] = to.gram, to.moments
         self.rates[family], self.dampings[family] = to.rate, to.damping
@@ -361,7 +361,7 @@ class Fits:
             self._pull[family, first:last] = to.coefficients[COSINE : SINE + 1].ravel()
 
     def moved(self, family: int, past: Past) -> Placement:
-        """Return a family after a Gauss-Newton step, shortened to where linearity ends."""
+        """Return a family after a Gauss-Newton step, shortened to where linearity holds."""
         n, step = self._n, self._step[family]
         span = float(past[0][-1] - past[0][0]) or 1.0
         rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == TURN else 0.0
@@ -373,13 +373,13 @@ class Fits:
         return self.placed(family, rate, damping, coefficients, past, True)
 
     def begin_later(self, by: float, past: Past) -> None:
-        """Count time from ``by`` later [s], and sum up ``past``, what remains, anew.
+        """Move the time origin by ``by`` [s], and recompute the sums over ``past``, the rest.
 
-        Places may be counted from elsewhere as well: every family is linear in where it is.
+        The origin of places may move as well: every family is linear in its place.
         """
         kept = later(self.fitted, self.rates, self.dampings, by)
         self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
-        x = columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
+        x = columns(past[0], 0.0, 0.0)  # of families without a frequency, or not placed yet
         self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
         for family in OSCILLATING:
             if self.known[family]:
@@ -416,9 +416,9 @@ class Fits:
         self.gain = np.where(self.known, explained / self.noises, 0.0)
 
     def noise(self) -> Noise:
-        """Return what the likeliest family has taught of the noise, to be recalled later.
+        """Return the noise estimated by the likeliest family, as a prior for later motions.
 
-        As many numbers as its parameters take are fitted exactly, and teach nothing.
+        As many numbers as it has parameters are fitted exactly, and carry no information on noise.
         """
         best = int(np.argmax(self.evidence))
         left = 0.5 * (self.count * self._n - int(self._used[best].sum()))
@@ -430,13 +430,13 @@ class Fits:
 
     @property
     def fitted(self) -> Array:
-        """Return the coefficients with the latest step, shape (K, 7, n)."""
+        """Return the coefficients with the latest step applied, shape (K, 7, n)."""
         size, rows = self._step.shape
         step = (self._step[:, None, :] @ self._jacobian.reshape(size, rows, -1))[:, 0]
         return self.coefficients + step.reshape(self.coefficients.shape)
 
     def spread(self, rows: Array) -> Array:
-        """Return the sum of squares of the spread at ``rows``, (K, 7), per unit of noise, (K,)."""
+        """Return the total variance of predictions at ``rows``, (K, 7), per unit of noise, (K,)."""
         size, count = self._step.shape
         moved = (rows[:, None, :] @ self._transposed).reshape(size, self._n, count)
         white = moved @ self._root.transpose(0, 2, 1)
@@ -446,7 +446,7 @@ class Fits:
 def data_evidence(
     misfit: Array, numbers: Array | float, share: Array | float, scale: Array | float
 ) -> Array:
-    """Return the part of the evidence that the misfit [m^2] of so many numbers decides.
+    """Return the part of the evidence due to the misfit [m^2] of a number of values.
 
     The noise, with a prior of ``share`` and ``scale`` [m^2], is integrated out.
     """

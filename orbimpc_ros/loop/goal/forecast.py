@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Forecasts of a moving goal from its observations: the targets g_1..g_N of a plan.
 
-The ``auto`` one fits the goal at hand: a bank of motions, each as likely as its evidence. Work is
-shared out so that no sighting costs much: of two, the first is gated, summed up, and pays for two
-tasks that make oscillations better known; with the second all families are fitted anew, and it is
-tested whether the goal changed its course.
+The forecast ``auto`` fits a bank of motions to the goal and weights them by evidence. Work is
+distributed to bound the cost of each sighting: of two, the first is gated and added to the sums,
+and pays for two tasks that improve oscillations; with the second, all families are refitted, and
+the goal is tested for a change of course.
 
 Mathematics: docs/mathematics.md, 7.4.
 """
@@ -49,16 +49,16 @@ from orbimpc_ros.loop.goal.fits import (
 from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 
-# Sightings of a new motion: even, for of older sightings every other one was weighed.
+# Sightings of a new motion: even, because only every other older one was weighed.
 LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
-TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
-RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
+TIE = 4.0  # lengths with evidence this close count as equal; the longest is chosen
+RARE = -5.0  # logarithm of the prior odds of a change of course at a sighting
 WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
 ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
 
 
 class Changes:
-    """Compares one motion with a new one, still, straight or bent, through the latest sightings."""
+    """Compares one motion with a new one, still, straight or bent, over the latest sightings."""
 
     def __init__(self, n: int) -> None:
         self._n = n
@@ -69,22 +69,22 @@ class Changes:
         self._count = 0
 
     def note(self, time: float, position: Array) -> None:
-        """Note a sighting."""
+        """Record a sighting."""
         self._count += 1
         new = self._count % len(self._times)
         self._times[new], self._seen[new] = time, position
 
     def weigh(self, evidence: float, noise: Noise) -> None:
-        """Note the evidence of one motion through all sightings so far, and what noise it has."""
+        """Record the evidence of one motion through all sightings so far, and its noise."""
         now = self._count % len(self._evidence)
         self._evidence[now], self._noise[now] = evidence, noise
 
     def noise(self, new: int) -> Noise:
-        """Return what was known of the noise before the ``new`` latest sightings."""
+        """Return the noise as estimated before the ``new`` latest sightings."""
         return Noise(*map(float, self._noise[(self._count - new) % len(self._noise)]))
 
     def found(self) -> int:
-        """Return how many sightings a new motion has, if one is likely; otherwise 0."""
+        """Return the number of sightings of a new motion, if one is likely; otherwise 0."""
         usable = int(np.searchsorted(LENGTHS, self._count - 1, side='right'))
         if not usable:
             return 0
@@ -98,7 +98,7 @@ class Changes:
     def _anew(self, before: np.ndarray) -> Array:
         """Return the evidence of a still, straight or bent motion after each of ``before``.
 
-        One factor holds the fits of all three, for the columns of each are the first of the next.
+        One Cholesky factor serves all three, because the columns of each are the first of the next.
         """
         n, lengths = self._n, LENGTHS[: len(before)]
         share, scale = self._noise[before].T
@@ -125,21 +125,21 @@ class Changes:
         return np.asarray(np.logaddexp.reduce(found, axis=1))
 
 
-MEMORY, KEPT = 768, 512  # sightings: as many as are remembered, and as survive when they are full
-BELIEVED = 3  # sightings off the forecast, one after another, that are a new motion
-GATE = 6.0  # standard deviations beyond which a sighting is off the forecast
-AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may have
-LOST = 60.0  # [s] unseen for longer, a goal may do anything
-FAR = 1e7  # [m] what is farther away than that is another goal
+MEMORY, KEPT = 768, 512  # sightings: the most remembered, and those kept when the memory is full
+BELIEVED = 3  # consecutive outliers that start a new motion
+GATE = 6.0  # standard deviations beyond which a sighting is an outlier
+AGILE = 5.0  # [m/s^2] unpredicted acceleration that a goal may have
+LOST = 60.0  # [s] gap between sightings after which a motion starts anew
+FAR = 1e7  # [m] distance beyond which a sighting is of another goal
 SWINGS_FROM = 6  # sightings
-YOUNG = 16  # sightings up to which each is worked on at once, later every other one
+YOUNG = 16  # sightings up to which each is fully processed, later every other one
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
-BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
-PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting that pays for one more task, and how many at most
-STEPS = 4  # of Gauss-Newton on a closer look
-SPECTRAL = ((SWING, FIXED), (CARRIER, DRIFTING))  # found in the spectrum, by their middles
+BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
+PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting per additional task, and their largest number
+STEPS = 4  # Gauss-Newton steps of a closer analysis
+SPECTRAL = ((SWING, FIXED), (CARRIER, DRIFTING))  # found in the spectrum, with their centres
 SPEED_OVER = 0.5  # [s]
-WORTHWHILE = 0.01  # units of the noise that a step should gain
+WORTHWHILE = 0.01  # least gain of a step, in units of the noise
 
 
 class Bank:
@@ -152,13 +152,13 @@ class Bank:
         """Forget every sighting."""
         self._last: float | None = None
         self._n = 0
-        self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
+        self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
         self._lately: list[tuple[float, Array]] = []
-        self._fastest = 0.0  # speed seen [m/s]
+        self._fastest = 0.0  # highest observed speed [m/s]
         self._waiting: list[Placement] = []
 
     def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting; one that is not finite, or not newer than the last, says nothing."""
+        """Take in a sighting; ignore it unless it is finite and newer than the last."""
         time, position = float(sighting.time), np.asarray(sighting.position, dtype=float)
         if not (math.isfinite(time) and np.isfinite(position).all()):
             return
@@ -176,10 +176,10 @@ class Bank:
         return '' if self._last is None else NAMES[int(np.argmax(self._shares))]
 
     def at(self, times: Array) -> Array:
-        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m].
+        """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
 
-        The mean of the families by their shares, each no farther from where it has the goal at the
-        last sighting than the fastest speed seen leads.
+        They are the mean of the families weighted by their shares. The distance of each from its
+        own position at the last sighting is limited by the highest speed observed.
         """
         assert self._last is not None
         used, fits = np.flatnonzero(self._shares > NEGLIGIBLE), self._fits
@@ -195,7 +195,7 @@ class Bank:
         return np.asarray(mean.reshape(len(times), -1) + self._origin)
 
     def _note_speed(self, time: float, position: Array) -> None:
-        """Note how fast the goal has moved lately, over half a second or the last two sightings."""
+        """Record the goal's recent speed, over half a second or the last two sightings."""
         self._lately.append((time, position))
         while len(self._lately) > 2 and time - self._lately[1][0] >= SPEED_OVER:
             self._lately.pop(0)
@@ -221,14 +221,14 @@ class Bank:
             self._shorten()
 
     def _doubt(self, time: float, position: Array) -> None:
-        """Keep a sighting off the forecast apart; with some more it is a new motion."""
+        """Set an outlier aside; with some more it starts a new motion."""
         self._apart.append((time, position))
         if len(self._apart) == BELIEVED:
             times, seen = zip(*self._apart, strict=True)
             self._begin(np.array(times), np.array(seen), self._fits.noise())
 
     def _work(self, waited: float) -> None:
-        """Do what is due after a sighting: of two tasks one, or both after a wait [s]."""
+        """Do the work of a sighting: one of two tasks, or both after a wait [s]."""
         at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
         if at_leisure or not odd:
             for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
@@ -240,13 +240,13 @@ class Bank:
                 self._reconsider()
 
     def _put_waiting(self) -> None:
-        """Put families where tasks want them, now that a fit to all sightings follows."""
+        """Apply the placements requested by tasks, now that a fit to all sightings follows."""
         for each in self._waiting:
             self._fits.put(each)
         self._waiting = []
 
     def _expected(self, position: Array, rows: Array, waited: float) -> bool:
-        """Return whether any motion that is likely at all has the goal near there."""
+        """Return True if any motion with a considerable share predicts the goal near there."""
         if _far(position, self._origin):
             return False
         off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
@@ -256,7 +256,7 @@ class Bank:
         return bool(np.any(near & (self._shares > LIKELY)))
 
     def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
-        """Start afresh with the first sightings of a motion: times, (M,), and positions, (M, n)."""
+        """Start anew with the first sightings of a motion: times, (M,), and positions, (M, n)."""
         together = [not _far(each, seen[-1]) for each in seen]
         times, seen = times[together], seen[together]
         self._n = seen.shape[1]
@@ -279,7 +279,7 @@ class Bank:
         self._changes.note(since, place)
 
     def _conclude(self) -> None:
-        """Fit, and weigh the families."""
+        """Fit the families and compute their shares."""
         self._fits.solve()
         best = self._fits.evidence.max()
         shares = np.exp(self._fits.evidence - best)
@@ -289,7 +289,7 @@ class Bank:
         self._fitted: Array = self._fits.fitted
 
     def _reconsider(self) -> None:
-        """Start afresh with a new motion, unless an oscillation explains it on a closer look."""
+        """Start anew with a new motion, unless an oscillation explains it on closer analysis."""
         if self._count >= SWINGS_FROM and self._spectrum is not None:
             self._look_closely()
         new = self._changes.found()
@@ -299,13 +299,13 @@ class Bank:
             self._begin(*begun, self._changes.noise(new))
 
     def _shorten(self) -> None:
-        """Drop the oldest sightings; what is known by now is kept, and not searched for again."""
+        """Drop the oldest sightings; keep present estimates, without searching for them again."""
         times, seen = (each[-KEPT:].copy() for each in self._past())
         by, offset = float(times[0]), seen[0].copy()
         self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
         self._epoch, self._origin = self._epoch + by, self._origin + offset
         self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
-        self._waiting = []  # they count time from the epoch before
+        self._waiting = []  # relative to the previous epoch
         self._fits.begin_later(by, self._past())
         self._conclude()
 
@@ -315,7 +315,7 @@ class Bank:
     # --- tasks
 
     def _refine(self) -> None:
-        """Improve one oscillation, or look for others: one task at a time, to bound the cost."""
+        """Improve one oscillation, or search for others: one task at a time, to bound the cost."""
         if self._count < SWINGS_FROM:
             return
         self._tasks += 1
@@ -327,7 +327,7 @@ class Bank:
             self._move()
 
     def _look_closely(self) -> None:
-        """Do at once what is otherwise done over many sightings."""
+        """Do all tasks at once that are otherwise spread over many sightings."""
         self._read()
         for where in SPECTRAL:
             self._seek(*where)
@@ -344,7 +344,7 @@ class Bank:
         self._conclude()
 
     def _move(self) -> None:
-        """Move the next oscillation whose fit would gain by it, one just placed before others."""
+        """Step the next oscillation whose fit would gain by it, new placements first."""
         turn, fits = self._tasks // 2 % len(OSCILLATING), self._fits
         raw = [family for family in OSCILLATING if fits.known[family] > fits.weighed[family]]
         for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
@@ -358,7 +358,7 @@ class Bank:
             self._spectrum.add(times[self._spectrum.count :], seen[self._spectrum.count :])
 
     def _seek(self, family: int, middle: int) -> None:
-        """Place a family at the best frequency of the spectrum, where that fits better."""
+        """Place a family at the best frequency of the spectrum, if that fits better."""
         if self._spectrum is None or self._spectrum.count < SWINGS_FROM:
             return
         rate, misfit = self._spectrum.best(middle)
@@ -368,13 +368,13 @@ class Bank:
             self._waiting.append(fits.placed(family, rate, 0.0, start, self._past()))
 
     def _seek_damped(self) -> None:
-        """Start a damped swing as a swing, where that fits better."""
+        """Restart the damped swing from the swing, if that fits better."""
         fits = self._fits
         if self._worse(DAMPED, SWING):
             self._start(DAMPED, fits.rates[SWING], fits.coefficients[SWING])
 
     def _seek_turn(self) -> None:
-        """Start a turn as an acceleration bends, or later as a swing, where that fits better."""
+        """Restart the turn from the acceleration, or later from the swing, if that fits better."""
         fits, middle = self._fits, 0.5 * self._times[self._count - 1]
         bend = arc(self._fitted[ACCELERATION], middle)
         if bend and middle * bend[0] < 1.0:
@@ -394,7 +394,7 @@ class Bank:
 
 
 def _far(one: Array, other: Array) -> bool:
-    """Return whether two positions are too far apart for one motion."""
+    """Return True if two positions are too far apart for one motion."""
     with np.errstate(over='ignore'):
         return bool(np.abs(one - other).max() > FAR)
 
@@ -409,7 +409,7 @@ DRIFT = 10.0  # prior standard deviation of c about the last sighting [m]
 
 
 class Velocity:
-    """The goal goes on in the straight line that fits its latest sightings best."""
+    """Extrapolates the goal along the straight line fitted to its latest sightings."""
 
     LATEST = 3  # sightings
 
@@ -421,7 +421,7 @@ class Velocity:
         self._latest.append(sighting)
 
     def at(self, times: Array) -> Array:
-        """Return points on the line at ``times`` [s], shape (N, n) [m]; the last if it is alone."""
+        """Return the line at ``times`` [s], shape (N, n) [m]; the position if there is only one."""
         seen = np.array([s.position for s in self._latest])
         stamps = np.array([s.time for s in self._latest])
         if len(seen) < 2 or stamps[-1] == stamps[0]:
@@ -436,22 +436,22 @@ class Velocity:
 
 
 class Hold(Velocity):
-    """The paper's forecast: the goal stays where it was seen last."""
+    """The paper's forecast: the goal stays at its last observed position."""
 
     LATEST = 1
 
 
 class Harmonic:
-    r"""The goal swings: a harmonic oscillation of which nothing is known before.
+    r"""The goal swings: a harmonic oscillation with unknown parameters.
 
     The model is :math:`g(t) = c + a \cos\omega t + b \sin\omega t + \varepsilon`, one frequency for
     all axes, with Gaussian priors on c, a and b. For a given frequency, noise and size of swing it
     is linear, so evidence and prediction have closed forms; the forecast is the average of the
     predictions over a grid of those three, weighted by evidence. The grid of frequencies is refined
-    around its best point: the longer a swing was watched, the sharper its frequency is known.
+    around its best point: the longer the observation, the more precise the frequency.
 
-    Before that it does what is sensible: it holds the goal after one sighting, and after a few
-    carries its motion on, the less boldly the more noise there is.
+    Before that it degrades gracefully: it holds the goal after one sighting, and extrapolates its
+    motion after a few, the more cautiously the more noise there is.
     """
 
     def __init__(self) -> None:
@@ -468,7 +468,7 @@ class Harmonic:
         self._seen.append(sighting.position)
 
     def at(self, times: Array) -> Array:
-        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m].
+        """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
 
         Predictions are averaged by evidence over log(frequency).
         """
@@ -490,7 +490,7 @@ class Harmonic:
 
 
 def _first_grid(past: Array) -> Array:
-    """Return frequencies from the lowest to what the sightings' spacing can tell apart."""
+    """Return frequencies from the lowest to the highest resolved by the sightings."""
     gaps = np.diff(past)
     spacing = float(np.median(gaps[gaps > 0.0])) if np.any(gaps > 0.0) else 1.0
     return np.geomspace(LOWEST, min(HIGHEST, max(0.45 / spacing, 2 * LOWEST)), COARSE)

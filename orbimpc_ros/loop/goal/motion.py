@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Motion of a goal, seen and to come: at stamped points, or along a path without times.
+r"""Motion of a goal, past and future: at stamped points, or along a path without times.
 
 A path is followed as fast as the airspeed allows in the wind: the goal moves along it from the
-point nearest to the vehicle. Where it leads along t, an airspeed V in a wind w makes
+point nearest to the vehicle. In the path's direction t, an airspeed V in a wind w gives
 
 .. math::
     \dot s = t \cdot w + \sqrt{V^2 - |w - (t \cdot w) t|^2}
 
-over ground. Where that is not positive, or not real, the path cannot be followed: the goal stays,
+over ground. If that is not positive, or not real, the path cannot be followed: the goal stays,
 and a vehicle near it heads into the wind.
 """
 
@@ -23,24 +23,24 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 
-FINE = 0.25  # [s] of flight between two looks at where the path leads
-SHARP = 1.2  # times the turn that is allowed, averaged over a step
+FINE = 0.25  # [s] of flight between samples of the direction of the path
+SHARP = 1.2  # ratio of the mean turn rate over a step to its limit, above which it is reported
 
 
 @dataclass(frozen=True)
 class GoalObservation:
-    """Where the goal was seen."""
+    """An observed position of the goal."""
 
     time: float  # stamp [s]
     position: Array  # in the world frame, shape (n,) [m]
-    attitude: Array | None = None  # shape (n, n); None where it has none in the plane
+    attitude: Array | None = None  # shape (n, n); None if undefined in the plane
 
     def __post_init__(self) -> None:
         self.position.setflags(write=False)
 
 
 class GoalMotion(Protocol):
-    """Where a goal will be: a forecast, or the trajectory that somebody else has published."""
+    """Future motion of a goal: a forecast, or a trajectory published by another node."""
 
     def at(self, times: Array) -> Array:
         """Return the positions at ``times``, shape (N,) [s], as shape (N, n) [m]."""
@@ -58,11 +58,11 @@ class Forecast(GoalMotion, Protocol):
 
 @dataclass(frozen=True)
 class GoalTrajectory:
-    """A forecast that somebody else made: stamped future positions, interpolated in between."""
+    """An external forecast: stamped future positions, interpolated in between."""
 
     times: Array  # increasing stamps, shape (M,) [s]
     positions: Array  # shape (M, n) [m]
-    attitude: Array | None = None  # at the last of them, shape (n, n); None where it has none
+    attitude: Array | None = None  # at the last of them, shape (n, n); None if undefined
 
     def __post_init__(self) -> None:
         if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):
@@ -71,7 +71,7 @@ class GoalTrajectory:
         sealed(self.positions)
 
     def at(self, times: Array) -> Array:
-        """Return the positions at ``times``, shape (N, n); the ends are held beyond the ends."""
+        """Return the positions at ``times``, shape (N, n); both end points are held."""
         return np.column_stack(
             [np.interp(times, self.times, column) for column in self.positions.T]
         )
@@ -82,11 +82,11 @@ class Route:
     """A path of straight lines between points, closed if the last point is the first.
 
     Attributes:
-        positions: at least two, each apart from the one before, shape (M, n) [m].
+        positions: at least two, consecutive ones distinct, shape (M, n) [m].
     """
 
     positions: Array
-    attitude: None = None  # as of other goals
+    attitude: None = None  # as in other goals
 
     def __post_init__(self) -> None:
         if len(self.positions) < 2 or not np.diff(self.positions, axis=0).any(axis=1).all():
@@ -99,7 +99,7 @@ class Route:
 
     @cached_property
     def _ends(self) -> Array:
-        """Return how far along the path each point is, shape (M,) [m]."""
+        """Return the distance of each point along the path, shape (M,) [m]."""
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._lines, axis=1))])
 
     @property
@@ -109,7 +109,7 @@ class Route:
 
     @cached_property
     def closed(self) -> bool:
-        """Return whether the path begins where it ends."""
+        """Return True if the path ends at its first point."""
         return bool(np.allclose(self.positions[0], self.positions[-1]))
 
     def place(self, along: Array) -> Array:
@@ -118,15 +118,15 @@ class Route:
         return np.column_stack([np.interp(along, self._ends, each) for each in self.positions.T])
 
     def direction(self, along: float) -> Array:
-        """Return where the path leads at a distance along it [m], a unit vector, shape (n,)."""
+        """Return the path's direction at a distance along it [m], a unit vector, shape (n,)."""
         along = along % self.length if self.closed else along
         line = int(np.searchsorted(self._ends[1:-1], along, 'right'))
         return np.asarray(self._lines[line] / (self._ends[line + 1] - self._ends[line]))
 
     def nearest(self, position: Array, near: float | None = None, within: float = 0.0) -> float:
-        """Return the distance along the path at which it is nearest to a position [m].
+        """Return the distance along the path of its point nearest to a position [m].
 
-        Only points ``within`` a distance of ``near`` along the path count, if there are any [m].
+        If there are points ``within`` a distance of ``near`` along the path, only those count [m].
         """
         away = position - self.positions[:-1]
         lengths = np.diff(self._ends)
@@ -142,7 +142,7 @@ class Route:
         return float(found[np.argmin(squared)])
 
     def at(self, times: Array) -> Array:
-        """Return the end of the path for all times, shape (N, n) [m]: where it leads in the end."""
+        """Return the end of the path for all times, shape (N, n) [m], as the final goal."""
         return np.repeat(self.positions[-1:], len(times), axis=0)
 
 
@@ -151,13 +151,13 @@ class Paced:
     """A goal that moves along a path."""
 
     route: Route
-    along: float  # where it begins [m]
-    time: float  # then [s]
-    airspeed: float  # to follow at [m/s]
+    along: float  # initial distance along it [m]
+    time: float  # initial time [s]
+    airspeed: float  # of the pursuit [m/s]
     wind: Array  # shape (n,) [m/s]
 
     def at(self, times: Array) -> Array:
-        """Return where the goal is at times that increase, shape (N,) [s], as shape (N, n) [m]."""
+        """Return the positions of the goal at increasing times, shape (N,) [s], as (N, n) [m]."""
         return self.route.place(self._distances(times))
 
     def _distances(self, times: Array) -> Array:
@@ -172,16 +172,16 @@ class Paced:
         return np.array(found)
 
     def _speed(self, along: float) -> float:
-        """Return the speed over ground, 0 where there is none along the path [m/s]."""
+        """Return the speed over ground [m/s]; 0 if progress along the path is impossible."""
         direction = self.route.direction(along)
         ahead = float(direction @ self.wind)
         left = self.airspeed**2 - float(self.wind @ self.wind) + ahead**2
         return max(0.0, ahead + math.sqrt(left)) if left > 0.0 else 0.0
 
     def trouble(self, times: Array, max_rate: float) -> str:
-        """Return why the path cannot be followed up to times, (N,) [s]; empty if it can be.
+        """Return why the path cannot be followed up to times, (N,) [s]; otherwise empty.
 
-        ``max_rate`` is the largest turn [rad/s]; 0 for no limit.
+        ``max_rate`` is the limit of the turn rate [rad/s]; 0 for no limit.
         """
         along = np.concatenate([[self.along], self._distances(times)])
         speeds = [self._speed(each) for each in along]
