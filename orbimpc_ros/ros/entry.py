@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The entry points of the installed executables: they obey signals before a node is imported.
+"""The entry points of the installed executables: they handle signals before importing a node.
 
-Importing a node takes the better part of a second, in which a signal would end in a traceback. And
-it takes ROS, which may be missing.
+Importing a node takes most of a second, during which a signal would end in a traceback. It also
+requires ROS, which may be missing.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from orbimpc_ros.ros.parameters.spec import ParameterSpec
 
-# What the tool and the general methods need beside ROS, NumPy and SciPy.
+# Needed by the tool and the general methods, besides ROS, NumPy and SciPy.
 OTHERS = ('clarabel', 'matplotlib', 'mcap', 'rosbags')
-# What comes with ROS, or from PyPI with the extra of that name.
+# Part of ROS, or of the PyPI extra with that name.
 ROS = (
     *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'lifecycle_msgs', 'nav_msgs'),
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
@@ -42,7 +42,7 @@ TOPICS = {
     'and captured.',
 }
 COMPILING = 'compiling machine code, only once'
-PAUSE = 5.0  # [s] between two lines of progress
+PAUSE = 5.0  # [s] between lines of progress
 USAGE = """\
 usage: {name} [--ros-args ARGUMENT...]
 
@@ -60,10 +60,10 @@ exit codes: 0 done or ended by a signal, 1 failed, 2 bad input"""
 
 
 def leave_at_signals() -> None:
-    """End this process at SIGINT and SIGTERM, without a word: it has not begun yet.
+    """Exit silently at SIGINT and SIGTERM while the process has not begun its work.
 
-    An exception would not do: raised by a handler inside one of LLVM's callbacks it is dropped.
-    The handlers are installed even where SIGINT is ignored, as by a shell's background jobs.
+    An exception would not do: raised by a handler inside one of LLVM's callbacks, it is dropped.
+    The handlers are installed even if SIGINT is ignored, as in background jobs of a shell.
     """
     for number in SIGNALS:
         signal.signal(number, lambda _number, _frame: os._exit(0))
@@ -81,11 +81,11 @@ def sim() -> int:
 
 def _run(node: str) -> int:
     leave_at_signals()
-    gc.disable()  # until the node runs: what a start makes is kept
+    gc.disable()  # until the node runs: objects of the start are permanent
     plain = takewhile('--ros-args'.__ne__, sys.argv)
     try:
         if any(word in ('-h', '--help') for word in plain):
-            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as for `planner --help | head`
+            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # for uses like `planner --help | head`
             print(_help(node))
             return DONE
         main = import_module(f'{PACKAGES[node]}.node').main
@@ -99,7 +99,7 @@ def _run(node: str) -> int:
 
 
 def _help(node: str) -> str:
-    """Return what ``--help`` of a node prints: topics, arguments, parameters, exit codes."""
+    """Return the text of ``--help`` of a node: topics, arguments, parameters, exit codes."""
     specs = getattr(import_module(TABLES[node]), node.upper())
     name = Path(sys.argv[0]).name
     return USAGE.format(
@@ -119,11 +119,11 @@ def _help_on(spec: ParameterSpec) -> str:
 
 
 def in_a_line(error: ModuleNotFoundError) -> str:
-    """Return in a line how to install what is missing; empty for what is missing by a mistake."""
+    """Return in one line how to install a missing package; empty if it is not a dependency."""
     package = (error.name or '').partition('.')[0]
     if package not in OTHERS + ROS:
         return ''
-    from orbimpc_ros import install  # metadata takes time that starts have not
+    from orbimpc_ros import install  # slow: it reads package metadata
 
     hint = install.command(package)
     if package in ROS:
@@ -132,12 +132,12 @@ def in_a_line(error: ModuleNotFoundError) -> str:
 
 
 def report_compilation(report: Callable[[str], None]) -> None:
-    """From now on report the progress whenever machine code has to be compiled.
+    """Report progress whenever machine code has to be compiled from now on.
 
     Args:
         report: called with a line every few seconds.
     """
-    from orbimpc_ros.mpc.kernels import LISTENERS  # whoever only reads the log needs no compiler
+    from orbimpc_ros.mpc.kernels import LISTENERS  # readers of COMPILING alone need no compiler
 
     begun = reported = -math.inf
     count = 0
@@ -154,7 +154,7 @@ def report_compilation(report: Callable[[str], None]) -> None:
 
 
 def without_compiler() -> str:
-    """Return that there is no compiler, and how to have one."""
+    """Return a message that the compiler is missing, and how to install it."""
     from orbimpc_ros import install
 
     hint = f'apt install python3-numba or {install.command("numba")}'

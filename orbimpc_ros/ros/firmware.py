@@ -1,17 +1,17 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Wings' autopilots in plain numbers: their axes, their speeds and their setpoints.
+r"""Interface to autopilots of wings, without ROS messages: axes, speeds and setpoints.
 
 ROS has x east, y north, z up, and a body with x forward, y left, z up. PX4 and MAVLink have north,
 east, down, and forward, right, down. Each conversion is its own inverse.
 
 PX4 (FixedWingLateralSetpoint, FixedWingLongitudinalSetpoint) turns the airspeed vector to a
-direction by a law of its own, and adds the lateral acceleration to what that gives. NaN is "not
-controlled": for a course beside a direction, for a height rate beside an altitude; with neither of
-these the altitude is held.
+direction by its own control law and adds the given lateral acceleration. NaN means "not
+controlled": used for the course in addition to a direction, and for the height rate in addition to
+an altitude; with neither of these, the altitude is held.
 
-ArduPlane (MAV_CMD_GUIDED_CHANGE_HEADING) banks in proportion to the error of the heading, up to the
-bank of the acceleration that is given; with 0 it does not bank. So the heading that is sent lies as
-far ahead in the turn as that bank takes, and the acceleration is that of the turn.
+ArduPlane (MAV_CMD_GUIDED_CHANGE_HEADING) banks in proportion to the heading error, up to the bank
+of the given acceleration; with 0 it does not bank. So the heading is sent as far ahead in the turn
+as that bank requires, with the acceleration of the turn.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.plan import Command
 
 AUTOPILOTS = ('px4', 'arduplane')
-# The topics of each, by the planner's. MAVROS is to have mav_frame BODY_NED for its setpoints.
+# Topics by those of the planner. MAVROS needs mav_frame BODY_NED for its setpoints.
 TOPICS: Mapping[str, Mapping[str, str]] = {
     'ardupilot': {
         'pose': '/ap/pose/filtered',
@@ -39,30 +39,30 @@ TOPICS: Mapping[str, Mapping[str, str]] = {
         'cmd_vel': '/mavros/setpoint_velocity/cmd_vel',
     },
     'rover': {},
-    'px4': {},  # and arduplane: wings on the autopilot's own topics, by the parameter autopilot
+    'px4': {},  # wings, like arduplane; the parameter autopilot selects the autopilot's own topics
     'arduplane': {},
 }
 GRAVITY = 9.80665  # [m/s^2]
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from or to ENU
 FRD = np.diag([1.0, -1.0, -1.0])  # from or to FLU
 LAPSE, DENSITY = 2.25577e-5, 4.2559  # [1/m], [1]: standard atmosphere below 11 km
-STEEPEST = 0.3  # least upward share of the body's z axis that a turn is computed from
+STEEPEST = 0.3  # least upward component of the body's z axis in the computation of a turn
 CHANGE_SPEED, CHANGE_ALTITUDE, CHANGE_HEADING = 43000, 43001, 43002  # MAV_CMD_GUIDED_...
 HEADING, NO_HEADING = 1.0, 2.0  # HEADING_TYPE: of the vehicle; none, back to the guided target
 ABOVE_HOME = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
-AHEAD = 1.5  # [rad] for each tan(bank): by default ArduPlane banks 0.87 rad for each radian
-HOLD = 0.5  # [m/s^2] that a heading may be held with
+AHEAD = 1.5  # [rad] per tan(bank): by default ArduPlane banks 0.87 rad per radian
+HOLD = 0.5  # [m/s^2] least limit, to hold a heading
 
 
 @dataclass(frozen=True)
 class Setpoint:
-    """What a wing is to fly.
+    """Setpoint of a wing.
 
     Attributes:
         airspeed: true [m/s].
-        heading: of the airspeed vector when the next setpoint comes, from east, to the left [rad].
-        turn: its rate, to the left [rad/s].
-        altitude: above the origin [m]; NaN for that which is held.
+        heading: of the airspeed vector at the next setpoint, from east, to the left [rad].
+        turn: turn rate, to the left [rad/s].
+        altitude: above the origin [m]; NaN to hold the present one.
     """
 
     airspeed: float
@@ -81,7 +81,7 @@ def setpoint(
         forward: full speed [m/s].
         step: of the plan [s].
         period: until the next command [s].
-        altitude: above the origin [m]; NaN for that which is held.
+        altitude: above the origin [m]; NaN to hold the present one.
     """
     turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
     heading = math.atan2(axis[1], axis[0]) - (step - period) * turn
@@ -90,28 +90,28 @@ def setpoint(
 
 
 def bearing(angle: float) -> float:
-    """Return an angle from north, to the right, of one from east, to the left; or back [rad]."""
+    """Convert an angle from east, to the left, to one from north, to the right; or back [rad]."""
     return math.remainder(0.5 * math.pi - angle, 2.0 * math.pi)
 
 
 def attitude(unit: Array) -> Array:
-    """Return the attitude, FLU to ENU, of a quaternion (w, x, y, z), FRD to NED."""
+    """Return the attitude, FLU to ENU, for a quaternion (w, x, y, z), FRD to NED."""
     return np.asarray(NED @ from_quaternion(unit, 3) @ FRD)
 
 
 def equivalent(altitude: float) -> float:
-    """Return the equivalent airspeed per true airspeed at an altitude above mean sea level [m]."""
+    """Return the ratio of equivalent to true airspeed at an altitude above mean sea level [m]."""
     return math.sqrt(max(1e-3, 1.0 - LAPSE * altitude) ** DENSITY)
 
 
 def through_air(velocity: Array, rotation: Array, airspeed: float, wind: Array) -> Array | None:
-    """Return the velocity through the air in the body, shape (3,) [m/s]; None if it is unknown.
+    """Return the velocity through the air in the body frame, shape (3,) [m/s]; None if unknown.
 
     Args:
         velocity: over ground, ENU, shape (3,) [m/s].
         rotation: attitude, FLU to ENU, shape (3, 3).
-        airspeed: true, as measured [m/s]; NaN if it is not.
-        wind: east and north, shape (2,) [m/s]; NaN if it is unknown.
+        airspeed: measured true airspeed [m/s]; NaN without a measurement.
+        wind: east and north, shape (2,) [m/s]; NaN if unknown.
     """
     if not np.isfinite(wind).all():
         return np.array([airspeed, 0.0, 0.0]) if math.isfinite(airspeed) else None
@@ -138,8 +138,8 @@ def lateral(wanted: Setpoint) -> dict[str, float]:
 def longitudinal(wanted: Setpoint, share: float, origin: float) -> dict[str, float]:
     """Return the fields of PX4's FixedWingLongitudinalSetpoint.
 
-    ``share`` is equivalent airspeed per true airspeed, ``origin`` the altitude of the origin above
-    mean sea level [m].
+    ``share`` is the ratio of equivalent to true airspeed, ``origin`` the altitude of the origin
+    above mean sea level [m].
     """
     return {
         'altitude': origin + wanted.altitude,
@@ -151,9 +151,9 @@ def longitudinal(wanted: Setpoint, share: float, origin: float) -> dict[str, flo
 
 
 def guided(wanted: Setpoint, share: float) -> list[dict[str, float]]:
-    """Return the fields of ArduPlane's commands in GUIDED, each a COMMAND_INT.
+    """Return the fields of ArduPlane's commands in GUIDED mode, each a COMMAND_INT.
 
-    ``share`` is equivalent airspeed per true airspeed.
+    ``share`` is the ratio of equivalent to true airspeed.
     """
     sideways = wanted.airspeed * wanted.turn
     heading = wanted.heading + AHEAD * sideways / GRAVITY

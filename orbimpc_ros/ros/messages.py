@@ -1,17 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""ROS messages to plain types and back: pure functions.
+"""Conversion of ROS messages to plain types and back: pure functions.
 
-What comes in is untrusted. A message is taken whole or refused whole, with the field to blame;
-stamps are read as integers, never through rclpy's Time, which raises on negative seconds.
-What the planner calls the body frame has the pushing axis along x; a vehicle that pushes along
-another axis of its own is turned on the way in and back on the way out, here and nowhere else.
-Covariances are read of winds alone: many drivers say NaN there for "unknown", which does no harm.
-In the plane (n = 2) poses lie at z = 0 and turn about z.
+Incoming messages are untrusted. A message is accepted or rejected as a whole, naming the offending
+field; stamps are read as integers, never through rclpy's Time, which raises on negative seconds.
+The planner's body frame has its thrust axis along x; a vehicle with another thrust axis is rotated
+on input and rotated back on output, only in this module. Covariances are read only for winds: many
+drivers set NaN there for "unknown", which is harmless. In the plane (n = 2), poses lie at z = 0 and
+turn about z.
 
-What a marker on ``obstacles`` covers is what counts, so that a body is never smaller than its
-marker. A turned cube becomes the box around it; a cylinder the sphere or the box around it,
-whichever is smaller, and in the plane a disc, like a sphere. Where an ellipse is meant, the longest
-axis counts. In the plane everything is what it looks like from above.
+A body covers at least its marker on ``obstacles``. A rotated cube becomes its bounding box; a
+cylinder becomes its bounding sphere or box, whichever is smaller, and in the plane a disc, like a
+sphere. An ellipsoid counts with its longest axis. In the plane, bodies are seen from above.
 """
 
 from __future__ import annotations
@@ -55,14 +54,14 @@ from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
-QUATERNION_TOLERANCE = 1e-3  # a unit quaternion may be this far off; it is then normalised
-STEEPEST = 1e-3  # in the plane: least horizontal share of the body's x axis that has a yaw
+QUATERNION_TOLERANCE = 1e-3  # tolerance of a unit quaternion's norm; it is then normalised
+STEEPEST = 1e-3  # in the plane: least horizontal component of a body x axis with a yaw
 LONGEST_PATH = 10_000  # poses
 LONGEST_FRAME = 256  # characters
 SECOND = 1_000_000_000  # [ns]
 POSE_TWIST = ('pose', 'twist')  # topics of odometry in two halves
-APART = SECOND // 10  # [ns] at most, from a pose to its twist
-# The body axes that may push, each with the rotation that turns x into it.
+APART = SECOND // 10  # [ns] largest difference between a pose and its twist
+# Possible thrust axes of the body, each with the rotation that turns x into it.
 THRUST_AXES: dict[str, Array] = {
     'x': sealed(np.eye(3)),
     'z': sealed(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])),
@@ -71,15 +70,14 @@ THRUST_AXES: dict[str, Array] = {
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames that messages must be in; an empty name accepts any.
+    """Required frames of messages; an empty name accepts any.
 
     Attributes:
         world: of poses.
         body: of twists.
-        thrust_axis: the body axis that pushes, ``x`` or, in space, ``z``.
-        velocity: what the linear velocity of odometry is given in: the ``body`` frame, as its type
-            has it, or the ``world`` frame, as some autopilots do; then the twist's frame is not
-            looked at.
+        thrust_axis: body axis of the thrust, ``x`` or, in space, ``z``.
+        velocity: frame of the linear velocity of odometry: ``body``, as the message type defines,
+            or ``world``, as published by some autopilots; then the frame of the twist is ignored.
     """
 
     world: str = ''
@@ -88,7 +86,7 @@ class Frames:
     velocity: str = 'body'
 
     def turned(self, own: Array) -> Array:
-        """Return an attitude, or a vector of the body, as of the frame whose x axis pushes.
+        """Return an attitude, or a body vector, in the frame whose x axis is the thrust axis.
 
         Args:
             own: the vehicle's attitude, shape (n, n), or a vector in its body frame, shape (3,).
@@ -96,16 +94,16 @@ class Frames:
         return own if self.thrust_axis == 'x' else own @ THRUST_AXES[self.thrust_axis]
 
     def own(self, turned: Array) -> Array:
-        """Return the vehicle's own attitude, or a vector of its body: see :meth:`turned`."""
+        """Return the vehicle's own attitude or body vector, the inverse of :meth:`turned`."""
         return turned if self.thrust_axis == 'x' else turned @ THRUST_AXES[self.thrust_axis].T
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """When and in which frames an odometry message was measured: outputs carry them on.
+    """Stamp and frames of an odometry message, which outputs reuse.
 
     Attributes:
-        nanoseconds: the stamp; exact, where seconds as a float are not [ns].
+        nanoseconds: the stamp [ns]; exact, unlike seconds as a float.
         frames: of the pose and of the twist.
     """
 
@@ -120,7 +118,7 @@ def nanoseconds(stamp: Time, culprit: str) -> int:
     """Return a stamp in nanoseconds.
 
     Raises:
-        BadInput: negative seconds, or a second's worth of nanoseconds and more.
+        BadInput: negative seconds, or nanoseconds of a whole second or more.
     """
     if stamp.sec < 0:
         raise BadInput(f'{culprit}.sec', stamp.sec, '0 or more')
@@ -132,14 +130,14 @@ def nanoseconds(stamp: Time, culprit: str) -> int:
 def read_odometry(
     message: OdometryMessage, dimension: int, frames: Frames
 ) -> tuple[Stamp, Odometry]:
-    """Return the stamp and the measurement in an Odometry message.
+    """Return the stamp and the measurement of an Odometry message.
 
     Raises:
         BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
     """
     at = _stamp(message.header, frames.world)
     in_body, child = frames.velocity == 'body', frames.body
-    if in_body:  # which a vehicle of many has behind a prefix: uav1/base_link
+    if in_body:  # in a fleet it has a prefix: uav1/base_link
         found = message.child_frame_id
         wanted = found if found.endswith(f'/{child}') else child
         child = _frame(found, wanted, 'child_frame_id')
@@ -164,7 +162,7 @@ def read_odometry(
 def read_sighting(
     message: PoseStamped, dimension: int, frames: Frames
 ) -> tuple[Stamp, GoalObservation]:
-    """Return the stamp, the place and the attitude in a goal's PoseStamped.
+    """Return stamp, position and attitude of a goal's PoseStamped.
 
     Raises:
         BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
@@ -177,9 +175,9 @@ def read_sighting(
 def read_itinerary(
     message: Path, dimension: int, frames: Frames
 ) -> tuple[Stamp, GoalTrajectory | Route]:
-    """Return the stamp and the stamped places in a goal's Path, with the last one's attitude.
+    """Return the stamp and the stamped positions of a goal's Path, with the last attitude.
 
-    Several places none of which has a stamp are a path to follow.
+    Several positions without any stamps are a path to follow.
 
     Raises:
         BadInput: no pose or too many, stamps that do not increase, or a pose not acceptable.
@@ -198,7 +196,7 @@ def read_itinerary(
 def read_wind(
     message: TwistWithCovarianceStamped, dimension: int, _frames: Frames
 ) -> tuple[Stamp, WindReport]:
-    """Return the stamp and the wind in a message; one without a positive variance has none known.
+    """Return stamp and wind of a message; its variance is unknown unless positive.
 
     Raises:
         BadInput: a stamp or a number is not acceptable.
@@ -211,7 +209,7 @@ def read_wind(
 
 
 def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, AgentTrajectory]:
-    """Return the stamp and the trajectory in another vehicle's plan.
+    """Return the stamp and the trajectory of another vehicle's plan.
 
     Raises:
         BadInput: as :func:`read_itinerary`.
@@ -239,7 +237,7 @@ def read_speed_and_rate(
 
 
 def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
-    """Return the stamp [ns] and the force along the pushing axis [N] of a commanded wrench.
+    """Return the stamp [ns] and the force along the thrust axis [N] of a commanded wrench.
 
     Raises:
         BadInput: a stamp or a number is not acceptable.
@@ -254,14 +252,14 @@ def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
     """Return the rotation, shape (3, 3), and the translation, shape (3,) [m], of a transform.
 
     Raises:
-        BadInput: a number or the quaternion of the transform of that name is not acceptable.
+        BadInput: a number or the quaternion is not acceptable; ``name`` is the transform's.
     """
     unit = _quaternion(message.rotation, f'rotation of {name}')
     return from_quaternion(unit, 3), _triple(message.translation, f'translation of {name}')
 
 
 def _seen(message: PoseStamped, dimension: int, frame: str) -> tuple[Stamp, Array, Array]:
-    """Return the stamp, the place and the unit quaternion in a goal's PoseStamped."""
+    """Return stamp, position and unit quaternion of a goal's PoseStamped."""
     at = _stamp(message.header, frame)
     unit = _quaternion(message.pose.orientation, 'pose.orientation')
     return at, _triple(message.pose.position, 'pose.position')[:dimension], unit
@@ -297,7 +295,7 @@ def _quaternion(message: Quaternion, culprit: str) -> Array:
 
 
 def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
-    """Return the attitude of a quaternion; in the plane None where the x axis has no yaw."""
+    """Return the attitude of a quaternion; None in the plane if the x axis has no yaw."""
     if dimension == 2 and math.hypot(*heading(unit)) < STEEPEST:
         return None
     return frames.turned(from_quaternion(unit, dimension))
@@ -306,20 +304,20 @@ def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
 class PoseTwistSynchronizer:
     """Pairs poses with twists as odometry, stamped as the pose.
 
-    Where the two come with the same stamps, in whatever order, they belong together. Elsewhere each
-    is measured at its own pace, and a pose goes with the last twist.
+    If both come with equal stamps, in any order, those with the same stamp are paired. Otherwise
+    both are measured at their own rates, and a pose is paired with the latest twist.
     """
 
     def __init__(self) -> None:
         self._latest: dict[str, tuple[int, Any]] = {}  # stamps [ns] and messages, by topic
-        self._joined_at = -1  # stamp of the last pose that has become odometry [ns]
-        self._twins = False  # whether stamps have been seen to be the same
+        self._joined_at = -1  # stamp of the last pose turned into odometry [ns]
+        self._twins = False  # whether equal stamps have been seen
 
     def take(self, topic: str, message: PoseStamped | TwistStamped) -> OdometryMessage | None:
-        """Take in a message on ``pose`` or ``twist``; return odometry as soon as there is some.
+        """Take in a message on ``pose`` or ``twist``; return odometry once a pair is complete.
 
         Raises:
-            BadInput: its stamp is not valid, or those of pose and twist are too far apart.
+            BadInput: its stamp is not valid, or those of pose and twist differ too much.
         """
         self._latest[topic] = nanoseconds(message.header.stamp, f'{topic}.header.stamp'), message
         if len(self._latest) < len(POSE_TWIST):
@@ -369,17 +367,17 @@ def vector(xyz: Array) -> Vector3:
 
 
 def angular(body_rate: Array, frames: Frames) -> Vector3:
-    """Return a body rate, shape (1,) or (3,) [rad/s], as a Vector3 of the vehicle's own axes."""
+    """Return a body rate, shape (1,) or (3,) [rad/s], as a Vector3 in the vehicle's own axes."""
     return vector(frames.own(np.concatenate([np.zeros(3 - len(body_rate)), body_rate])))
 
 
 def pushing(size: float, frames: Frames) -> Vector3:
-    """Return a speed or force along the pushing axis as a Vector3 of the vehicle's own axes."""
+    """Return a speed or force along the thrust axis as a Vector3 in the vehicle's own axes."""
     return vector(frames.own(np.array([size, 0.0, 0.0])))
 
 
 def pushed(vector: Vector3) -> float:
-    """Return the size of a speed or force that is along whatever body axis pushes."""
+    """Return the size of a speed or force along the thrust axis, x or z."""
     return vector.x or vector.z
 
 
@@ -396,7 +394,7 @@ def twist_message(stamp: Stamp, speed: float, body_rate: Array) -> TwistStamped:
 
 
 def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
-    """Return a commanded force along the pushing axis [N], in the body frame."""
+    """Return a commanded force along the thrust axis [N], in the body frame."""
     wrench = Wrench(force=pushing(force, stamp.frames))
     return WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body), wrench=wrench)
 
@@ -409,7 +407,7 @@ def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
 
 
 def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float = 0.0) -> Path:
-    """Return a path of poses, the first ``after`` [s] the stamp, then one every ``step`` [s]."""
+    """Return a path of poses every ``step`` [s], the first one ``after`` [s] the stamp."""
     frame = stamp.frames.world
     path = Path(header=header(stamp.nanoseconds, frame))
     for k, each in enumerate(poses):
@@ -419,17 +417,17 @@ def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float 
 
 
 def goal_message(stamp: Stamp, position: Array) -> PoseStamped:
-    """Return where the goal is, shape (n,) [m], in the world frame."""
+    """Return the position of the goal, shape (n,) [m], in the world frame."""
     head = header(stamp.nanoseconds, stamp.frames.world)
     return PoseStamped(header=head, pose=Pose(position=point(position)))
 
 
 def goal_path_message(stamp: Stamp, step: float, positions: Sequence[Array]) -> Path:
-    """Return where the goal will be, from the stamp on every ``step`` [s].
+    """Return the future positions of the goal, every ``step`` [s] from the stamp on.
 
     Args:
         stamp: of the first position.
-        step: from one to the next [s].
+        step: interval [s].
         positions: in the world frame, each of shape (n,) [m].
     """
     return path_message(stamp, step, (Pose(position=point(each)) for each in positions))
@@ -451,15 +449,15 @@ def odometry_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
 def health_message(
     at: int, node: str, task: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Return a status for /diagnostics, named as diagnostic_updater does.
+    """Return a status for /diagnostics, named as by diagnostic_updater.
 
     Args:
         at: its stamp [ns].
-        node: fully qualified name of who reports; the namespace tells the vehicle.
-        task: what it reports on.
-        level: how it is.
-        message: the same in words.
-        values: figures behind it, by key.
+        node: fully qualified name of the reporting node; its namespace identifies the vehicle.
+        task: subject of the report.
+        level: diagnostic level.
+        message: summary.
+        values: further data, by key.
     """
     name = node.strip('/')
     made = diagnostics(at, f'{name}: {task}', level, message, values)
@@ -470,7 +468,7 @@ def health_message(
 def diagnostics(
     at: int, name: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Return one diagnostic status, stamped ``at`` [ns]; values that are no text become JSON."""
+    """Return one diagnostic status, stamped ``at`` [ns]; values other than text become JSON."""
     pairs = [
         KeyValue(key=key, value=value if isinstance(value, str) else json.dumps(value))
         for key, value in values.items()
@@ -482,7 +480,7 @@ def diagnostics(
 # --- markers, for viewers and as input
 
 KINDS = {Marker.CUBE: 'CUBE', Marker.SPHERE: 'SPHERE', Marker.CYLINDER: 'CYLINDER'}
-FLAT = 0.02  # [m] height of what is shown of a plane
+FLAT = 0.02  # [m] height of planar bodies
 GREEN, BLUE, RED, GREY, ORANGE = (
     (0.1, 0.6, 0.3, 1.0),
     (0.1, 0.4, 0.9, 1.0),
@@ -490,8 +488,8 @@ GREEN, BLUE, RED, GREY, ORANGE = (
     (0.5, 0.5, 0.5, 0.5),
     (0.9, 0.5, 0.1, 1.0),
 )
-LINE = 0.02  # width of lines, as a share of the scene's unit length
-LIFETIME = 3.0  # markers of a dead node vanish after so many steps
+LINE = 0.02  # width of lines, in units of the scene's unit length
+LIFETIME = 3.0  # [steps] after which markers of a dead node vanish
 
 
 def read_obstacle(
@@ -500,15 +498,15 @@ def read_obstacle(
     frames: Frames,
     placed: Callable[[Any], Any] = lambda marker: marker,
 ) -> tuple[Stamp, ObservedBody] | str | None:
-    """Return the body that a marker shows, with its stamp, or what it removes.
+    """Return the body shown by a marker, with its stamp, or what the marker removes.
 
-    That is the name of a body, or None for all of them.
+    The latter is the name of a body, or None for all bodies.
 
     Args:
-        marker: in a message on ``obstacles``.
-        dimension: 2 for what it looks like from above.
-        frames: that it must be in.
-        placed: moves what has a header and a pose to the frame that it must be in.
+        marker: from a message on ``obstacles``.
+        dimension: 2 for the view from above.
+        frames: required frames.
+        placed: transforms a message with header and pose to the required frame.
 
     Raises:
         BadInput: its action, kind, frame, stamp, pose, scale or lifetime is not acceptable.
@@ -525,7 +523,7 @@ def read_obstacle(
     if marker.type not in KINDS:
         allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
         raise BadInput('type', marker.type, allowed)
-    # It has the header and the pose of a sighting; no axis of it pushes.
+    # It has the header and pose of a sighting, but no thrust axis.
     stamp, seen = read_sighting(placed(marker), 3, Frames(frames.world))
     assert seen.attitude is not None
     body = _body(marker.type, seen.position, seen.attitude, _scale(marker.scale), dimension)
@@ -533,7 +531,7 @@ def read_obstacle(
 
 
 def stamp_of(message: MarkerArray) -> int:
-    """Return the stamp of the first marker [ns], however nonsensical; 0 without any."""
+    """Return the unchecked stamp of the first marker [ns]; 0 without any."""
     first = next(iter(message.markers), None)
     return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
 
@@ -546,7 +544,7 @@ def _scale(scale: Vector3) -> Array:
 
 
 def _lifetime(marker: Marker) -> float:
-    """Return how long a body is there unless it is seen again [s]; 0 stands for ever."""
+    """Return how long a body lasts unless it is seen again [s]; a lifetime of 0 is infinite."""
     given = marker.lifetime
     if given.sec < 0 or given.nanosec >= SECOND:
         raise BadInput('lifetime', [given.sec, given.nanosec], '0 or more seconds')
@@ -554,14 +552,14 @@ def _lifetime(marker: Marker) -> float:
 
 
 def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:
-    """Return what a marker covers.
+    """Return the body that covers a marker.
 
     Args:
         kind: of the marker.
-        middle: shape (3,) [m].
+        middle: centre, shape (3,) [m].
         turned: its own axes in the world, shape (3, 3).
         size: along its own axes, shape (3,) [m].
-        dimension: 2 for what it looks like from above.
+        dimension: 2 for the view from above.
     """
     half, n = 0.5 * size, dimension
     if kind == Marker.SPHERE:
@@ -572,7 +570,7 @@ def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) 
     radius, axis = float(half[:2].max()), turned[:, 2]
     if n == 2:  # a lying cylinder looks longer than it is wide
         return Ball(middle[:2], radius + float(half[2]) * math.hypot(*axis[:2]))
-    across = np.sqrt(np.maximum(0.0, 1.0 - axis**2))  # of the cylinder's disc, along each axis
+    across = np.sqrt(np.maximum(0.0, 1.0 - axis**2))  # of the unit disc, along each axis
     reach, around = half[2] * np.abs(axis) + radius * across, math.hypot(radius, half[2])
     if 8.0 * float(reach.prod()) < 4.0 / 3.0 * math.pi * around**3:
         return Box(middle - reach, middle + reach)
@@ -580,7 +578,7 @@ def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) 
 
 
 def shown(marker: Marker, body: Box | Ball) -> Marker:
-    """Return a marker that shows a body, whatever it showed before."""
+    """Return a marker changed to show a body."""
     if isinstance(body, Ball):
         marker.type = Marker.SPHERE if body.dimension == 3 else Marker.CYLINDER
         sizes = np.full(body.dimension, 2.0 * body.radius)
@@ -596,13 +594,13 @@ def shown(marker: Marker, body: Box | Ball) -> Marker:
 def plan_markers(
     stamp: Stamp, problem: Problem, plan: Plan, hazards: Sequence[MovingObstacle] = ()
 ) -> MarkerArray:
-    """Return the plan as a line, its thrust as arrows, its obstacles and its floor.
+    """Return markers of the plan (a line), its thrust (arrows), its obstacles and its floor.
 
-    Hazards are shown where they are at the start, with lines to where they will be at its end. The
-    floor is what a step at less than the minimum speed would reach, around the vehicle.
+    Hazards are shown at their positions at the start, with lines along their motion to the end. The
+    floor is the region reached in a step below the minimum speed, around the vehicle.
     """
     unit, step = problem.forward * problem.step, problem.step
-    # A shorter plan has fewer arrows: all that was shown before is removed.
+    # A shorter plan has fewer arrows: earlier markers are removed.
     head = header(stamp.nanoseconds, stamp.frames.world)
     nothing = Marker(header=head, action=Marker.DELETEALL)
     path = marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, step)
@@ -612,7 +610,7 @@ def plan_markers(
     for k, fraction in enumerate(plan.speed_fraction):
         shaft = marker(stamp, 'thrust', k, Marker.ARROW, BLUE, step)
         shaft.pose = pose(plan.positions[k], plan.projected[k])
-        # A viewer warns of an arrow of no length.
+        # Viewers warn about arrows of length zero.
         shaft.scale = Vector3(x=max(0.5 * unit * fraction, 1e-3), y=0.05 * unit, z=0.05 * unit)
         found.append(shaft)
     for k, body in enumerate(problem.obstacles):
@@ -637,7 +635,7 @@ def plan_markers(
 def marker(
     stamp: Stamp, name: str, number: int, kind: int, color: tuple[float, ...], step: float
 ) -> Marker:
-    """Return a marker at the origin that vanishes some steps [s] later; to be given a shape."""
+    """Return a marker at the origin, without a shape, that vanishes after some steps [s]."""
     made = Marker(header=header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
     made.type, made.action = kind, Marker.ADD
     made.pose.orientation.w = 1.0

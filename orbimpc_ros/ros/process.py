@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A node as a process: its start, signals, a last safe command, exit codes, and its life cycle.
+"""A node as a process: its start, signals, final safe commands, exit codes, and life cycle.
 
-A managed node is set up and ended by lifecycle transitions, and its callbacks cannot end it.
-rclpy's own managed node swallows what a transition raises, and ends spinning where one is asked
-for that is not possible: here both are logged in a line, and the node goes on.
+A managed node is configured and shut down by lifecycle transitions; its callbacks cannot end it.
+rclpy's own managed node swallows exceptions of transitions, and stops spinning when an impossible
+transition is requested: here, both are logged in one line, and the node continues.
 """
 
 from __future__ import annotations
@@ -52,23 +52,23 @@ from orbimpc_ros.ros.entry import BAD_INPUT, DONE, SIGNALS, leave_at_signals
 from orbimpc_ros.ros.messages import SECOND
 
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
-HELD_UP = 0.05  # [s] between two looks at clocks, which then tell nothing of one another
-FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
+HELD_UP = 0.05  # [s] between readings of two clocks, above which they are not compared
+FAILURES_IN_A_ROW = 5  # failures of one callback, after which the node gives up
 
 
 class Managed(LifecycleNodeMixin, Node):
     """A node with a life cycle and guarded callbacks.
 
-    A subclass declares its parameters when it is made, and does the rest in ``configure``,
-    ``activate``, ``deactivate`` and ``safe``. What it creates while it is configured is destroyed
-    when that ends, however it ends.
+    A subclass declares its parameters on construction, and implements ``configure``, ``activate``,
+    ``deactivate`` and ``safe``. Endpoints created while it is configured are destroyed when that
+    state ends, for whatever reason.
 
     Attributes:
-        kind: what it is called unless it is renamed.
-        exit_code: the process ends with it as soon as it is not None.
-        steady: a clock that neither jumps nor stops, for everything that watches.
-        failures: callbacks that have failed so far.
-        active: whether it works; callbacks made by :meth:`at_work` do nothing otherwise.
+        kind: its name unless it is remapped.
+        exit_code: once not None, the process ends with it.
+        steady: a clock that neither jumps nor stops, for all monitoring.
+        failures: number of failed callbacks so far.
+        active: whether it is active; callbacks made by :meth:`at_work` do nothing otherwise.
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
@@ -79,48 +79,48 @@ class Managed(LifecycleNodeMixin, Node):
         self.failures = 0
         self.active = False
         self._in_a_row: Counter[str] = Counter()
-        self._lasting: set[Any] | None = None  # endpoints that it has unconfigured
+        self._lasting: set[Any] | None = None  # endpoints that exist while unconfigured
         self._error: BaseException | None = None  # of the last transition
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
         self._service_change_state.callback = self.guard(self._on_change_state)
 
-    # --- what a subclass does
+    # --- for subclasses to implement
 
     def configure(self) -> None:
-        """Create all that work takes.
+        """Create everything needed for work.
 
         Raises:
             BadInput: the parameters do not allow it; the node stays unconfigured.
         """
 
     def activate(self) -> None:
-        """Begin, from a fresh start."""
+        """Start from a fresh state."""
 
     def deactivate(self) -> None:
-        """Do for the last time what is safe; the node is still active."""
+        """Perform the last safe action; the node is still active."""
 
     def safe(self, reason: Reason) -> None:
-        """Do what is safe right now; the farewell and every failure call it."""
+        """Perform the safe action now; called on shutdown and after every failure."""
 
     # --- callbacks
 
-    steady_now = staticmethod(time.monotonic)  # the time of the steady clock [s]
+    steady_now = staticmethod(time.monotonic)  # time of the steady clock [s]
 
     def guard(
         self, callback: Callable[..., Any], *known: str, at_work: bool = False
     ) -> Callable[..., Any]:
-        """Return the callback, made to report what it raises instead of raising it.
+        """Return the callback, wrapped to report exceptions instead of raising them.
 
         Args:
             callback: of a subscription, timer or service.
             known: its first arguments, such as the topic.
-            at_work: whether it is to do nothing while the node is not active.
+            at_work: whether it does nothing while the node is not active.
         """
         name = ' '.join((callback.__name__.lstrip('_'), *known))
         called = functools.partial(callback, *known)
 
-        @functools.wraps(called)  # rclpy looks at how many arguments there may be
+        @functools.wraps(called)  # rclpy inspects the number of arguments
         def guarded(*arguments: Any) -> Any:
             if at_work and not self.active:
                 return None
@@ -128,7 +128,7 @@ class Managed(LifecycleNodeMixin, Node):
                 result = called(*arguments)
             except BaseException as error:
                 self.failed(name, error)
-                # A service has to answer: with the response as it came.
+                # A service must answer: with the unchanged response.
                 return arguments[1] if len(arguments) == 2 else None
             self._in_a_row[name] = 0
             return result
@@ -136,7 +136,7 @@ class Managed(LifecycleNodeMixin, Node):
         return guarded
 
     def at_work(self, callback: Callable[..., Any], *known: str) -> Callable[..., Any]:
-        """Return the callback, guarded, and made to do nothing while the node is not active."""
+        """Return the callback, guarded, which does nothing while the node is not active."""
         return self.guard(callback, *known, at_work=True)
 
     def every(self, period: float, callback: Callable[[], None]) -> Any:
@@ -144,12 +144,12 @@ class Managed(LifecycleNodeMixin, Node):
         return self.create_timer(period, self.at_work(callback), clock=self.steady)
 
     def failed(self, what: str, error: BaseException) -> None:
-        """Report a failure, do what is safe, and give up after too many in a row.
+        """Report a failure, act safely, and give up after too many in a row.
 
-        A panic in a library written in Rust is no ``Exception``, yet no reason to end at once.
+        A panic in a library written in Rust is no ``Exception``, but no reason to end at once.
 
         Raises:
-            KeyboardInterrupt, SystemExit: if that is what the error is.
+            KeyboardInterrupt, SystemExit: if the error is one of these.
         """
         if isinstance(error, (KeyboardInterrupt, SystemExit)):
             raise error
@@ -171,10 +171,10 @@ class Managed(LifecycleNodeMixin, Node):
     # --- transitions
 
     def begin(self) -> None:
-        """Configure and activate the node, unless somebody else is to do so.
+        """Configure and activate the node, unless a lifecycle manager will do so.
 
         Raises:
-            BaseException: whatever keeps it from being active.
+            BaseException: any error of these transitions.
         """
         if not self.get_parameter('autostart').value:
             self.get_logger().info('unconfigured: waits for ~/change_state')
@@ -183,14 +183,14 @@ class Managed(LifecycleNodeMixin, Node):
         for trigger in (self.trigger_configure, self.trigger_activate):
             try:
                 trigger()
-            except RuntimeError:  # rclpy cannot tell others of the transition
+            except RuntimeError:  # rclpy failed to publish the transition
                 if self._error is None:
                     raise
             if self._error is not None:
                 raise self._error
 
     def on_configure(self, state: LifecycleState) -> Ended:
-        """Set up, or clear away what was set up of it."""
+        """Configure the node, or clean up after a failure."""
         self._lasting = self._endpoints()
         result = self._tried(self.configure)
         if result != Ended.SUCCESS:
@@ -198,19 +198,19 @@ class Managed(LifecycleNodeMixin, Node):
         return result
 
     def on_activate(self, _state: LifecycleState) -> Ended:
-        """Begin to work."""
+        """Activate the node."""
         result = self._tried(self.activate)
         self.active = result == Ended.SUCCESS
         return result
 
     def on_deactivate(self, _state: LifecycleState) -> Ended:
-        """Be safe, then silent."""
+        """Act safely, then stop all activity."""
         result = self._tried(self.deactivate) if self.active else Ended.SUCCESS
         self.active = False
         return result
 
     def on_cleanup(self, _state: LifecycleState) -> Ended:
-        """Destroy what was created since the node was configured, if it is."""
+        """Destroy all endpoints created since the node was configured."""
         lasting = self._endpoints() if self._lasting is None else self._lasting
         for kind in ENDPOINTS:
             for each in [*getattr(self, f'{kind}s')]:
@@ -220,35 +220,35 @@ class Managed(LifecycleNodeMixin, Node):
         return Ended.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> Ended:
-        """End all work for good; the process stays until a signal ends it."""
+        """Stop all work for good; the process remains until a signal ends it."""
         self.on_deactivate(state)
         return self.on_cleanup(state)
 
     def on_error(self, state: LifecycleState) -> Ended:
-        """After a transition that went wrong: silent and unconfigured."""
+        """Deactivate and clean up after a failed transition."""
         return self.on_shutdown(state)
 
     @property
     def configured(self) -> bool:
-        """Return whether it is set up, or just being so."""
+        """Return True if the node is configured, or being configured."""
         return self._lasting is not None
 
     def _endpoints(self) -> set[Any]:
         return {each for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}
 
     def _tried(self, change: Callable[[], None]) -> Ended:
-        """Do a part of a transition; bad input only refuses it, anything else is an error."""
+        """Run a part of a transition; bad input only refuses it, other exceptions are errors."""
         try:
             change()
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a panic of a library written in Rust is no Exception
-            self._error = self._error or error  # what goes wrong first is what to report
+            self._error = self._error or error  # the first error is the one to report
             return Ended.FAILURE if isinstance(error, BadInput) else Ended.ERROR
         return Ended.SUCCESS
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> Any:
-        """Do what is asked for if it is possible now; rclpy would end spinning where it is not."""
+        """Perform the requested transition if possible now; else rclpy would stop spinning."""
         asked, state = request.transition, self._state_machine.current_state[1]
         possible = {found[0]: found[1] for found in self._state_machine.available_transitions}
         wanted = asked.label or possible.get(asked.id, f'transition {asked.id}')
@@ -266,23 +266,23 @@ class Managed(LifecycleNodeMixin, Node):
 
 
 class NodeClock:
-    """Reads a node's clock.
+    """Monitors the clock of a node.
 
     Args:
-        node: whose clock.
-        step: by which simulated time may move at once [s].
-        on_jump: called with how far time has jumped [s]: simulated time back or on by more than a
-            step, the system's by any amount that a look can detect.
+        node: owner of the clock.
+        step: largest regular step of simulated time [s].
+        on_jump: called with a jump of time [s]: of simulated time back, or forward by more than a
+            step; of system time by any detectable amount.
 
     Attributes:
-        simulated: whether time comes from ``/clock``; that cannot change while the node runs.
+        simulated: whether time comes from ``/clock``; constant while the node runs.
     """
 
     def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
         self._clock, self._on_jump = node.get_clock(), on_jump
         self.simulated = bool(node.get_parameter('use_sim_time').value)
         self._offset: float | None = None  # from the steady clock to this one [s]
-        self._stood: tuple[int, float] | None = None  # what was shown, and since when [ns], [s]
+        self._stood: tuple[int, float] | None = None  # last time shown [ns], and since when [s]
         threshold = JumpThreshold(
             min_forward=Duration(seconds=step),
             min_backward=Duration(nanoseconds=-1),
@@ -294,11 +294,11 @@ class NodeClock:
 
     @property
     def nanoseconds(self) -> int:
-        """Return what the clock shows [ns]."""
+        """Return the time of the clock [ns]."""
         return self._clock.now().nanoseconds
 
     def standstill(self, patience: float) -> str:
-        """Return that simulated time has stood still for longer than ``patience`` [s], in words."""
+        """Return a message if simulated time has stopped for longer than ``patience`` [s]."""
         if not self.simulated:
             return ''
         shown, now = self.nanoseconds, time.monotonic()
@@ -315,7 +315,7 @@ class NodeClock:
         )
 
     def look(self) -> None:
-        """Look whether the system's clock was set, which nothing else would show."""
+        """Detect whether the system clock was set, of which there is no notification."""
         before, shown, after = time.monotonic(), self.nanoseconds, time.monotonic()
         if self.simulated or after - before > HELD_UP:
             return
@@ -325,18 +325,18 @@ class NodeClock:
             self._on_jump(offset - last)
 
     def _on_simulated_jump(self, jump: TimeJump) -> None:
-        if self.nanoseconds != jump.delta.nanoseconds:  # else it starts
+        if self.nanoseconds != jump.delta.nanoseconds:  # else it has just started
             self._on_jump(jump.delta.nanoseconds / SECOND)
 
 
 FAILED = 1  # exit code
-FAREWELLS = 3  # safe commands on the way out
-ACKNOWLEDGED = 1.0  # [s] the last messages have to arrive
-LIFE = 0.1  # [s] DDS gives signs of life of a planner so often, for who watches for them
-SPIN = 0.05  # [s] a signal waits at most this long
-LAST_RESORT = 30.0  # [s] after which a process that was to end, and hangs, is ended
+FAREWELLS = 3  # safe commands at shutdown
+ACKNOWLEDGED = 1.0  # [s] for the last messages to arrive
+LIFE = 0.1  # [s] liveliness lease of a planner, for its monitors
+SPIN = 0.05  # [s] longest response to a signal
+LAST_RESORT = 30.0  # [s] after which a process that hangs on exit is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
-CLOSED = ('LOCALHOST', 'OFF')  # ranges that keep other machines out
+CLOSED = ('LOCALHOST', 'OFF')  # ranges that exclude other machines
 SECURITY = 'ROS_SECURITY_ENABLE'
 KNOWN_WORDS = 'arguments of ROS, such as --params-file FILE, -p NAME:=VALUE, -r FROM:=TO'
 
@@ -349,7 +349,7 @@ def qos(
 ) -> QoSProfile:
     """Return a quality of service that keeps the last ``depth`` messages.
 
-    With a ``lease`` [s], DDS gives or expects signs of life of the process so often.
+    With a ``lease`` [s], DDS offers or requires liveliness of the process at this interval.
     """
     return QoSProfile(
         depth=depth,
@@ -366,7 +366,7 @@ LATCHED = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def full_name(endpoint: Any) -> str:
-    """Return the full name of the node that has an endpoint of a topic, as the graph shows it."""
+    """Return the full name of the node that owns an endpoint of a topic in the graph."""
     return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
 
 
@@ -374,12 +374,12 @@ def full_name(endpoint: Any) -> str:
 def initialised(
     words: Sequence[str] = (), *, domain: int | None = None, context: Context | None = None
 ) -> Iterator[Context]:
-    """Keep rclpy started as long as the block lasts; signals are left to the caller.
+    """Keep rclpy initialised within the block; signals are left to the caller.
 
     Args:
-        words: a command line with arguments of ROS.
-        domain: of DDS; by default the environment's.
-        context: to start; by default a new one, so that several can be there.
+        words: a command line with ROS arguments.
+        domain: of DDS; by default from the environment.
+        context: to initialise; by default a new one, so that several can coexist.
     """
     context = context or Context()
     signals = SignalHandlerOptions.NO
@@ -394,12 +394,12 @@ def initialised(
 def attached(
     name: str, *, domain: int | None = None, executor: str = 'wait_set', **options: Any
 ) -> Iterator[tuple[Node, Executor]]:
-    """Yield a node of a context of its own, and its executor: for what is not a process of ROS.
+    """Yield a node with its own context, and its executor, for processes other than ROS nodes.
 
     Args:
         name: of the node.
-        domain: of DDS; by default the environment's.
-        executor: as :func:`executor_named` knows it.
+        domain: of DDS; by default from the environment.
+        executor: a name for :func:`executor_named`.
         options: of ``rclpy.create_node``.
     """
     with initialised(domain=domain) as context:
@@ -414,10 +414,10 @@ def attached(
 
 
 def executor_named(name: str, context: Context | None = None) -> Executor:
-    """Return a new executor, ``wait_set`` or ``events``; the context is by default rclpy's.
+    """Return a new executor, ``wait_set`` or ``events``; the context defaults to rclpy's.
 
     Raises:
-        BadInput: this rclpy has no executor of events.
+        BadInput: this rclpy has no events executor.
     """
     if name == 'wait_set':
         return SingleThreadedExecutor(context=context)
@@ -432,11 +432,11 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
 def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
     """Run a node until it is done or stopped, and return the exit code.
 
-    A signal during the start ends the process at once: nothing has been commanded yet.
+    A signal during the start ends the process at once: no command has been sent yet.
 
     Args:
         make: creates the node; BadInput from it ends the process with code 2 and one line.
-        argv: the command line; by default this process's.
+        argv: the command line; by default that of this process.
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
     words = list(sys.argv if argv is None else argv)
@@ -449,21 +449,21 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'
                 raise BadInput.stating('command line', unknown, hint) from None
-            except RuntimeError as error:  # no parameter file, or a malformed one, or a rule
+            except RuntimeError as error:  # missing or malformed parameter file, or malformed rule
                 return _ended(error, BAD_INPUT)
             _require_ros_words(words)
             return _live(_begun(make))
-    # The latter is of a parameter that every node has.
+    # The latter concerns parameters that every node has.
     except (BadInput, InvalidParameterTypeException) as error:
         return _ended(error, BAD_INPUT)
-    except rclpy_implementation.RCLError as error:  # as where security is asked for and missing
+    except rclpy_implementation.RCLError as error:  # for example, security is required but missing
         return _ended(f'the node cannot be created: {error}', FAILED)
     finally:
-        _end_within(LAST_RESORT)  # what is left is cleared away by the interpreter's end
+        _end_within(LAST_RESORT)  # the interpreter's exit cleans up the rest
 
 
 def _ended(error: object, code: int) -> int:
-    """Print an error in one line, with what security needs where that is on; return the code."""
+    """Print an error in one line, with the requirements of security if enabled; return the code."""
     line = ' '.join(str(error).split())
     if os.environ.get(SECURITY) == 'true':
         needs = 'ROS_SECURITY_KEYSTORE and a middleware with security'
@@ -473,7 +473,7 @@ def _ended(error: object, code: int) -> int:
 
 
 def _require_ros_words(words: Sequence[str]) -> None:
-    """Refuse words that nobody would look at."""
+    """Reject arguments that would be ignored."""
     _, *plain = remove_ros_args(args=list(words))
     if plain:
         problem = f'{shlex.join(plain)} is not behind --ros-args'
@@ -482,26 +482,26 @@ def _require_ros_words(words: Sequence[str]) -> None:
 
 
 def _begun(make: Callable[[], Managed]) -> Managed:
-    """Return a new node that has begun; one whose start fails is destroyed.
+    """Return a new node that has begun; if its start fails, it is destroyed.
 
-    Left over, its publishers would be deleted by the interpreter's end, after the context's.
+    Otherwise, its publishers would be deleted at the interpreter's exit, after the context.
     """
     with warnings.catch_warnings():
-        # What rclpy says about its own clearing away, where it fails.
+        # From failures of rclpy in its own cleanup.
         warnings.simplefilter('ignore', RuntimeWarning)
         node = make()
         try:
             node.begin()
         except BaseException:
             _end_within(LAST_RESORT)
-            with suppress(RuntimeError):  # of rclpy; what has failed before is what to report
+            with suppress(RuntimeError):  # of rclpy; the earlier failure is to be reported
                 node.destroy_node()
             raise
         return node
 
 
 def _live(node: Managed) -> int:
-    """Spin a node until it is done or a signal comes, let it take its leave; return its code."""
+    """Spin a node until it is done or signalled, send final safe commands; return its code."""
     received = _signals()
     if os.environ[RANGE] not in CLOSED:
         node.get_logger().warning(f'{RANGE}={os.environ[RANGE]}: open to other machines')
@@ -509,7 +509,7 @@ def _live(node: Managed) -> int:
         node.get_logger().warning(f'{PEERS}={os.environ[PEERS]}: open to these machines')
     executor = executor_named(node.get_parameter('executor').value)
     executor.add_node(node)
-    # What the start has made stays: each full collection would look through all of it, for 60 ms.
+    # Objects of the start are permanent: each full collection would scan them for 60 ms.
     gc.freeze()
     gc.enable()
     while not received and node.exit_code is None:
@@ -519,7 +519,7 @@ def _live(node: Managed) -> int:
         node.get_logger().info(f'received {signal.Signals(received[0]).name}, stopping')
     for _ in range(FAREWELLS):
         node.guard(node.safe)(Reason(Cause.SHUTDOWN, 'shutting down'))
-    # The last messages have to arrive, but a subscriber that hangs is not waited for.
+    # The last messages must arrive, but a hanging subscriber must not block the exit.
     end = node.steady_now() + ACKNOWLEDGED
     for publisher in node.publishers:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - node.steady_now())))
@@ -531,12 +531,12 @@ def _live(node: Managed) -> int:
 def _spin(node: Managed, executor: Executor) -> None:
     try:
         executor.spin_once(timeout_sec=SPIN)
-    except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
+    except BaseException as error:  # in callbacks of rclpy itself, such as on a malformed /clock
         node.failed('spinning', error)
 
 
 def _signals() -> list[int]:
-    """Remember SIGINT and SIGTERM from now on; return the list of those received."""
+    """Record SIGINT and SIGTERM from now on; return the list of those received."""
     received: list[int] = []
 
     def take(number: int, _frame: Any) -> None:
@@ -549,9 +549,9 @@ def _signals() -> list[int]:
 
 
 def _end_within(patience: float) -> None:
-    """End this process with code 1, and say where it hangs, unless it ends by itself [s].
+    """End this process after a time [s] with code 1 and a traceback, unless it ends by itself.
 
-    The threads of a middleware can block its clearing away for ever (eProsima/Fast-DDS#6502), or
-    for minutes (#6513). A timer outside of Python sees to it: it needs no thread that answers.
+    The threads of a middleware can block its cleanup forever (eProsima/Fast-DDS#6502), or for
+    minutes (#6513). The timer runs outside of Python and needs no responsive thread.
     """
     faulthandler.dump_traceback_later(patience, exit=True)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The topics of planner and simulator: their names, their types, and which a bag is asked for."""
+"""The topics of planner and simulator: names, types, and those required of a bag."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 
 class Topic(NamedTuple):
-    """A topic: its name, its type and whether late subscribers get the last message."""
+    """A topic: its name, its type, and whether late subscribers receive the last message."""
 
     name: str
     type: str
@@ -29,7 +29,7 @@ SHARED = (
 TREE = (
     Topic('/tf', 'tf2_msgs/msg/TFMessage'),
     Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True),
-)  # of frames: read where it was recorded
+)  # of frames: read if recorded
 INPUTS = (
     Topic('goal', 'geometry_msgs/msg/PoseStamped'),
     Topic('goal_path', 'nav_msgs/msg/Path'),
@@ -55,10 +55,10 @@ WORLD = (
     Topic('caught', 'std_msgs/msg/Bool', latched=True),
     Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),
 )  # of the simulator; events and proofs
-# On ~/distance [m], ~/solve_time [s] and so on, for plots by other programs.
+# On ~/distance [m], ~/solve_time [s] and so on, for plots in other programs.
 NUMBERS = ('distance', 'gap', 'lower_bound', 'objective', 'solve_time')
 PLOTTED = tuple(Topic(f'planner/{name}', 'std_msgs/msg/Float64') for name in NUMBERS)
-UNRECORDED = (Topic('thrust', 'geometry_msgs/msg/Vector3Stamped'),)  # to an autopilot alone
+UNRECORDED = (Topic('thrust', 'geometry_msgs/msg/Vector3Stamped'),)  # only to an autopilot
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *PLOTTED)}
 
@@ -71,11 +71,11 @@ def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
 
 
 def known(name: str, kind: str) -> bool:
-    """Return whether a topic, in whatever namespace, is one of a run's and of the right type."""
+    """Return True if a topic, in any namespace, belongs to a run and has the right type."""
     return TYPES.get(name.rpartition('/')[2]) == kind
 
 
 def message_of(name: str) -> Any:
-    """Return the class of the messages on a topic of planner or simulator, without a namespace."""
+    """Return the message class of a topic of planner or simulator, without a namespace."""
     topics = (*SHARED, *VEHICLE, *UNRECORDED)
     return next(topic.message for topic in topics if topic.name == name)

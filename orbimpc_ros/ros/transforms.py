@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Transforms between frames, from ``/tf`` or stated, and messages moved by them.
+"""Transforms between frames, from ``/tf`` or parameters, and their application to messages.
 
-A transform is a matrix, shape (4, 4), that takes points of a child frame to its parent. Those of
-``/tf_static`` and stated ones hold for ever; those of ``/tf`` hold for their stamps, interpolated
-in between, and for a while after the last one. Only the order in which messages come matters, not
-when, so that a recording gives the same; tf2's own buffer is not needed, and PyPI has none.
+A transform is a matrix, shape (4, 4), that maps points of a child frame to its parent. Those of
+``/tf_static`` and of parameters are permanent; those of ``/tf`` hold for their stamps, interpolated
+in between, and for a while after the last one. Only the order of messages matters, not their time
+of arrival, so that a recording gives the same results without tf2's buffer, which PyPI lacks.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND
 
 TF, TF_STATIC = '/tf', '/tf_static'
-KEPT = 10 * SECOND  # [ns] of each transform of /tf, as tf2 does
-MOST_SAMPLES = 4096  # of each transform
+KEPT = 10 * SECOND  # [ns] of history of each transform of /tf, as in tf2
+MOST_SAMPLES = 4096  # per transform
 MOST_FRAMES = 1024
 ON = 'tf: true (of /tf) or transforms (stated)'
 FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
 
 
 def stated(lines: Iterable[str]) -> dict[str, Edge]:
-    """Return what ``parent child x y z roll pitch yaw`` states in each line, by the child [m, rad].
+    """Return the transforms of lines ``parent child x y z roll pitch yaw`` [m, rad], by child.
 
     Raises:
-        BadInput: too few words or too many, a number that is none, or a child in two parents.
+        BadInput: a wrong number of words, an invalid number, or a child with two parents.
     """
     found: dict[str, Edge] = {}
     for line in lines:
@@ -63,13 +63,13 @@ def matrix(rotation: Array, translation: Array) -> Array:
 
 
 def inverse(transform: Array) -> Array:
-    """Return the matrix from the parent to the child."""
+    """Return the inverse, the matrix from the parent to the child."""
     back = transform[:3, :3].T
     return matrix(back, -back @ transform[:3, 3])
 
 
 def between(first: Array, then: Array, share: float) -> Array:
-    """Return the transform a share of the way from one to another: even turn, straight line."""
+    """Return the transform interpolated between two, at a share of the way."""
     turn = log(first[:3, :3].T @ then[:3, :3])
     way = then[:3, 3] - first[:3, 3]
     return matrix(first[:3, :3] @ exp(share * turn), first[:3, 3] + share * way)
@@ -81,8 +81,8 @@ class Edge:
 
     Attributes:
         parent: frame.
-        fixed: the matrix, if it holds for ever.
-        samples: stamps [ns] and transforms of ``/tf``, the latest last.
+        fixed: the matrix of a permanent transform.
+        samples: stamps [ns] and transforms of ``/tf``, in order of time.
     """
 
     parent: str
@@ -90,7 +90,7 @@ class Edge:
     samples: list[tuple[int, Transform]] = field(default_factory=list)
 
     def note(self, stamp: int, transform: Transform) -> None:
-        """Take in a sample, if it is later than the last."""
+        """Take in a sample if it is later than the last."""
         if self.samples and stamp <= self.samples[-1][0]:
             return
         self.samples.append((stamp, transform))
@@ -126,11 +126,11 @@ class Edge:
 
 
 class Transforms:
-    """The known transforms, and messages moved by them.
+    """The known transforms, and their application to messages.
 
     Args:
-        stated: those that are stated, by the child.
-        patience: for how long the last of ``/tf`` holds [s].
+        stated: transforms from parameters, by child.
+        patience: validity of the last transform of ``/tf`` [s].
         listening: whether there is a subscription to ``/tf``.
     """
 
@@ -140,11 +140,11 @@ class Transforms:
         self.adopt(stated, patience)
 
     def adopt(self, stated: Mapping[str, Edge], patience: float) -> None:
-        """Replace the stated transforms and the patience."""
+        """Replace the transforms from parameters and the patience."""
         self._stated, self._patience = stated, patience
 
     def forget(self) -> None:
-        """Forget what holds for stamps alone."""
+        """Forget all transforms except permanent ones."""
         self._edges = {child: each for child, each in self._edges.items() if each.fixed is not None}
 
     def hear(self, topic: str, message: Any) -> None:
@@ -172,12 +172,12 @@ class Transforms:
         """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
 
         Args:
-            message: a Path, or anything with a header and a pose.
-            frame: to move it to.
-            at: for which moment [ns]; the message's stamp by default.
+            message: a Path, or any message with a header and a pose.
+            frame: target frame.
+            at: time of the transform [ns]; by default the stamp of the message.
 
         Raises:
-            BadInput: no transform leads there, none of that moment, or the message is not valid.
+            BadInput: there is no transform, or none at that time, or the message is not valid.
         """
         found = message.header.frame_id
         if not (self._listening or self._stated):
@@ -194,7 +194,7 @@ class Transforms:
         """Return the matrix from one frame to another at a stamp [ns], shape (4, 4).
 
         Raises:
-            BadInput: no transform leads from one to the other, or none of that moment.
+            BadInput: no transform leads from one to the other, or none at that time.
         """
         up, down = self._ancestry(source), self._ancestry(target)
         common = next((frame for frame in up if frame in down), None)
@@ -205,7 +205,7 @@ class Transforms:
         return inverse(fall) @ rise
 
     def _ancestry(self, frame: str) -> list[str]:
-        """Return a frame, its parent, and so on to the root; once around a circle."""
+        """Return a frame, its parent, and so on to the root; a cycle is followed only once."""
         line = [frame]
         while (edge := self._edge(line[-1])) is not None and edge.parent not in line:
             line.append(edge.parent)
@@ -215,7 +215,7 @@ class Transforms:
         return self._stated.get(child) or self._edges.get(child)
 
     def _product(self, children: list[str], stamp: int) -> Array:
-        """Return the matrix from the first of a line to the parent of the last."""
+        """Return the matrix from the first frame of a chain to the parent of the last."""
         product = np.eye(4)
         for child in children:
             edge = self._edge(child)
@@ -225,7 +225,7 @@ class Transforms:
 
 
 def _moved(message: Any, move: Array, head: Any) -> PoseStamped:
-    """Return the pose of a valid message elsewhere."""
+    """Return the transformed pose of a valid message."""
     _, seen = messages.read_sighting(message, 3, messages.Frames())
     assert seen.attitude is not None
     place = move[:3, :3] @ seen.position + move[:3, 3]
