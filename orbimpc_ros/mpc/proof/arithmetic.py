@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Two arithmetics for one source: floats, compiled where numba is installed, and fractions.
+"""Two arithmetics from one source: floats, compiled if numba is installed, and fractions.
 
-Sums, products and quotients of fractions are exact. Square roots, cosines and sines are not, in
-neither arithmetic, nor are sums of floats: whatever is within :func:`slack` of a number's terms may
-be rounding, and is taken off each bound.
+Sums, products and quotients of fractions are exact. Floats are rounded, and so are square roots,
+cosines and sines in both arithmetics: the :func:`slack` of a bound's terms covers the rounding, and
+is subtracted from the bound.
 
 Mathematics: docs/proofs.md.
 """
@@ -22,28 +22,28 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import COMPILED, compiled, entry_point
 
 Number = Any  # a float or a Fraction
-BITS = 160  # after the point, of what is rounded
+BITS = 160  # after the point, of rounded numbers
 UNIT = 1 << BITS
 FINE = 200  # bits after the point, of angles
 PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10**60)
 HALF_TURN = math.floor(PI * (1 << FINE))
-TURN = math.nextafter(2.0 * math.pi, 7.0)  # [rad] a double beyond 2 pi
-FLOATS = 1e-15  # of the size of terms, that floats may be off by
-SWEEPS = 8  # through the pairs of rows of a matrix: after three or four it is diagonal
-FRACTIONS = Fraction(1, 1 << 110)  # the same of fractions
+TURN = math.nextafter(2.0 * math.pi, 7.0)  # [rad] the double above 2 pi
+FLOATS = 1e-15  # rounding of floats, relative to the size of terms
+SWEEPS = 8  # of Jacobi's method: a matrix is diagonal after three or four
+FRACTIONS = Fraction(1, 1 << 110)  # rounding of fractions, likewise
 
 
-IN_FLOATS: dict[Callable, Callable] = {}  # of generic functions what floats do instead of them
+IN_FLOATS: dict[Callable, Callable] = {}  # implementations of generic functions for floats
 
 
 def generic(function: Callable) -> Callable:
-    """Return a function of either arithmetic: plain Python, and machine code of :func:`floats`."""
+    """Register a function for both arithmetics: plain Python, or machine code by :func:`floats`."""
     IN_FLOATS[function] = function
     return function
 
 
 def by_type(function: Callable) -> Callable[[Callable], Callable]:
-    """Return what registers how floats do in machine code what a plain function does."""
+    """Return a decorator that registers the implementation of a function for floats."""
 
     def registered(in_floats: Callable) -> Callable:
         IN_FLOATS[function] = in_floats
@@ -53,15 +53,15 @@ def by_type(function: Callable) -> Callable[[Callable], Callable]:
 
 
 def floats(function: Callable) -> Callable:
-    """Return a generic function in machine code for floats, which is kept between processes."""
+    """Return a generic function compiled for floats; the machine code is cached on disk."""
     return entry_point(_bound_to_floats(function)) if COMPILED else function
 
 
 def bare(function: Callable) -> Callable:
-    """Return the machine code of :func:`floats`, called without a look at what it is handed.
+    """Return the machine code of :func:`floats` without its dispatch on types.
 
-    To look at the types of a problem's numbers takes longer than to bound a leaf. Arguments have to
-    be as those of the one call that it was compiled for: arrays that are contiguous, of its kinds.
+    Dispatch on the types of a problem's numbers takes longer than to bound a leaf. Arguments must
+    have the types of the one call that it was compiled for; arrays must be contiguous.
     """
     known = list(getattr(function, 'overloads', {}).values())
     return known[0].entry_point if len(known) == 1 else function
@@ -69,7 +69,7 @@ def bare(function: Callable) -> Callable:
 
 @cache
 def _bound_to_floats(function: Callable) -> Callable:
-    """Return a generic function whose generic names mean what floats do."""
+    """Return a generic function that calls the implementations for floats of generic functions."""
     source, known = IN_FLOATS[function], dict(function.__globals__)
     for name in source.__code__.co_names:
         if known.get(name) in IN_FLOATS:
@@ -81,12 +81,12 @@ def _bound_to_floats(function: Callable) -> Callable:
 
 
 def slack(size: Number) -> Number:
-    """Return what sums of terms of a size may be off by."""
+    """Return the largest rounding error of sums whose terms have a total size."""
     return FRACTIONS * size if isinstance(size, Fraction) else FLOATS * size
 
 
 def root(x: Number) -> Number:
-    """Return the square root; of a fraction a number that is hardly more; of what is < 0, 0."""
+    """Return the square root, rounded up for fractions; 0 for negative numbers."""
     if isinstance(x, (Fraction, int)):
         return (
             Fraction(math.isqrt((x.numerator << 2 * BITS) // x.denominator) + 1, UNIT)
@@ -97,24 +97,24 @@ def root(x: Number) -> Number:
 
 
 def roots(x: np.ndarray) -> np.ndarray:
-    """Return the square root of each; see :func:`root`."""
+    """Return the square root of each element; see :func:`root`."""
     return np.sqrt(x) if x.dtype == float else np.frompyfunc(root, 1, 1)(x)
 
 
 def direction(angle: Number) -> tuple[Number, Number]:
-    """Return the cosine and the sine."""
+    """Return the cosine and the sine of an angle."""
     if isinstance(angle, Fraction):
         return _direction(angle)
     return math.cos(angle), math.sin(angle)
 
 
 def coarse(x: Number) -> Number:
-    """Return a number, but for what is far below the slack, with fewer digits."""
+    """Return a number rounded to fewer digits, with an error far below the slack."""
     return Fraction((x.numerator << BITS) // x.denominator, UNIT) if isinstance(x, Fraction) else x
 
 
 def least_eigenvalue(matrix: Any) -> Number:
-    """Return a number that is at most, and hardly below, the least eigenvalue, shape (4, 4)."""
+    """Return a tight lower bound on the least eigenvalue of a matrix, shape (4, 4)."""
     size = np.abs(matrix).sum()
     if size == 0:
         return size
@@ -124,7 +124,7 @@ def least_eigenvalue(matrix: Any) -> Number:
     shift = Fraction(1, 1 << 50)
     while not _is_definite(
         matrix, (Fraction(found) - shift) * size
-    ):  # at the latest where it dominates
+    ):  # at the latest when the diagonal dominates
         shift *= 2
     return (Fraction(found) - shift) * size
 
@@ -151,7 +151,7 @@ def _coarse(x):
 
 @by_type(least_eigenvalue)
 def _least_eigenvalue(matrix):
-    """Do the same by Jacobi's method: turn one pair of rows after another."""
+    """Do the same by Jacobi's method: rotate one pair of rows after another."""
     size = 0.0
     for i in range(4):
         for j in range(4):
@@ -170,7 +170,7 @@ def _least_eigenvalue(matrix):
 
 @compiled
 def _turn(matrix, i, j):
-    """Turn rows and columns i and j of a symmetric matrix so that entry i, j is no more."""
+    """Rotate rows and columns i and j of a symmetric matrix so that entry i, j vanishes."""
     off = (matrix[j, j] - matrix[i, i]) / (2.0 * matrix[i, j])
     slope = math.copysign(1.0, off) / (abs(off) + math.sqrt(1.0 + off * off))
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -186,7 +186,7 @@ def _turn(matrix, i, j):
 
 
 def _is_definite(matrix: Any, shift: Fraction) -> bool:
-    """Return whether matrix - shift I is positive definite, by Gauss's method."""
+    """Return whether matrix - shift I is positive definite, by Gaussian elimination."""
     rest = [
         [x - (shift if i == j else 0) for j, x in enumerate(row)] for i, row in enumerate(matrix)
     ]
@@ -202,7 +202,7 @@ def _is_definite(matrix: Any, shift: Fraction) -> bool:
 
 @lru_cache(maxsize=65536)
 def _direction(angle: Fraction) -> tuple[Fraction, Fraction]:
-    """Return cosine and sine, each within 2^-120."""
+    """Return cosine and sine, each with an error below 2^-120."""
     finely = (angle.numerator << FINE) // angle.denominator
     x = (finely + HALF_TURN) % (2 * HALF_TURN) - HALF_TURN >> FINE - BITS
     cosine, sine = _series(UNIT, 1, x * x >> BITS), _series(abs(x), 2, x * x >> BITS)

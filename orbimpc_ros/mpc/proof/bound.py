@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The bound that a tree proves, whatever its numbers are; one source for both arithmetics.
+"""The bound that a tree proves, for any numbers in it; one source for both arithmetics.
 
-At a leaf, F is the cost without lengths, less sum_k b_k |z_k|^2 / 2, with multipliers of what holds
-there, which come to no more than nothing. Where F is convex its tangent at any point is below it;
-so every trajectory of the leaf costs at least
+At a leaf, F is the cost without lengths, less sum_k b_k |z_k|^2 / 2, plus multiplier terms of the
+leaf's constraints, which are at most zero. If F is convex, its tangent at any point x' is below it,
+so that every trajectory of the leaf costs at least
 
     F(x') - g . x' + sum_k min (g_k . x_k + l_k |z_k| + b_k |z_k|^2 / 2),  g = grad F(x'),
 
-with each x_k anywhere in its stage set.
+with each minimum over the stage set of x_k.
 
 Mathematics: docs/proofs.md.
 """
@@ -44,22 +44,22 @@ from orbimpc_ros.mpc.proof.splits import (
 from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
 
-# The least of the leaves' bounds, nothing is in any, none, or not all leaves have been seen.
+# The leaves have a least bound; all are empty; the tree is invalid; or the walk has paused.
 PROVED, REFUTED, UNSOUND, PAUSED = range(4)
-DEPTH, PARENT, WAITING = range(3)  # of nodes, where a walk through them is
+DEPTH, PARENT, WAITING = range(3)  # rows of a walk: of each node, and the stack of nodes to visit
 
 
 class Work(NamedTuple):
-    """Arrays to be written.
+    """Work arrays.
 
     Attributes:
-        flown: positions less s_0, velocities, and forces on both, shape (4, N + 1, n).
+        flown: positions relative to s_0, velocities, and forces on both, shape (4, N + 1, n).
         slopes: shape (N, d).
-        vectors: a normal, and what is left of a slope, shape (2, d or 3).
+        vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
-        squares: the Hessian of the cost, what is left of it, and the rows of an arrival,
+        squares: the Hessian of the cost, its remainder, and the rows of an arrival,
             shape (2 N + 2, N).
-        gone: which steps an arrival has eliminated, shape (N,).
+        gone: whether an arrival has eliminated a step, shape (N,).
     """
 
     flown: Any
@@ -72,7 +72,7 @@ class Work(NamedTuple):
 
 @generic
 def _turned(order, costs, start, point, slopes):
-    """Add the slopes of what turns and the attitude cost; return that."""
+    """Add the slopes of the costs of turns and of the final attitude; return these costs."""
     count, weight = len(point), costs.turned
     value = 0 * weight
     for c in range(point.shape[1]):
@@ -99,7 +99,7 @@ def _turned(order, costs, start, point, slopes):
 
 @generic
 def _flown(costs, goals, point, shor, work):
-    """Add forces of what positions cost, less a leaf's own curvature; return that, and its size."""
+    """Add forces of the cost of positions, less a leaf's curvature; return it, and its size."""
     flown, slopes, count, n = work.flown, work.slopes, len(point), goals.shape[1] - 1
     value, size = 0 * costs.turned, 0 * costs.turned
     for c in range(n):
@@ -118,7 +118,7 @@ def _flown(costs, goals, point, shor, work):
 
 @generic
 def _least_decided(n, decided, known, g, length, shor, slowest, fastest):
-    """Return the least of a step, and its size, where a rate decides R_1, but for its length."""
+    """Return the least cost of the first step if R_1 is decided up to its length, and its size."""
     size, speed, along = abs(length) + abs(shor), size_of(known, n), 0 * length
     for c in range(len(g)):
         along, size = along + g[c] * known[c], size + abs(g[c] * known[c])
@@ -129,21 +129,21 @@ def _least_decided(n, decided, known, g, length, shor, slowest, fastest):
 
 @generic
 def _of_step(sets, known, corners, k, g, share, shor, length, work):
-    """Return the least that a step adds to a bound, and the size of its terms.
+    """Return the least contribution of a step to a bound, and the size of its terms.
 
-    Where a share of the slope is held by the limits on R e1 alone, that and the rest are least
-    each for itself.
+    If a share of the slope is bounded by the limits on R e1 alone, the share and the remainder are
+    minimised separately.
 
     Args:
-        sets: what stage sets are made of.
-        known: of all choices.
+        sets: data of stage sets.
+        known: restrictions of all choices.
         corners: of the step's patch.
         k: the step, from 0 on.
         g: its slope, shape (d,).
-        share: shape (n,).
+        share: part of the slope, shape (n,).
         shor: its own curvature.
-        length: weight of that.
-        work: arrays to be written.
+        length: weight of its length.
+        work: work arrays.
     """
     n, rest, size, split = len(share), work.vectors[1], abs(length) + abs(shor), len(g) == 9
     for c in range(len(g)):
@@ -182,7 +182,7 @@ def _at_point(stated, tree, leaf, empty, work):
 
 @generic
 def _held(stated, region, depth, tree, leaf, work):
-    """Add forces of a leaf's multipliers; return what they come to, its size, and if they hold."""
+    """Add forces of a leaf's multipliers; return their value, its size, and if they are valid."""
     ends, flown = stated.ends, work.flown
     begun = tree.press_end[leaf - 1] if leaf > 0 else 0
     value = size = 0 * stated.sets.full
@@ -204,16 +204,16 @@ def _held(stated, region, depth, tree, leaf, work):
 
 @generic
 def leaf_bound(stated, region, depth, tree, leaf, empty, work):
-    """Return what a leaf proves, and whether its multipliers are sound.
+    """Return the bound that a leaf proves, and whether its multipliers are sound.
 
     Args:
         stated: the problem.
-        region: what is known of choices from the root to the leaf.
+        region: restrictions of choices from the root to the leaf.
         depth: of the leaf.
         tree: whose arrays fit the problem.
         leaf: its row.
-        empty: whether nothing costs anything: what holds alone has to come to more than nothing.
-        work: arrays to be written; the Hessian is there.
+        empty: whether to prove that the leaf is empty: by a positive bound without any cost.
+        work: work arrays; the Hessian is set.
     """
     point, shor, slopes, n = tree.point[leaf], tree.shor[leaf], work.slopes, stated.n
     count, zero, sets = len(point), 0 * stated.sets.full, stated.sets
@@ -255,32 +255,32 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
 
 @generic
 def tree_bound(stated, tree, walk, region, work, least, found, number, most):
-    """Return the least bound of a tree's leaves, how many have one, and what that comes to.
+    """Return the least bound of a tree's leaves, the number of these, and the outcome.
 
-    A walk through the tree may pause: another call with what it came to takes it on.
+    A walk through the tree may pause: another call with the returned values resumes it.
 
     Args:
         stated: the problem.
         tree: whose arrays fit the problem.
-        walk: of nodes their depth and parent, set by :func:`depths_of`, and those to be seen,
-            shape (3, M).
+        walk: depth and parent of each node, set by :func:`depths_of`, and a stack of the nodes
+            to visit, shape (3, M).
         region: to be written, a row for each depth.
         work: to be written.
         least: of the bounds so far.
-        found: how many leaves have one so far.
-        number: of nodes that wait to be seen; 0 before the walk begins.
+        found: number of leaves with a bound so far.
+        number: of nodes on the stack; 0 before the walk begins.
         most: leaves after which it pauses.
 
     Returns:
-        The least; how many leaves have one; how many nodes wait; ``PROVED``, ``REFUTED``,
-        ``UNSOUND`` or ``PAUSED``.
+        The least bound; the number of leaves with one; the number of nodes on the stack;
+        ``PROVED``, ``REFUTED``, ``UNSOUND`` or ``PAUSED``.
     """
     nodes, waiting, seen = tree.nodes, walk[WAITING], 0
     if number == 0:
         known = begin(stated, tree, region.part[0], region.span[0])
         if known != HELD:
             return least, 0, 0, REFUTED if known == GONE else UNSOUND
-        if is_bent(tree.shor):  # else no leaf's curvature has to be weighed against it
+        if is_bent(tree.shor):  # else no leaf's convexity has to be checked
             set_hessian(stated.order, stated.motion, stated.costs, work.squares)
         number, waiting[0] = 1, 0
     while number > 0:
@@ -316,14 +316,14 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
 
 @generic
 def depths_of(nodes, walk):
-    """Set the depth of each node, -1 of those that the root does not lead to, and its parent.
+    """Set the depth of each node, -1 if it cannot be reached from the root, and its parent.
 
     Args:
         nodes: of a tree, shape (M, 5).
         walk: to be set, shape (3, M).
 
     Returns:
-        The greatest depth; -1 where children are missing, doubled, or not after their parents.
+        The greatest depth; -1 if children are missing, duplicated, or before their parents.
     """
     depth, count, most = walk[DEPTH], len(nodes), 0
     depth[:] = -1
@@ -342,7 +342,7 @@ def depths_of(nodes, walk):
     return most
 
 
-# --- convexity of the cost less the curvature that single steps keep for themselves
+# --- convexity of the cost less the curvature that is assigned to single steps
 
 
 @generic
@@ -354,12 +354,12 @@ def set_hessian(order, motion, costs, squares):
     for i in range(count):
         for j in range(i + 1):
             entry = 2 * costs.braked * arrival[1, i] * arrival[1, j]
-            for k in range(i, count):  # s_{k+1} sees z_{i+1} as s_N that of as many steps before
+            for k in range(i, count):  # only the number of steps from z_{i+1} to s_{k+1} matters
                 own = arrival[0, count - 1 - k + i] * arrival[0, count - 1 - k + j]
                 entry = entry + 2 * costs.weights[0, k + 1] * own
             h[i, j] = entry
     for k in range(count + 1 - order):
-        last = k + order - 1  # of the differences' 1, -1 or 1, -2, 1
+        last = k + order - 1  # coefficients of differences: 1, -1 or 1, -2, 1
         for a in range(order + 1):
             for b in range(a, order + 1):
                 share = (1 if a != 1 else -order) * (1 if b != 1 else -order)
@@ -370,7 +370,7 @@ def set_hessian(order, motion, costs, squares):
 
 @generic
 def is_bent(shor):
-    """Return whether any step of one leaf, or of all, keeps curvature for itself."""
+    """Return whether curvature is assigned to any step, of one leaf or of all."""
     bent = False
     for each in shor.ravel():
         bent = bent or each > 0
@@ -379,17 +379,17 @@ def is_bent(shor):
 
 @generic
 def _lost(motion, ends, shor, point, work):
-    """Return whether the cost less a leaf's curvature is convex, and what its tangent may lose.
+    """Return whether the cost less a leaf's curvature is convex, and the error of its tangent.
 
-    Where plans have to arrive, convex on the null space of the arrival's rows, which variables are
-    eliminated by. The point may miss the arrival by rounding.
+    If plans must arrive, convex on the null space of the arrival's rows, by which variables are
+    eliminated. The tangent has an error if its point misses the arrival by rounding.
 
     Args:
-        motion: a step's.
-        ends: what is said of the end.
-        shor: curvature that steps keep, shape (N,).
-        point: where the tangent touches, shape (N, d).
-        work: positions and velocities there, the Hessian, and what is to be written.
+        motion: of a step.
+        ends: data of the arrival.
+        shor: curvature assigned to steps, shape (N,).
+        point: tangent point, shape (N, d).
+        work: positions and velocities there, the Hessian, and work arrays.
     """
     flown, squares, gone = work.flown, work.squares, work.gone
     count, n = squares.shape[1], flown.shape[2]
@@ -450,7 +450,7 @@ def _eliminate(m, arrival, r, pivot, gone):
 
 @generic
 def _is_convex(m, gone, margin):
-    """Return whether a matrix without some rows is positive definite, by Cholesky's method."""
+    """Return whether a matrix without rows ``gone`` is positive definite, by Cholesky's method."""
     for i in range(len(m)):
         for j in range(0 if gone[i] else i + 1):
             if gone[j]:
@@ -466,7 +466,7 @@ def _is_convex(m, gone, margin):
 
 
 def work_of(problem: Problem, width: int, kind: Any) -> Work:
-    """Return arrays for the bounds of leaves to be worked out in."""
+    """Return the work arrays for the bounds of leaves."""
     count, n = problem.horizon, problem.dimension
     flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
     squares = np.zeros((2 * count + 2, count), kind)

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Certificates: a problem with its limits, what is claimed of it, and trees that prove it, in JSON.
+"""Certificates in JSON: a problem with its limits, a claim about it, and trees that prove it.
 
-That is a bound; that nothing is feasible; or that nothing catches a goal at the first steps.
-Numbers are written so that they are read back as they were. A file is not to be trusted.
+The claim is a lower bound, infeasibility, or that nothing catches the goal at the first steps.
+Numbers are read back exactly as they were written. Files are not trusted.
 
 Format: docs/proofs.md.
 """
@@ -38,7 +38,7 @@ from orbimpc_ros.mpc.proof.tree import (
 from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
 
 FORMAT = 'orbimpc certificate 2'
-RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
+RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed the proved one
 OF = {'end': END, 'ends': ENDS, 'step': STEP}
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
          'forward', 'terminal', 'max_rate')  # fmt: skip
@@ -46,31 +46,31 @@ WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
 SOUGHT = ('problem', 'state', 'goals', 'radius')
-EACH, TERM = 100, 12  # microseconds that a number of a leaf takes, and a term of a Hessian
-LEAST_WORK, WORK = 2_000_000, 40  # microseconds, and for each character of a document
+EACH, TERM = 100, 12  # [us] of work per number of a leaf, and per term of a Hessian
+LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 LARGEST = 64 << 20  # bytes of a file
 WORD = 'not proved: the word of the method'
 OutOfTime = Callable[[], bool]
 
 
 class Refused(ValueError):
-    """What is no certificate, or none that is sound: with the reason, in one line."""
+    """A document is no certificate, or no sound one; the message is the reason, in one line."""
 
 
 class Unproved(OrbimpcError):
-    """There is no certificate: for problems of a kind, or for a bound."""
+    """There is no certificate: for a class of problems, or for a claim."""
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What proves that no trajectory of a problem costs less than a bound.
+    """A proof that no trajectory of a problem costs less than a bound.
 
     Attributes:
-        problem: what was solved.
+        problem: that was solved.
         state: where plans start.
         goals: g_1..g_N, shape (N, n) [m].
         lower_bound: as published.
-        tree: that proves it.
+        tree: proof of the bound.
     """
 
     problem: Problem
@@ -92,11 +92,11 @@ class Certificate:
 
 @dataclass(frozen=True, eq=False)
 class Refutation:
-    """What proves that no trajectory of a problem is feasible, or that none catches its goal.
+    """A proof that no trajectory of a problem is feasible, or that none catches its goal.
 
     Attributes:
-        sought: in what.
-        trees: one; of catches one for each step from the first on at whose end there is none.
+        sought: the problem, state, goals and the radius of a catch.
+        trees: one; for catches, one for the end of each step from the first on.
     """
 
     sought: Sought
@@ -124,14 +124,14 @@ class Refutation:
 
 
 class Posed(NamedTuple):
-    """A problem that trajectories are looked for in, from a state to goals.
+    """A problem, from a state to goals, with a claim about its trajectories.
 
     Attributes:
-        problem: what a document has of it.
+        problem: as far as it is in a document.
         state: where trajectories start.
         goals: g_1..g_N, shape (N, n) [m].
-        limits: beside the problem's own.
-        cost: which all of them exceed, if what is claimed of them holds; infinity of nothing.
+        limits: in addition to the problem's own.
+        cost: claimed to be exceeded by all trajectories; infinity if there must be none.
     """
 
     problem: Problem
@@ -141,20 +141,20 @@ class Posed(NamedTuple):
     cost: Fraction | float = math.inf
 
     def is_exceeded(self, bound: float) -> bool:
-        """Return whether a bound proves what is claimed."""
+        """Return whether a bound proves the claim."""
         return bound == math.inf or bound > self.cost
 
 
 class Verdict(NamedTuple):
-    """What a certificate comes to.
+    """The verdict on a certificate.
 
     Attributes:
-        claimed: the bound that was published; of refutations infinity, where nothing is feasible,
-            or else the end of the first step that may have a catch [s].
-        proved: the bound that holds, rounded down.
-        leaves: how many bounds it is the least of.
-        holds: whether what was published exceeds what holds by no more than 1e-9 of it; of
-            refutations, whether each does refute.
+        claimed: published bound; for refutations infinity, which is infeasibility, or the end of
+            the first step that may have a catch [s].
+        proved: proved bound, rounded down.
+        leaves: number of leaves of the trees.
+        holds: whether the published bound, less 1e-9 of it, does not exceed the proved one; for
+            refutations, whether every tree proves its claim.
     """
 
     claimed: float
@@ -164,11 +164,11 @@ class Verdict(NamedTuple):
 
 
 def verified(document: Any) -> Verdict:
-    """Return what a certificate, as JSON has it, comes to in exact arithmetic.
+    """Return the verdict on a certificate, parsed from JSON, in exact arithmetic.
 
     Raises:
-        Refused: it is malformed, too much work for its length, or of a problem that cannot be
-            stated in fractions.
+        Refused: it is malformed, takes too much work for its length, or is of a problem that
+            cannot be stated in fractions.
     """
     try:
         return _verdict(document)
@@ -207,10 +207,10 @@ def _refuting(document: Any) -> Verdict:
 
 
 def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) -> Iterator[float]:
-    """Return what trees prove, unless that is too much work for their length as JSON has them.
+    """Yield the bounds that trees prove, unless this takes too much work for their length in JSON.
 
     Raises:
-        Refused: it is.
+        Refused: it takes too much work.
     """
     work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
     if work > LEAST_WORK + WORK * len(json.dumps(stated)):
@@ -225,7 +225,7 @@ def _leaves(trees: Sequence[ProofTree], *kinds: int) -> int:
 
 
 def _work(tree: ProofTree, problem: Problem) -> int:
-    """Return how long it takes to go through a tree, at most [us]; whose arrays may not fit."""
+    """Return an upper bound on the time to verify a tree [us], whose arrays may not fit."""
     if tree.shor.ndim != 2 or tree.press_end.shape != tree.shor.shape[:1]:
         return 0  # it proves nothing
     rows = tree.nodes[(tree.nodes[:, 0] == LEAF) | (tree.nodes[:, 0] == EMPTY), -1]
@@ -237,17 +237,17 @@ def _work(tree: ProofTree, problem: Problem) -> int:
     return work + len(tree.nodes) * problem.horizon + TERM * problem.horizon**2
 
 
-# --- what is refuted
+# --- refuted claims
 
 
 def refuted_by(document: Any, count: int) -> list[Posed]:
-    """Return what is claimed: that there is nothing, or no catch at the first steps, so many.
+    """Return the claims of a refutation: infeasibility, or no catch at each of the first steps.
 
-    Nothing costs anything there but the square of the distance that a catch ends from its goal,
-    which then is more than that of the radius.
+    The only cost there is the squared miss distance of a catch, which is claimed to exceed the
+    squared radius.
 
     Raises:
-        BadInput: it is malformed.
+        BadInput: the document is malformed.
     """
     claim, posed = document['refuted'], _posed(document)
     weights = Weights(0.0, 0.0, 0.0, float('radius' in claim), 0.0)
@@ -267,7 +267,7 @@ def refuted_by(document: Any, count: int) -> list[Posed]:
 
 
 def _catch(posed: Posed, k: int, radius: float, last: Any) -> Posed:
-    """Return the problem of a catch at step k, in the first k steps, with its last cone."""
+    """Return the problem of a catch at step k: the first k steps, with a cone at the last one."""
     limits = posed.limits
     cones = [each._replace(steps=tuple(i for i in each.steps if i <= k)) for each in limits.cones]
     if last is not None:
@@ -280,11 +280,11 @@ def _catch(posed: Posed, k: int, radius: float, last: Any) -> Posed:
     return Posed(problem, posed.state, posed.goals[:k], fewer, Fraction(radius) ** 2)
 
 
-# --- what was solved
+# --- problems
 
 
 def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
-    """Return what a certificate says of what was solved, as plain values."""
+    """Return a certificate's problem, state, goals and limits as plain values."""
     weights, floor = problem.weights, problem.floor
     made: dict[str, Any] = {name: getattr(problem, name) for name in MODEL}
     made['weights'] = {name: float(getattr(weights, name)) for name in WEIGHTS}
@@ -329,10 +329,10 @@ def _line(document: dict[str, Any]) -> str:
 
 
 def _posed(document: Any) -> Posed:
-    """Return the problem that is stated, the state, goals and limits.
+    """Return the problem, state, goals and limits in a document.
 
     Raises:
-        BadInput: it is none.
+        BadInput: they are malformed.
     """
     stated = fields_of(document['problem'], 'problem', (*MODEL, 'weights', 'floor'))
     weights = dict(fields_of(stated['weights'], 'weights', (*WEIGHTS, 'arrival')))
@@ -351,16 +351,16 @@ def _posed(document: Any) -> Posed:
         raise BadInput('state.wanted', None, 'a rotation')
     limits = _limits(document.get('limits', {}), n, count)
     tilt = next((each.angle for each in limits.cones if each.axis == UP), 0.0)
-    if problem.inertial and tilt <= STEEPEST_CAP:  # splits may begin with patches of its cap
+    if problem.inertial and tilt <= STEEPEST_CAP:  # splits may begin with patches of the tilt's cap
         problem = replace(problem, tilt=tilt)
     return Posed(problem, state, goals, limits)
 
 
 def _limits(stated: Any, n: int, count: int) -> Limits:
-    """Return limits as they are stated, in a dimension, over so many steps.
+    """Return the limits in a document, for dimension n and ``count`` steps.
 
     Raises:
-        BadInput: they are none.
+        BadInput: they are malformed.
     """
     fields_of(stated, 'limits', (), ('cones', 'glide_slope', 'bodies', 'speeds'))
     cones = tuple(_cone(each, n, count) for each in _items(stated.get('cones', []), 'cones'))
@@ -416,17 +416,17 @@ def _items(value: Any, name: str) -> list[Any]:
 
 
 def _plain_tree(tree: ProofTree) -> dict[str, Any]:
-    """Return a tree as plain values: what it has no use for is left out."""
+    """Return a tree as plain values, without unused arrays."""
     known = {name: getattr(tree, name) for name in ARRAYS + OPTIONAL}
     made = {n: value.tolist() for n, value in known.items() if n in ARRAYS or value.size}
     return {**made, 'ordered': True} if tree.ordered else made
 
 
 def _tree(stated: Any) -> ProofTree:
-    """Return a tree; whether its arrays fit the problem is for the verifier to say.
+    """Return the tree in a document; the verifier checks that its arrays fit the problem.
 
     Raises:
-        BadInput: it is none.
+        BadInput: it is malformed.
     """
     known = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered')))
     if known.pop('ordered', True) is not True:
@@ -446,14 +446,14 @@ def _tree(stated: Any) -> ProofTree:
     return ProofTree(**found, ordered='ordered' in stated)
 
 
-# --- JSON: names that come once, finite numbers, files of a bounded size
+# --- JSON: unique names, finite numbers, files of a bounded size
 
 
 def read(path: str | Path) -> Any:
-    """Return the document of a file.
+    """Return the document in a file.
 
     Raises:
-        Refused: it is too large, or no JSON without doubled names and numbers that are none.
+        Refused: it is too large, or is not JSON with unique names and finite numbers.
     """
     try:
         with Path(path).open('rb') as file:
@@ -468,7 +468,7 @@ def read(path: str | Path) -> Any:
 
 
 def parsed(text: bytes) -> Any:
-    """Return the document of a file's content, as :func:`read` does."""
+    """Return the document in a file's content, as :func:`read` does."""
     try:
         return json.loads(text, object_pairs_hook=_without_doubles, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
@@ -485,28 +485,28 @@ def _no_number(word: str) -> Any:
     raise Refused(f'{word} is not a finite number')
 
 
-# --- certificates that hold, within a time
+# --- certificates with a deadline
 
 Made = TypeVar('Made', Certificate, Refutation)
 
 
 def patient() -> bool:
-    """Return that there is time left, always."""
+    """Return False, for callers without a deadline."""
     return False
 
 
 def held_in_time(
     make: Callable[[OutOfTime], Made], clock: Callable[[], float], end: float
 ) -> Made | None:
-    """Return the certificate that is made, if it holds; None without one in time.
+    """Return a certificate that is made and holds; None if there is none in time.
 
-    To go through one takes no longer than to make it, where each leaf is gone through, too: half of
-    the time is for either. Beyond that it takes what a single leaf does at most.
+    To verify a certificate takes no longer than to make it, which also verifies each leaf: each
+    has half of the time. The deadline is exceeded by the time for a single leaf at most.
 
     Args:
-        make: makes it, until it is out of time.
-        clock: of the end [s].
-        end: by when one is wanted [s]; infinite for whenever it is there.
+        make: makes a certificate, unless its argument reports the end of its time.
+        clock: of the deadline [s].
+        end: deadline [s]; infinity for none.
     """
     now = clock()
     if now >= end:
@@ -515,21 +515,21 @@ def held_in_time(
     try:
         made = make(lambda: clock() >= half)
         return made if holds(made) else None
-    except (Unproved, BadInput):  # of what is no model there; without Clarabel
+    except (Unproved, BadInput):  # a model without certificates; no Clarabel
         return None
 
 
 def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate:
-    """Return the certificate of a plan's bound: the tree that its search left.
+    """Return the certificate of a plan's bound, with the tree of its search.
 
     Args:
-        problem: what was solved.
+        problem: that was solved.
         state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
         proof: of the plan.
 
     Raises:
-        Unproved: the search left none.
+        Unproved: the search left no tree.
     """
     if proof.tree is None:
         raise Unproved('no certificate: the search left no proof of its bound')
@@ -537,7 +537,7 @@ def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -
 
 
 def holds(made: Certificate | Refutation) -> bool:
-    """Return whether a certificate holds, read as anyone would read it."""
+    """Return whether a certificate holds, verified from its text."""
     try:
         return verified(parsed(made.text().encode())).holds
     except Refused:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rollouts of headings, a step at a time, and what forces on them come to.
+"""Rollouts of headings, step by step, and the slopes that forces on them add.
 
 In either arithmetic.
 
@@ -17,8 +17,8 @@ from orbimpc_ros.mpc.model.dynamics import controls
 from orbimpc_ros.mpc.proof.arithmetic import Number, generic
 from orbimpc_ros.mpc.proof.tree import POINTS
 
-END, ENDS, STEP = range(3)  # what of a step is on one side of a body
-# Rows of what is known of a start, as far as the cost sees their coordinates, shape (6, d).
+END, ENDS, STEP = range(3)  # the part of a step that is on one side of a body
+# Rows of a start, with the d coordinates that are in the cost, shape (6, d).
 VELOCITY, WIND, FIRST, WANTED, DECIDED, TIED = range(6)
 
 
@@ -26,8 +26,8 @@ class Motion(NamedTuple):
     """A step: s + drift p + push z + follow z' + blow w, keep p + add z + after z' + gust w.
 
     Attributes:
-        lead: by how much of a velocity the control points next to an end are ahead of it [s].
-        forward: velocity of a heading where there is no inertia [m/s].
+        lead: offset of a control point next to an end of a step, per velocity there [s].
+        forward: velocity of a unit heading without inertia [m/s].
         inertial: 1 where velocities are part of the state, else 0.
         degree: of the motion within a step.
     """
@@ -48,7 +48,7 @@ class Motion(NamedTuple):
 
 @generic
 def rolled(motion, start, point, flown):
-    """Set positions, less s_0, and velocities at the ends of steps, shape (4, N + 1, n)."""
+    """Set positions relative to s_0 and velocities at the ends of steps, shape (4, N + 1, n)."""
     for c in range(flown.shape[2]):
         before, fast = start[FIRST, c], start[VELOCITY, c]
         flown[0, 0, c] = 0 * fast
@@ -67,7 +67,7 @@ def rolled(motion, start, point, flown):
 
 @generic
 def pulled_back(motion, flown, slopes):
-    """Add to slopes, shape (N, d), what forces on positions and velocities come to."""
+    """Add the forces on positions and velocities to slopes, shape (N, d), by the adjoint."""
     for c in range(flown.shape[2]):
         on_s, on_p, earlier = 0 * flown[2, 0, c], 0 * flown[2, 0, c], 0 * flown[2, 0, c]
         for k in range(len(slopes), 0, -1):
@@ -84,7 +84,7 @@ def pulled_back(motion, flown, slopes):
 
 @generic
 def set_arrival(motion, arrival):
-    """Set what z_1..z_N add to s_N and to p_N along an axis, shape (2, N)."""
+    """Set the coefficients of z_1..z_N in s_N and in p_N along an axis, shape (2, N)."""
     count = arrival.shape[1]
     s, p = motion.follow, motion.after
     for i in range(count):  # steps before the end
@@ -96,10 +96,10 @@ def set_arrival(motion, arrival):
 
 
 def flown_by(motion: Motion, start: Any, point: Any) -> Any:
-    """Return positions, less s_0, and velocities at the ends of steps, shape (2, N + 1, n).
+    """Return positions relative to s_0 and velocities at the ends of steps, shape (2, N + 1, n).
 
     Args:
-        motion: a step's.
+        motion: of a step.
         start: shape (6, n).
         point: headings R_1 e1..R_N e1, shape (N, n).
     """
@@ -112,7 +112,7 @@ def controls_of(motion: Motion, flown: Any) -> Any:
     """Return the control points of steps, shape (N, degree + 1, n).
 
     Args:
-        motion: a step's.
+        motion: of a step.
         flown: positions and velocities at the ends of steps, shape (2, N + 1, n).
     """
     return controls(motion.degree, motion.degree * motion.lead, *flown)
@@ -120,7 +120,7 @@ def controls_of(motion: Motion, flown: Any) -> Any:
 
 @generic
 def control_of(of, k, degree, i):
-    """Return which control point of step k row i is about; -1 if there is no such row."""
+    """Return the control point of step k that row i constrains; -1 if there is no such row."""
     if of == STEP:
         return i if i <= degree else -1
     if of == ENDS and k > 0:
@@ -130,7 +130,7 @@ def control_of(of, k, degree, i):
 
 @lru_cache(maxsize=64)
 def control_points(of: tuple[int, ...], count: int, degree: int) -> np.ndarray:
-    """Return which control points rows of N steps are about, by body; -1 if there is no such row.
+    """Return the control points that rows of N steps constrain, by body; -1 for missing rows.
 
     Shape (J, N, 4).
     """

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""From the claim that nothing is feasible, or catches a goal, to its certificate.
+"""Certificates of the claims that nothing is feasible, or that nothing catches the goal.
 
-All that is claimed is that everything costs more than so much, where nothing has a cost but the
-miss of a catch: the general search then is one for proofs. Before that comes what it does not know
-of speeds, and need not be asked for: a goal so far away that nothing gets there.
+Such a claim is a lower bound on a cost that consists of nothing but the miss distance of a catch;
+the general search then looks for a proof of this bound. Before that, a single leaf is tried, which
+suffices if the goal is out of reach even at full speed.
 
 Mathematics: docs/proofs.md.
 """
@@ -34,37 +34,37 @@ TOLERANCE = 1e-6  # of a search, which stops long before
 
 
 def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
-    """Return what proves that nothing is feasible.
+    """Return a proof of infeasibility.
 
     Args:
-        sought: in what.
-        out_of_time: polled before each part of all trajectories; True gives up.
+        sought: the problem, state and goals.
+        out_of_time: polled before each node; True gives up.
 
     Raises:
-        Unproved: none was found.
+        Unproved: no proof was found.
     """
     return _refuting(sought, 1, out_of_time)
 
 
 def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient) -> Refutation:
-    """Return what proves that the goal is not caught at the ends of the first steps.
+    """Return a proof that no trajectory catches the goal at the ends of the first steps.
 
     Args:
-        sought: in what, with the radius of a catch.
-        count: of steps.
+        sought: the problem, state, goals and the radius of a catch.
+        count: number of steps.
         out_of_time: as for :func:`refutation_of`.
 
     Raises:
-        Unproved: for one of them none was found.
+        Unproved: no proof was found for one of the steps.
     """
     return _refuting(sought, count, out_of_time)
 
 
 def _refuting(sought: Sought, count: int, out_of_time: OutOfTime) -> Refutation:
-    """Return what refutes all that there is, or catches at the first steps.
+    """Return a refutation of all trajectories, or of catches at the first steps.
 
     Raises:
-        Unproved: for one of them none was found.
+        Unproved: no proof was found for one of the claims.
     """
     made, trees = Refutation(sought, ()), list[ProofTree]()
     for posed in refuted_by(made.document(), count):
@@ -83,7 +83,7 @@ def _proves(posed: Posed, tree: ProofTree) -> bool:
 
 
 def _leaf(posed: Posed) -> ProofTree:
-    """Return a tree of one leaf, which holds where all speed does not lead to the goal."""
+    """Return a tree of one leaf, which is a proof if full speed does not reach the goal."""
     stated = Statement(posed.problem).of(posed.state, posed.goals, posed.limits)
     count, n, start = posed.problem.horizon, stated.n, stated.start[:, : stated.n]
     point, reach = np.zeros((count, stated.width)), np.zeros((2, count))
@@ -100,12 +100,12 @@ def _leaf(posed: Posed) -> ProofTree:
 
 
 def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime) -> ProofTree:
-    """Return what the general search proves.
+    """Return the proof tree of the general search.
 
     Raises:
         Unproved: it finds no proof that holds.
     """
-    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # takes Clarabel
+    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # needs Clarabel
 
     asked, state = posed.problem, posed.state
     names = 'horizon', 'terminal', 'weights', 'arrival_weight'

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Multipliers of what couples steps: sides of bodies, turns, a glide slope, and where plans end.
+"""Multipliers of constraints between steps: sides of bodies, turns, a glide slope, an arrival.
 
-Each adds to the cost what is nowhere above zero: its value at the point that slopes are of, and
-forces. In either arithmetic.
+Each adds a term to the cost that is not positive on any trajectory: its value at the tangent point,
+and forces, which are its gradient. In either arithmetic.
 
 Mathematics: docs/proofs.md.
 """
@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.proof.tree import POINTS
 
 @generic
 def _around(low, high, sets, normal):
-    """Set the middle of a sector; return the least of its directions along it, the most across."""
+    """Set the middle of a sector; return the least cosine and largest sine of angles to it."""
     zero = 0 * sets.full
     if 2 * (high - low) >= sets.full - 2 * sets.narrow:
         return zero, zero
@@ -38,9 +38,9 @@ def _around(low, high, sets, normal):
 
 @generic
 def about(corners, normal):
-    """Set the middle of a patch; return the least of its directions along it, the most across.
+    """Set the middle of a patch; return the least cosine and largest sine of angles to it.
 
-    That is as far from all three corners, whose lengths do not count.
+    The middle has the same angle to all three corners, whose lengths do not matter.
     """
     a, b, c = corners[0], corners[1], corners[2]
     bc, ca, ab = (
@@ -69,11 +69,11 @@ def about(corners, normal):
 
 @generic
 def side_of(sets, bodies, choice, part, span, corners, normal):
-    """Set the normal of what is known on the side of a body that a choice is for.
+    """Set the normal of the half-space on the side of a body to which a choice is restricted.
 
     Returns:
-        How far out a control point is, seen from where the body has moved to; by how much less the
-        others may be; how large the terms of both are, negative where nothing is known.
+        The least distance of a control point from the moved body's position along the normal; by
+        how much less that of the others may be; the size of both terms, negative without a side.
     """
     count, n = bodies.centres.shape[1], bodies.centres.shape[3]
     j, k, side, zero = choice // count - 2, choice % count, part[choice], 0 * sets.full
@@ -99,10 +99,10 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
 
 @generic
 def pressed(stated, region, depth, tree, begun, leaf, work):
-    """Add forces of multipliers of what is known beside bodies, at a leaf or above it.
+    """Add the forces of multipliers of half-spaces next to bodies, of a leaf or of nodes above it.
 
     Returns:
-        What they come to; the size of its terms; whether they are of what is known.
+        Their value; the size of its terms; whether all of them have such a half-space.
     """
     motion, sets, bodies, zero = stated.motion, stated.sets, stated.bodies, 0 * stated.sets.full
     value, size, normal, n = zero, zero, work.vectors[0], stated.n
@@ -123,7 +123,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
         if i < 0 or terms < 0:
             return value, size, False
         value, size = value + y * (out - off), size + y * terms
-        # Bernstein's control points are led by velocities from the ends that they are next to.
+        # An inner Bernstein control point is ahead of, or behind, the nearest end by its velocity.
         late, led = 1 if 2 * i > degree else 0, zero
         if 0 < i < degree:
             led = -motion.lead if late == 1 else motion.lead
@@ -139,7 +139,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
 
 @generic
 def towed(ends, tether, point, tied, slopes):
-    """Add slopes of multipliers of turns; return as :func:`pressed` does."""
+    """Add the slopes of multipliers of turns; return as :func:`pressed` does."""
     chord, n = ends.chord, ends.goals.shape[1] - 1
     value, size = 0 * chord, 0 * chord
     for k in range(len(tether)):
@@ -161,7 +161,7 @@ def towed(ends, tether, point, tied, slopes):
 
 @generic
 def slid(ends, slide, flown):
-    """Add forces of multipliers of the glide slope; return as :func:`pressed` does."""
+    """Add the forces of multipliers of the glide slope; return as :func:`pressed` does."""
     value, size = 0 * ends.chord, 0 * ends.chord
     sine, cosine = ends.sine - 2 * slack(ends.cosine), ends.cosine + 2 * slack(ends.cosine)
     for k in range(len(slide)):
@@ -181,10 +181,10 @@ def slid(ends, slide, flown):
 
 @generic
 def pulled(ends, pull, flown):
-    """Add forces of multipliers of an arrival.
+    """Add the forces of multipliers of an arrival.
 
     Returns:
-        What they come to; the size of its terms.
+        Their value; the size of its terms.
     """
     value, size, count = 0 * ends.chord, 0 * ends.chord, len(ends.goals)
     for i in range(len(pull)):
@@ -197,19 +197,19 @@ def pulled(ends, pull, flown):
 
 
 class Places:
-    """The control points that plans have beside bodies.
+    """The control points of plans that bodies constrain.
 
     Args:
         bodies: J of them.
-        free: control points without headings, less s_0, shape (N, m, n) [m].
-        reach: what headings add to them, shape (N, m, N) [m].
+        free: control points for zero headings, relative to s_0, shape (N, m, n) [m].
+        reach: their coefficients of headings, shape (N, m, N) [m].
 
     Attributes:
-        rows: which of four rows each step and body have, shape (J, N, 4).
-        points: which control points, of N m, they are of; where there are fewer, the first one
-            again, as in what follows, shape (J, N, 4).
-        free: where these are without headings, as bodies see them, shape (J, N, 4, n) [m].
-        reach: what each heading adds, shape (J, N, 4, N) [m].
+        rows: whether a step and a body have each of four rows, shape (J, N, 4).
+        points: control point of each row, among N m; here and below, missing rows repeat the
+            first one, shape (J, N, 4).
+        free: their positions for zero headings, relative to bodies, shape (J, N, 4, n) [m].
+        reach: their coefficients of headings, shape (J, N, 4, N) [m].
     """
 
     def __init__(self, bodies: Bodies, free: Array, reach: Array) -> None:
@@ -225,11 +225,11 @@ class Places:
         radii, margins = bodies.extents[:, 2 * n, None], bodies.margins[0]
         self._balls = np.flatnonzero(radii[:, 0] > 0.0)
         self._radii = radii[self._balls]
-        nothing = (radii > 0.0) & (radii + margins <= 0.0)  # shrunk for who leaves it
-        self._margins = np.where(nothing, -np.inf, margins)  # that is passed anywhere
+        nothing = (radii > 0.0) & (radii + margins <= 0.0)  # shrunk, for a vehicle that leaves it
+        self._margins = np.where(nothing, -np.inf, margins)  # no constraint then
 
     def entered(self, x: Array) -> tuple[Array, Array]:
-        """Return by how far headings lead into each body, and the directions out of it.
+        """Return the depths by which headings enter each body, and the directions out of it.
 
         Args:
             x: R_1 e1..R_N e1, shape (N, n).

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Support functions of stage sets: the least that a slope comes to over what one heading may be.
+"""Support functions of stage sets: lower bounds on linear functions of one heading.
 
-In either arithmetic, up to rounding that the bound of a leaf takes off: never more than the least.
+In either arithmetic, up to rounding, which the bound of a leaf subtracts.
 
 Mathematics: docs/proofs.md, the table.
 """
@@ -18,8 +18,8 @@ from orbimpc_ros.mpc.proof.arithmetic import (
     slack,
 )
 
-HALVINGS = 6  # of steps to what bounds directions in a patch and a cone the best
-TOLERANCE = 16  # times the slack of a slope, by which a direction may be outside
+HALVINGS = 6  # of the step in the search for the best bound over a patch and a cone
+TOLERANCE = 16  # slacks of a slope by which a direction may be outside
 
 
 @generic
@@ -34,7 +34,7 @@ def over_speeds(slope, curve, slowest, fastest):
 
 @generic
 def size_of(g, n):
-    """Return the size of the first n numbers."""
+    """Return the Euclidean norm of the first n numbers."""
     square = g[0] * g[0]
     for c in range(1, n):
         square = square + g[c] * g[c]
@@ -61,7 +61,7 @@ def in_sector(g, low, high, sets):
 
 @generic
 def reach(angle, least, sets):
-    """Return the least speed that a polygon allows in a direction, whose faces are at ``least``."""
+    """Return the least speed of a polygonal floor, with faces at ``least``, in a direction."""
     share = sets.full / sets.polygon
     off = angle - share * math.floor((2 * angle / share + 1) / 2)
     return least / direction(off)[0]
@@ -69,7 +69,7 @@ def reach(angle, least, sets):
 
 @generic
 def nearest_floor(low, high, least, sets):
-    """Return the least speed that a polygon allows in a sector."""
+    """Return the least speed of a polygonal floor in a sector."""
     share = sets.full / sets.polygon
     if math.floor(high / share) >= math.ceil(low / share) or high - low >= share:
         return least
@@ -78,9 +78,9 @@ def nearest_floor(low, high, least, sets):
 
 @generic
 def over_polygon(g, along, low, high, least, fastest, sets):
-    """Return the least g . z over a sector, from a polygon to the fastest speed.
+    """Return the least g . z over a sector, from a polygonal floor to the fastest speed.
 
-    What is linear is least on the rim, or at an end or a corner of the floor.
+    A linear function is least on the rim, or at an end or a corner of the floor.
 
     Args:
         g: slope, shape (2,).
@@ -89,7 +89,7 @@ def over_polygon(g, along, low, high, least, fastest, sets):
         high: the last.
         least: distance of the polygon's faces.
         fastest: speed.
-        sets: what stage sets are made of.
+        sets: data of stage sets.
     """
     best = along * fastest
     share = sets.full / sets.polygon
@@ -150,7 +150,7 @@ def on_arc(g, a, b, size):
         g: slope, shape (3,).
         a: of any length.
         b: of any length.
-        size: of g.
+        size: norm of g.
     """
     ga = (g[0] * a[0] + g[1] * a[1] + g[2] * a[2]) / size_of(a, 3)
     gb = (g[0] * b[0] + g[1] * b[1] + g[2] * b[2]) / size_of(b, 3)
@@ -184,7 +184,7 @@ def in_patch(g, corners):
 def beyond_face(g, normal, least, fastest):
     """Return the least g . z over the part of a ball, of radius ``fastest``, beyond a face."""
     share, size = least / fastest, size_of(g, 3)
-    if share >= 1:  # nothing but a point, or nothing at all
+    if share >= 1:  # a single point, or the empty set
         share = share / share
     along = g[0] * normal[0] + g[1] * normal[1] + g[2] * normal[2]
     if along <= TOLERANCE * slack(size) - share * size:
@@ -206,7 +206,7 @@ def on_face(g, normal, least, fastest, length, n):
         square = square + (g[c] - along * normal[c]) ** 2
     widest = max(0 * least, fastest * fastest - least * least)
     left = length * length - square
-    if left > 0 and square * least * least <= widest * left:  # where it is level, on the disk
+    if left > 0 and square * least * least <= widest * left:  # a stationary point within the disk
         return along * least + least * root(left)
     return along * least + length * fastest - root(square) * root(widest)
 
@@ -254,7 +254,7 @@ def steepest(sets, known, corners, k, g, n):
 def in_patch_beyond(g, corners, axis, cosine, t):
     """Return a lower bound of g . u over unit vectors u in a patch with a . u >= cos d.
 
-    For any t >= 0 it is t cos d more than the least of (g - t a) . u over the patch.
+    For any t >= 0 this is t cos d plus the least (g - t a) . u over the patch.
     """
     rest = g[0] - t * axis[0], g[1] - t * axis[1], g[2] - t * axis[2]
     return in_patch(rest, corners) + t * cosine - slack(size_of(g, 3) + t)
@@ -264,8 +264,8 @@ def in_patch_beyond(g, corners, axis, cosine, t):
 def in_both(g, cone, corners):
     """Return a lower bound of g . u over unit vectors u in a patch and in a cone.
 
-    That of any t is one, and they are concave in t: about the t at which the least over all
-    directions is on the rim of the cone, those of ever shorter steps are tried.
+    Every t gives a bound, and these are concave in t. The search begins at the t for which the
+    minimiser over all directions is on the rim of the cone, and halves its steps.
     """
     size, along = size_of(g, 3), g[0] * cone[0] + g[1] * cone[1] + g[2] * cone[2]
     square = 0 * size
@@ -286,14 +286,14 @@ def in_both(g, cone, corners):
 
 @generic
 def over_stage(sets, known, corners, k, g, length, curve, n):
-    """Return the least g . z + length |z| + curve |z|^2 / 2 over what z_{k+1} may be at a node.
+    """Return a lower bound on g . z + length |z| + curve |z|^2 / 2 over z_{k+1}'s stage set.
 
-    Each of several lower bounds is one: they are not mixed, for a cone with a least speed of its
-    own ends flat, and speeds are lower there.
+    It is the best of several bounds. They are not combined, because a cone with its own least
+    speed ends flat, and allows lower speeds there.
 
     Args:
-        sets: what these are made of.
-        known: of all choices: their parts, and their spans.
+        sets: data of stage sets.
+        known: restrictions of all choices: parts and spans.
         corners: of the step's patch, if it has one.
         k: the step, from 0 on.
         g: shape (n,).
@@ -312,7 +312,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
         slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
         if curve == 0 and length > 0:
             share = sets.full / sets.polygon
-            middle = share * round((low + high) / (2 * share))  # of a face that the sector is of
+            middle = share * round((low + high) / (2 * share))  # of the face that bounds the sector
             off = max(middle - low, high - middle) - share / 2
             if off <= sets.narrow:
                 least = sets.least - 4 * sets.narrow

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Splits of a tree: what they leave of each choice, and that their parts are all there is.
+"""Splits of a tree: the restrictions of choices in each part, and whether parts cover their node.
 
-In either arithmetic. A region has a row for each depth of the tree: a node's is made of its
-parent's.
+In either arithmetic. A region has a row for each depth of the tree; a node's row is derived from
+its parent's.
 
 Mathematics: docs/proofs.md.
 """
@@ -26,8 +26,8 @@ from orbimpc_ros.mpc.proof.tree import (
     SPEED,
 )
 
-WHOLE = -1  # of a choice that nothing is known of
-HELD, GONE, WRONG = range(3)  # a part is known, nothing is left of it, or it is no part
+WHOLE = -1  # part of a choice without restrictions
+HELD, GONE, WRONG = range(3)  # a part is valid, is empty, or is invalid
 ICOSAHEDRON = 20  # triangles; those of the cap come after them
 
 # Columns of a tree's nodes.
@@ -35,12 +35,12 @@ KIND, CHOICE, CHILD, CHILDREN, ROW = range(5)
 
 
 class Region(NamedTuple):
-    """What is known of each choice at the nodes from the root to one, D of them.
+    """The restrictions of each choice at the D nodes on a path from the root.
 
     Attributes:
-        part: which face or side; 0 of a sector or patch; ``WHOLE`` before any split, shape (D, C).
+        part: face or side; 0 for a sector or patch; ``WHOLE`` before any split, shape (D, C).
         span: least and greatest direction [rad] or speed, shape (D, C, 2).
-        corners: of patches, shape (D, C, 3, 3); (D, 1, 3, 3) in the plane, of no use.
+        corners: of patches, shape (D, C, 3, 3); (D, 1, 3, 3) and unused in the plane.
     """
 
     part: np.ndarray
@@ -49,7 +49,7 @@ class Region(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """A split of a node: its kind, the choice, how many parts, and where they meet."""
+    """A split of a node: its kind, the choice, the number of parts, and where they meet."""
 
     kind: int
     choice: int
@@ -58,9 +58,9 @@ class Cut(NamedTuple):
 
 
 class Order(NamedTuple):
-    """Whether steps that can be exchanged are in order, and from where directions are counted.
+    """Whether exchangeable steps are in order, and the least directions of headings.
 
-    Trees have both.
+    Trees have both fields.
     """
 
     ordered: bool
@@ -69,10 +69,10 @@ class Order(NamedTuple):
 
 @generic
 def begin(stated, order, part, span):
-    """Set what is known of all trajectories: parts, shape (C,), spans, shape (C, 2).
+    """Set the restrictions of all trajectories: parts, shape (C,), spans, shape (C, 2).
 
     Returns:
-        ``HELD``; ``GONE`` if there are none; ``WRONG`` if steps have no such order or origins.
+        ``HELD``; ``GONE`` without trajectories; ``WRONG`` if the order or origins are invalid.
     """
     root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     part[:] = WHOLE
@@ -99,7 +99,7 @@ def begin(stated, order, part, span):
 
 @generic
 def _aimed(stated, part, span):
-    """Cut the last heading's sector to the approach; return whether anything is left of all."""
+    """Cut the last heading's sector to the approach; return whether the region is not empty."""
     root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     k = count - 1
     if root.aside < 0 or (k == 0 and stated.decided != FREE):
@@ -120,17 +120,17 @@ def _aimed(stated, part, span):
 
 @generic
 def _carried(span, k, begin, end, most):
-    """Carry a span to those of other steps, which change by so much at most in one.
+    """Propagate a choice's span to those of other steps by the limit on changes per step.
 
     Args:
         span: of all choices, shape (C, 2).
-        k: which is new.
-        begin: the first of those that it concerns.
-        end: after the last of them.
-        most: negative without a limit.
+        k: choice with the new span.
+        begin: first choice to narrow.
+        end: one past the last choice to narrow.
+        most: largest change per step; negative without a limit.
 
     Returns:
-        Whether anything is left.
+        Whether the region is not empty.
     """
     if span[k, 0] > span[k, 1]:
         return False
@@ -148,7 +148,7 @@ def _carried(span, k, begin, end, most):
 
 @generic
 def _ordered(span, k, end):
-    """Carry a direction to those of steps that are in order; return whether anything is left."""
+    """Propagate a direction to steps that are in order; return whether the region is not empty."""
     if span[k, 0] > span[k, 1]:
         return False
     for j in range(k + 1, end):
@@ -165,7 +165,7 @@ def _ordered(span, k, end):
 
 @generic
 def _is_split_right(stated, node, at, part, low, high):
-    """Return whether a node may be split as it is, given what is known of the choice there."""
+    """Return whether a node's split is valid, given the restrictions of the choice there."""
     kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
     sets, extents, count = stated.sets, stated.bodies.extents, stated.root.span.shape[1]
     heading, body = c < count, c // count - 2
@@ -196,19 +196,19 @@ def _is_split_right(stated, node, at, part, low, high):
 
 @generic
 def part_of(stated, order, node, at, i, depth, region):
-    """Set what is known of part i of a node, from what is known of that.
+    """Set the restrictions of part i of a node from those of the node.
 
     Args:
         stated: the problem.
         order: of steps.
         node: its numbers, shape (5,).
         at: where it is cut.
-        i: which of its children.
-        depth: of the child; the node's own row is the one before.
-        region: to be set there.
+        i: index of the child.
+        depth: of the child; the node's own row is the previous one.
+        region: to be set at this depth.
 
     Returns:
-        ``HELD``; ``GONE`` if nothing is left of it; ``WRONG`` if the node is not split right.
+        ``HELD``; ``GONE`` if the part is empty; ``WRONG`` if the split is invalid.
     """
     c, part, span = node[CHOICE], region.part[depth], region.span[depth]
     if not 0 <= c < len(part):
@@ -230,7 +230,7 @@ def part_of(stated, order, node, at, i, depth, region):
 
 @generic
 def narrowed(stated, order, node, at, i, part, span, corners):
-    """Narrow what is known of a node to its part i; return ``HELD`` or ``GONE``.
+    """Narrow the restrictions of a node to its part i; return ``HELD`` or ``GONE``.
 
     Args:
         stated: see :func:`part_of`, as for the others.
@@ -268,7 +268,7 @@ def narrowed(stated, order, node, at, i, part, span, corners):
 
 @generic
 def _set_patch(patches, node, i, made):
-    """Set the corners of a part of all directions, or of the patch that is given, shape (3, 3)."""
+    """Set the corners of part i of all directions, or of the given patch, shape (3, 3)."""
     if node[KIND] == PATCHES:
         first = 0 if node[CHILDREN] == ICOSAHEDRON else ICOSAHEDRON
         for j in range(3):

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A problem in numbers, floats or fractions, as its bounds are verified from; its limits.
+"""A problem and its limits in floats or in fractions, to verify bounds from.
 
-Nothing here is condensed: motion is stated a step at a time, costs as weights of squares. Whatever
-a state eases (who is outside of a cone, or inside of a margin) is a number here, which proofs take
-for granted.
+Nothing here is condensed: motion is stated step by step, and costs as weights of squares. Limits
+that are relaxed for a state (outside of a cone, or inside of a margin) are numbers here, which
+proofs take for granted.
 
 Mathematics: docs/mathematics.md, 1 and 3.7 to 3.10, and docs/proofs.md.
 """
@@ -44,12 +44,12 @@ from orbimpc_ros.mpc.proof.flight import (
     flown_by,
 )
 
-NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
-WIDER = 1e-12  # [rad] by which sectors are wider than they are stated, for rounding of angles
-ROUNDING = 1e-15  # of a chord
-INWARD = 1.0 - 1e-12  # of a speed, for rounding
-UNTURNED = math.pi - 1e-9  # [rad] a turn limit that is as good as none
-FREE, SEGMENT, POINT = range(3)  # what R_1 may be
+NARROW = 1e-9  # [rad] margin to a turn, or half a turn, of sectors treated as smaller
+WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
+ROUNDING = 1e-15  # added to a chord
+INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
+UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
+FREE, SEGMENT, POINT = range(3)  # kinds of sets of R_1
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 UP = 0.0, 0.0, 1.0
 NOTHING: Array = np.zeros(0)
@@ -57,9 +57,9 @@ Rows = Any  # an array of numbers, of floats or of fractions
 
 
 class Cone(NamedTuple):
-    """Directions that headings of some steps are in.
+    """A cone that contains the headings of some steps.
 
-    At its least speed it ends flat: z . axis >= cos(angle) max(|z|, least).
+    It ends flat at its least speed: z . axis >= cos(angle) max(|z|, least).
 
     Attributes:
         axis: of any length, n numbers.
@@ -75,16 +75,16 @@ class Cone(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A box, or a ball, that plans are outside of.
+    """A box or a ball that plans must stay outside of.
 
     Attributes:
-        low: corner, shape (n,); of a ball its centre [m].
-        high: corner; of a ball its centre.
-        radius: of a ball [m]; 0 of a box.
-        of: what of each step is on one of its sides: its ``END``; both ``ENDS``, from the second
-            step on; or all of the ``STEP``, that is, its control points.
-        shifts: by how much it has moved by the ends of steps 0..N, shape (N + 1, n) [m].
-        grown: by how much it counts as larger in each step, shape (N,) [m].
+        low: corner, or the centre of a ball, shape (n,) [m].
+        high: corner, or the centre of a ball.
+        radius: of a ball [m]; 0 for a box.
+        of: the part of each step that is on one of its sides: its ``END``; both ``ENDS``, from the
+            second step on; or the whole ``STEP``, that is, its control points.
+        shifts: its displacement at the ends of steps 0..N, shape (N + 1, n) [m].
+        grown: margin added to its size in each step, shape (N,) [m].
     """
 
     low: Array
@@ -96,15 +96,15 @@ class Body(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a problem's own numbers do not say.
+    """The limits that are not part of a problem's own numbers.
 
     Attributes:
-        cones: of the tilt, where it is not eased, and of the approach.
+        cones: of the tilt, where it is not relaxed, and of the approach.
         glide_slope: angle [rad]; 0 without.
-        eased: by how much s_1..s_N may be outside of it, shape (N,) [m].
+        eased: relaxation of the glide slope for s_1..s_N, shape (N,) [m].
         bodies: in the order in which choices number them.
-        entry: share of full speed that changes begin from.
-        change: by how much it changes in a step at most; infinity without a limit.
+        entry: initial speed for the limit on changes, as a share of full speed.
+        change: largest change of this share in a step; infinity without a limit.
     """
 
     cones: tuple[Cone, ...] = ()
@@ -122,7 +122,7 @@ class Costs(NamedTuple):
     """Weights of squares, and of lengths.
 
     Attributes:
-        weights: of |s_k - g_k|^2 (the first is of no use), and of |z_k|, shape (2, N + 1).
+        weights: of |s_k - g_k|^2 (the first is unused), and of |z_k|, shape (2, N + 1).
         braked: of |p_N|^2.
         turned: of squared differences of coordinates of rotations.
         aimed: of the squared coordinates of R_N - R_g.
@@ -135,19 +135,19 @@ class Costs(NamedTuple):
 
 
 class Root(NamedTuple):
-    """What is known of single steps before any split.
+    """The restrictions of single steps before any split.
 
     Attributes:
-        span: least and greatest direction [rad] of each step in the plane, a turn or more apart
-            where all are allowed, and least and greatest speed, shape (4, N).
-        turn: by how much directions change in a step at most; negative without a limit.
-        change: the same of speeds; 2 without a limit.
+        span: least and greatest direction [rad] of each step in the plane, which differ by a turn
+            or more if all are allowed, and least and greatest speed, shape (4, N).
+        turn: largest change of direction in a step [rad]; negative without a limit.
+        change: largest change of speed in a step; 2 without a limit.
         aim: direction of the approach in the plane [rad].
         aside: largest angle from it [rad]; negative without a limit.
         patches: triangles that cover all directions, and then those that cover the tilt's cap,
             shape (F, 3, 3).
-        exchanged: how many of the first steps can be exchanged, with no limit but the floor that
-            tells them apart.
+        exchanged: number of the first steps that are exchangeable, which are subject to no limit
+            but the floor.
     """
 
     span: Rows
@@ -160,17 +160,17 @@ class Root(NamedTuple):
 
 
 class Sets(NamedTuple):
-    """What stage sets are made of.
+    """The data of stage sets.
 
     Attributes:
-        least: the floor's share of full speed; of a polygon or solid the distance of its faces.
-        polygon: faces of a polygon in the plane; 0 without.
+        least: the floor's share of full speed; for a polygon or solid, the distance of its faces.
+        polygon: number of faces of a polygon in the plane; 0 without.
         faces: normals of the faces of a solid in space, shape (F, n).
-        cone_step: which headings 0..N-1 cones are of, shape (Q,).
+        cone_step: heading 0..N-1 of each cone, shape (Q,).
         cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
-            where patches of the tilt's cap are as wide, shape (Q, n + 4).
-        full: a turn, or hardly more [rad].
-        narrow: what is as good as no angle [rad].
+            if the patches of the tilt's cap cover them, shape (Q, n + 4).
+        full: a turn, rounded up [rad].
+        narrow: a negligible angle [rad].
     """
 
     least: Number
@@ -183,16 +183,16 @@ class Sets(NamedTuple):
 
 
 class Ends(NamedTuple):
-    """What couples steps, but for bodies.
+    """The constraints between steps, except for bodies.
 
     Attributes:
-        goals: g_1..g_N less s_0, and in the last column by how much the glide slope is eased, shape
-            (N, n + 1).
-        arrives: how many vectors vanish at the end: s_N - g_N, and p_N.
-        chord: how far R e1 moves in a step at most; negative without a limit.
-        begun: the first step 0..N-1 of which that is so.
+        goals: g_1..g_N relative to s_0, and in the last column the relaxation of the glide slope,
+            shape (N, n + 1).
+        arrives: number of vectors that vanish at the end: s_N - g_N, and p_N.
+        chord: largest chord of R e1 in a step; negative without a limit.
+        begun: first step, of 0..N-1, to which the chord applies.
         sine: of the glide slope; 0 without.
-        cosine: of it.
+        cosine: of the glide slope.
     """
 
     goals: Rows
@@ -204,16 +204,16 @@ class Ends(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """What plans are outside of.
+    """The boxes and balls that plans must stay outside of.
 
     Attributes:
-        of: what of a step is on a side of a body, shape (J,).
-        extents: of boxes, -low and then high, less s_0; last the radius of balls, 0 of boxes;
-            shape (J, 2 n + 1).
-        centres: of balls, less s_0, and by how much bodies have moved, at each control point,
-            shape (J, N, 4, n).
-        margins: by how much bodies count as larger, and how far apart control points of a step
-            are, as a body sees them, shape (2, J, N).
+        of: the part of a step that is on a side of each body, shape (J,).
+        extents: of boxes, -low and then high, relative to s_0; last the radius of balls, 0 for
+            boxes; shape (J, 2 n + 1).
+        centres: of balls, relative to s_0 (0 for boxes), plus the displacement of bodies, at each
+            control point, shape (J, N, 4, n).
+        margins: added to the size of bodies, and the largest distance between control points of
+            a step relative to a body, shape (2, J, N).
     """
 
     of: np.ndarray
@@ -223,12 +223,12 @@ class Bodies(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """A problem: dimension n, d coordinates of a rotation that its cost sees, rotation order."""
+    """A problem: dimension n, d coordinates of a rotation in the cost, rotation order, data."""
 
     n: int
     width: int
     order: int
-    decided: int  # ``FREE``, ``SEGMENT`` or ``POINT``: what R_1 may be
+    decided: int  # ``FREE``, ``SEGMENT`` or ``POINT``: the set of R_1
     motion: Motion
     costs: Costs
     start: Rows
@@ -239,7 +239,7 @@ class Stated(NamedTuple):
 
 
 def width_of(problem: Problem) -> int:
-    """Return how many coordinates of a rotation the cost sees."""
+    """Return the number of coordinates of a rotation that are in the cost."""
     w = problem.weights
     if problem.dimension == 2:
         return 2
@@ -247,14 +247,14 @@ def width_of(problem: Problem) -> int:
 
 
 class Statement:
-    """States one problem for any state, in one arithmetic.
+    """The numbers of one problem for any state, in one arithmetic.
 
     Args:
-        problem: whose numbers; its obstacles count only as the limits have them.
+        problem: to state, without its obstacles, which are among the limits.
         number: ``float`` or ``Fraction``.
 
     Raises:
-        BadInput: a model whose numbers are known as floats alone, in fractions.
+        BadInput: fractions of a model whose numbers are floats only.
     """
 
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
@@ -266,7 +266,7 @@ class Statement:
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
-        array = np.array(values, float, order='C')  # of our own: machine code tells them apart
+        array = np.array(values, float, order='C')  # a copy: numba wants it writable
         if self._number is float:
             return array
         made = np.empty(array.shape, object)
@@ -291,7 +291,7 @@ class Statement:
         problem, number, w = self.problem, self._number, self.problem.weights
         q, r, m, a = map(number, (w.position, w.input, w.terminal, w.attitude))
         h, z, more = number(problem.step), number(problem.forward), number(problem.arrival_weight)
-        double = 2 if problem.dimension == 2 else 1  # coordinates of R that are there twice
+        double = 2 if problem.dimension == 2 else 1  # coordinates of R that appear twice
         weights = self._rows(np.full((2, problem.horizon + 1), float(w.position)))
         weights[0, -1] = q + m + more
         braked = more * h * h if problem.inertial else 0 * h
@@ -304,16 +304,16 @@ class Statement:
         return Costs(weights, braked, turned, double * a)
 
     def limits(self, state: State, goals: Array) -> Limits:
-        """Return what :func:`limits_of` does, bodies at rest as they were the last time."""
+        """Return the limits as :func:`limits_of` does, with bodies at rest from a cache."""
         return limits_of(self.problem, state, goals, self.boxes)
 
     def of(self, state: State, goals: Array, limits: Limits) -> Stated:
         """Return the problem from a state.
 
         Args:
-            state: where trajectories start; not its hazards, which are among the limits.
+            state: where trajectories start, without its hazards, which are among the limits.
             goals: g_1..g_N, shape (N, n) [m].
-            limits: beside those that are the problem's own.
+            limits: in addition to the problem's own.
         """
         problem = self.problem
         decided, start = self._begun(state)
@@ -327,10 +327,10 @@ class Statement:
         kinds = problem.dimension, self.width, problem.rotation_order, decided
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
-    # --- where trajectories begin
+    # --- the start of trajectories
 
     def _begun(self, state: State) -> tuple[int, Rows]:
-        """Return what R_1 may be, and what is known of a start."""
+        """Return the kind of the set of R_1, and the rows of a start."""
         problem, n = self.problem, self.problem.dimension
         known, kind = np.zeros((6, self.width)), FREE
         known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
@@ -348,10 +348,10 @@ class Statement:
         return kind, start
 
     def _seen(self, rotation: Any) -> Array:
-        """Return the coordinates of a rotation, column by column, as far as the cost sees them."""
+        """Return the coordinates of a rotation that are in the cost, column by column."""
         return rotation.T.ravel() if self.width == 9 else rotation[:, 0]
 
-    # --- what single steps are subject to
+    # --- the limits of single steps
 
     def _rooted(self, state: State, limits: Limits, cones: Sequence[Cone]) -> Root:
         problem, number, count = self.problem, self._number, self.problem.horizon
@@ -369,14 +369,14 @@ class Statement:
         if problem.floor.shape == 'polygon' and state.coasted is not None:
             n, axis = problem.dimension, self._rows(state.coasted[:, 0])
             along = max(self._rows(normals(n, problem.floor.faces)) @ axis)
-            if problem.rotation_order == 2 and 0 < along < 1:  # on its way the faces are farther
+            if problem.rotation_order == 2 and 0 < along < 1:  # on this axis the faces are farther
                 span[2, 0] = max(span[2, 0], number(self._least) / along * number(INWARD))
         aim, aside = number(0), number(-1)
-        for each in cones if problem.dimension == 2 else ():  # of the approach, the only one
+        for each in cones if problem.dimension == 2 else ():  # only of the approach
             aim, aside = number(math.atan2(each.axis[1], each.axis[0])), number(each.angle)
         root = Root(span, turn, change, aim, aside, self._patches, self._exchanged(limits))
         if plain:
-            self._root = root  # which no state changes
+            self._root = root  # which depends on no state
         return root
 
     @cached_property
@@ -386,7 +386,7 @@ class Statement:
 
     @cached_property
     def _patches(self) -> Rows:
-        """Return the triangles that directions begin with, and those of the tilt's cap."""
+        """Return the triangles that cover all directions, and those of the tilt's cap."""
         problem = self.problem
         if problem.dimension == 2:
             return self._rows(np.zeros((0, 3, 3)))
@@ -408,7 +408,7 @@ class Statement:
         return Sets(*known, number(TURN), number(NARROW))
 
     def _cones(self, state: State, limits: Limits) -> list[Cone]:
-        """Return cones, those included that turns lead out of only after some steps."""
+        """Return cones, including those that headings can only leave by turns of several steps."""
         problem, cones = self.problem, [each for each in limits.cones if each.steps]
         if problem.dimension == 2 or problem.rotation_order == 2 or not problem.turns_are_angles:
             return cones
@@ -429,7 +429,7 @@ class Statement:
         return rows
 
     def _turned(self, state: State) -> tuple[Number, Rows, Rows]:
-        """Return by how much directions change at most, the least and the greatest of each step."""
+        """Return the largest change of direction, and the least and greatest one of each step."""
         problem, number = self.problem, self._number
         count, turn = problem.horizon, number(problem.step) * number(problem.max_rate)
         whole = self._rows(np.zeros(count))
@@ -448,7 +448,7 @@ class Statement:
         return turn, low, high
 
     def _exchanged(self, limits: Limits) -> int:
-        """Return how many first steps the cost sees only the sum and the lengths of headings of."""
+        """Return the number of first steps whose cost depends only on headings' sum and lengths."""
         alone = not (limits.cones or limits.bodies or limits.glide_slope or limits.change < 2.0)
         return self.problem.horizon - 1 if alone and self._alike else 0
 
@@ -460,7 +460,7 @@ class Statement:
             return False
         return bool(problem.dimension == 2 and move.drift == 0 and problem.horizon > 1)
 
-    # --- what couples steps
+    # --- the constraints between steps
 
     def _ended(self, goals: Rows, limits: Limits) -> Ends:
         problem, number, n = self.problem, self._number, self.problem.dimension
@@ -478,12 +478,12 @@ class Statement:
 
     @cached_property
     def boxes(self) -> tuple[Body, ...]:
-        """Return what is at rest among bodies."""
+        """Return the bodies at rest."""
         return boxes_of(self.problem)
 
     @cached_property
     def _at_rest(self) -> Bodies:
-        """Return that, seen from the origin."""
+        """Return the bodies at rest, relative to the origin."""
         start = self._rows(np.zeros((6, self.width)))
         return self._beside(self._rows(np.zeros(self.problem.dimension)), self.boxes, start)
 
@@ -516,9 +516,9 @@ class Statement:
         return Bodies(of, extents, centres, margins)
 
     def _spread(self, bodies: Sequence[Body], centres: Rows, start: Rows) -> Rows:
-        """Return how far apart control points of steps get, as bodies see them, shape (J, N).
+        """Return the largest distance of control points, relative to bodies, shape (J, N).
 
-        Headings are no longer than 1.
+        Headings have a length of at most 1.
         """
         n, count, m = self.problem.dimension, self.problem.horizon, self._motion.degree + 1
         flown = flown_by(self._motion, start[:, :n], self._rows(np.zeros((count, n))))
@@ -534,7 +534,7 @@ class Statement:
 
     @cached_property
     def _apart(self) -> Rows:
-        """Return how far apart headings of length 1 take two control points, shape (N, pairs)."""
+        """Return the most that headings of length 1 separate control points, shape (N, pairs)."""
         units, none = (
             self._rows(each)
             for each in (np.eye(self.problem.horizon), np.zeros((6, self.problem.horizon)))
@@ -556,7 +556,7 @@ def limits_of(
         problem: whose limits.
         state: where plans start.
         goals: g_1..g_N, shape (N, n) [m].
-        boxes: those of :func:`boxes_of`, where they are known.
+        boxes: those of :func:`boxes_of`, if they are known.
     """
     plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
     if plain and not (problem.obstacles or state.hazards):
@@ -581,7 +581,7 @@ def limits_of(
 
 
 def boxes_of(problem: Problem) -> tuple[Body, ...]:
-    """Return the boxes at rest that plans are outside of, which bodies begin with."""
+    """Return the boxes at rest, which are the first of the bodies."""
     n, count = problem.dimension, problem.horizon
     still, kept = np.zeros((count + 1, n)), np.zeros(count)
     of = ENDS if problem.no_corner_cutting else END
@@ -589,9 +589,9 @@ def boxes_of(problem: Problem) -> tuple[Body, ...]:
 
 
 def _moving(problem: Problem, state: State) -> tuple[Body, ...]:
-    """Return each other body twice.
+    """Return each moving body twice: for the end of a step, and for its control points.
 
-    Of these the end of a step alone is held closer than the hull of its control points.
+    The end of a step alone is bounded more tightly than the hull of its control points.
     """
     traffic, found = traffic_of(problem, state), list[Body]()
     if traffic is None:

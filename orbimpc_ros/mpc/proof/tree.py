@@ -1,12 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Trees of a branch and bound, which prove its bound: splits, and multipliers at the leaves.
+"""Proof trees of a branch and bound: splits, and multipliers at the leaves.
 
-Node 0 is all trajectories. A split cuts what a *choice* may be into parts, which are its children;
-a leaf has a point where a tangent of the cost touches, and multipliers. The bound of a tree is the
-least of its leaves', whatever their numbers are: see :mod:`orbimpc_ros.mpc.proof.bound`.
+Node 0 is the set of all trajectories. A split divides the range of a *choice* into parts, its
+children. A leaf has a tangent point of the cost, and multipliers. The bound of a tree is the least
+of its leaves' bounds, and is valid for any numbers: see :mod:`orbimpc_ros.mpc.proof.bound`.
 
-Choices are numbered: the heading of step k is k - 1, its speed N + k - 1, and on which side of body
-j it is 2 N + j N + k - 1.
+Choices are numbered: the heading of step k is k - 1, its speed N + k - 1, and its side of body j
+is 2 N + j N + k - 1.
 
 Mathematics: docs/proofs.md.
 """
@@ -20,37 +20,37 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.units import Units
 
-# Kinds of nodes: leaves, and what splits cut, into which parts; docs/proofs.md has the table.
+# Kinds of nodes: leaves, and splits by the kind of their parts; docs/proofs.md has the table.
 LEAF, ARCS, CUT, SPEED, FACES, PATCHES, QUARTERS, SIDES, EMPTY = range(9)
-POINTS = 4  # control points of a step that a side of a body has rows of, at most
+POINTS = 4  # rows of a step for a side of a body, one per control point, at most
 
 NOWHERE: Array = np.zeros(0)
-NOTHING: Array = np.zeros((0, 0, 0))  # of multipliers that are not used
+NOTHING: Array = np.zeros((0, 0, 0))  # for unused multipliers
 
 
 class ProofTree(NamedTuple):
     """A tree in arrays: M nodes, L leaves.
 
     Attributes:
-        nodes: of each its kind, ``LEAF``, ``EMPTY`` (its multipliers alone prove that nothing is in
-            it) or that of a split; which choice is split; the first of its children, which the
-            others follow, all of them after their parent; how many these are; and the row of a
-            leaf in the arrays below, -1 of splits, and of parts that limits leave nothing of;
+        nodes: the kind of each node, ``LEAF``, ``EMPTY`` (multipliers alone prove that the leaf is
+            empty) or that of a split; the choice that is split; the first of its children, which
+            are consecutive and come after their parent; the number of children; and the row of a
+            leaf in the arrays below, -1 for splits and for parts that are empty by the limits;
             shape (M, 5).
-        at: where angles or speeds are cut, shape (M,).
-        point: where tangents touch, shape (L, N, d).
-        shor: b_k, curvature of the cost that step k keeps for itself, shape (L, N).
-        press_end: where the multipliers of rows of each leaf end in the arrays below, shape (L,).
-        press_row: 4 (choice - 2 N) + i, of control point i on the side of a choice, shape (P,);
-            4 N J more, of J bodies, for each level above the leaf where that side is known.
+        at: angle or speed at which a node is cut, shape (M,).
+        point: tangent points, shape (L, N, d).
+        shor: b_k, curvature of the cost that is assigned to step k alone, shape (L, N).
+        press_end: end of each leaf's row multipliers in the arrays below, shape (L,).
+        press_row: 4 (choice - 2 N) + i for control point i on the side of a choice, shape (P,);
+            plus 4 N J, with J bodies, for each level above the leaf whose side is meant.
         press: their multipliers, >= 0, shape (P,).
         pull: multipliers of an arrival s_N = g_N (and p_N = 0), shape (L, m, n); (0, 0, 0) without.
         slide: of the glide slope, shape (L, N, 3) or (0, 0, 0).
-        tether: of how far R e1 moves in a step, shape (L, N, n) or (0, 0, 0).
-        share: what of a step's slope is held by the limits on R e1 alone, (L, N, n) or (0, 0, 0).
-        origins: from where directions of headings are counted, once around, shape (N,) [rad]; (0,)
-            where attitudes say so, or none are cut before they are split into arcs.
-        ordered: whether steps that can be exchanged are in the order of their directions.
+        tether: of the limit on the chord of R e1 in a step, shape (L, N, n) or (0, 0, 0).
+        share: part of a step's slope to bound by the limits on R e1 alone, (L, N, n) or (0, 0, 0).
+        origins: least direction of each heading, which ranges over one turn, shape (N,) [rad]; (0,)
+            if attitudes give the ranges, or if no heading is cut before it is split into arcs.
+        ordered: whether exchangeable steps are in the order of their directions.
     """
 
     nodes: np.ndarray
@@ -68,8 +68,8 @@ class ProofTree(NamedTuple):
     ordered: bool = False
 
 
-ARRAYS = ProofTree._fields[:7]  # of each tree
-OPTIONAL = ProofTree._fields[7:12]  # without elements where there are none
+ARRAYS = ProofTree._fields[:7]  # in every tree
+OPTIONAL = ProofTree._fields[7:12]  # empty if unused
 INTEGERS = 'nodes', 'press_end', 'press_row'
 INTEGER, FLOAT = np.dtype(np.int64), np.dtype(np.float64)
 KINDS = [INTEGER if name in INTEGERS else FLOAT for name in ARRAYS + OPTIONAL]
@@ -79,9 +79,9 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
     """Return the tree of a single leaf.
 
     Args:
-        point: where its tangent touches, shape (N, d).
+        point: tangent point, shape (N, d).
         shor: shape (N,).
-        multipliers: other arrays of the leaf, by their names, without the axis of leaves.
+        multipliers: other arrays of the leaf, by name, without the axis of leaves.
     """
     none = np.zeros(1, np.int64)
     known: dict[str, Any] = {name: value[None] for name, value in multipliers.items()}
@@ -98,7 +98,7 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
 
 
 def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
-    """Return the tree of a problem as it was posed, from that of the same in natural units."""
+    """Return a tree in natural units converted to the units of the posed problem."""
     cost, force = units.cost, units.cost / units.length
     known: Any = tree
     nodes, at, point, shor, end, row, press, pull, slide, tether, share, *order = known
@@ -114,14 +114,14 @@ def _times(values: Array, scale: float) -> Array:
 
 
 def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
-    """Return whether a tree's arrays are of the kinds and shapes of a problem's.
+    """Return whether a tree's arrays have the types and shapes that a problem requires.
 
     Args:
-        tree: of any origin.
+        tree: not trusted.
         horizon: N.
         n: dimension.
-        width: d, how many coordinates of a rotation the cost sees.
-        arrives: m, how many vectors an arrival is about.
+        width: d, number of coordinates of a rotation that are in the cost.
+        arrives: m, number of vectors that an arrival constrains.
     """
     arrays: Any = tree[: len(KINDS)]
     nodes, leaves, presses = len(tree.nodes), len(tree.point), tree.press.size

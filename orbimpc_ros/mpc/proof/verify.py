@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Verification of bounds: what a tree proves of a problem, in floats at a tick, or in fractions.
+"""Verification of the bound that a proof tree implies, in floats at a tick, or in fractions.
 
-Nothing of a search is used. A tree that is wrong in any way proves nothing; no tree proves more
-than a trajectory costs.
+Nothing from the search is used. An invalid tree proves no bound, and no tree proves a bound above
+the cost of a trajectory.
 
 Mathematics: docs/proofs.md.
 """
@@ -33,9 +33,9 @@ from orbimpc_ros.mpc.proof.splits import Region
 from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
-MOST = 1 << 24  # numbers of a region
-SLICE = 2000  # points of steps between two looks at the time: that takes 1 to 3 ms
-HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
+MOST = 1 << 24  # numbers in a region, at most
+SLICE = 2000  # steps to bound between two checks of the deadline: 1 to 3 ms
+HOSTILE = ArithmeticError, ValueError  # raised by numbers that are not finite or far too large
 _depths, _bound = floats(depths_of), floats(tree_bound)
 
 
@@ -43,8 +43,8 @@ class Verifier:
     """Verifies bounds of one problem.
 
     Args:
-        problem: whose bounds; limits that proofs do not know can only make trajectories dearer.
-        number: ``float``, as at each tick; or ``Fraction``, exactly.
+        problem: to bound; limits that proofs ignore can only raise the cost of trajectories.
+        number: ``float``, as at each tick, or ``Fraction``, for exact arithmetic.
 
     Raises:
         BadInput: a problem that cannot be stated in fractions.
@@ -58,7 +58,7 @@ class Verifier:
             self._depths, self._bound = depths_of, tree_bound
         self._work = work_of(problem, self._statement.width, self._kind)
         self._region = region_of(1, 2 * problem.horizon, problem.dimension, self._kind)
-        if COMPILED and not self._exact:  # it is loaded at start-up, not in a tick
+        if COMPILED and not self._exact:  # load machine code at start-up, not in a tick
             n, count = problem.dimension, problem.horizon
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
             still = one(np.zeros((count, self._statement.width)), leaf)
@@ -73,17 +73,17 @@ class Verifier:
         late: Callable[[], bool] | None = None,
         limits: Limits | None = None,
     ) -> float:
-        """Return a cost that no trajectory undercuts; -inf if a tree proves none, or none in time.
+        """Return a lower bound on the cost of all trajectories; -inf if none is proved in time.
 
-        Infinity if it proves that there is no trajectory.
+        The bound is infinity if the tree proves that there is no trajectory.
 
         Args:
             state: where trajectories start.
             goals: g_1..g_N, shape (N, n) [m].
             tree: in the units of the problem.
-            late: whether time is up; a tree is taken in slices of a few milliseconds.
-            limits: beside the problem's own, whose obstacles count only as these have them; by
-                default those from the state.
+            late: returns True after the deadline; polled every few milliseconds.
+            limits: in addition to the problem's own, but instead of its obstacles; by default
+                those from the state.
         """
         problem = self._statement.problem
         if limits is None:
@@ -112,7 +112,7 @@ class Verifier:
 
 
 def in_fractions(tree: ProofTree) -> Any:
-    """Return a tree whose numbers are fractions."""
+    """Return a tree with its floats as fractions."""
     numbers: dict[str, Any] = {}
     for name, value in tree._asdict().items():
         if isinstance(value, np.ndarray) and value.dtype == float:
@@ -123,7 +123,7 @@ def in_fractions(tree: ProofTree) -> Any:
 
 
 def rounded_down(x: Any) -> float:
-    """Return the largest double that is not above a number; -inf below all."""
+    """Return the largest double not above a number; -inf if there is none."""
     if not abs(x) <= sys.float_info.max:
         return sys.float_info.max if x > 0 else -math.inf
     nearest = float(x)
@@ -131,7 +131,7 @@ def rounded_down(x: Any) -> float:
 
 
 def region_of(depths: int, choices: int, n: int, kind: Any) -> Region:
-    """Return arrays for what is known of choices at so many depths."""
+    """Return arrays for the restrictions of choices at a number of depths."""
     shape = depths, choices
     corners = np.zeros((depths, choices if n == 3 else 1, 3, 3), kind)
     return Region(np.zeros(shape, np.int64), np.zeros((*shape, 2), kind), corners)
