@@ -1,2 +1,2 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The parameters of nodes: tables, the settings they add up to, their declaration and changes."""
+"""Parameters of nodes: tables, settings derived from them, their declaration and changes."""

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A node's parameters: declared from a table, checked as a whole, changed whole or not at all.
+"""A node's parameters: declared from a table, checked as a whole, changed atomically.
 
-Then the sections of the parameter files on a command line, and which of them reach a node: rcl
-matches sections with node names and passes over the rest without a word, so that a misspelt name
-leaves the node with its defaults.
+This module also finds sections of parameter files that reach no node: rcl matches sections with
+node names and silently ignores the rest, so that a node whose name is misspelt there keeps its
+defaults.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class DynamicParameters(Generic[S]):
     Sections of parameter files that reach no node are logged.
 
     Args:
-        node: that has the parameters.
+        node: the owner of the parameters.
         specs: its table.
         settings_of: makes settings of values, or raises BadInput.
-        prepare: makes of changed settings what the node works with, or raises BadInput; it must
-            not change anything, for the change may still be refused.
-        install: takes that over, once the change is certain.
+        prepare: derives from changed settings what the node works with, or raises BadInput; it
+            must not have side effects, because the change may still be rejected.
+        install: takes over the result once the change is final.
 
     Raises:
         BadInput: a parameter is unknown or its value is not allowed.
@@ -75,14 +75,14 @@ class DynamicParameters(Generic[S]):
             node.get_logger().warning(f'section {section} is not for {name}: not used')
 
     def settings(self) -> S:
-        """Return the settings as they are now."""
+        """Return the present settings."""
         return self._settings_of(self._values())
 
     def _values(self) -> dict[str, Any]:
         return {spec.name: self._node.get_parameter(spec.name).value for spec in self._specs}
 
     def _typed(self, changes: list[Parameter]) -> list[Parameter]:
-        """Return changes with empty lists of the parameters' types, which YAML's [] has not."""
+        """Return the changes, with the parameter's type for empty lists, which YAML's [] lacks."""
         arrays = {spec.name: spec.kind for spec in self._specs if isinstance(spec.default, tuple)}
         for k, each in enumerate(changes):
             empty = isinstance(each.value, Sized) and not isinstance(each.value, str)
@@ -95,7 +95,7 @@ class DynamicParameters(Generic[S]):
             self._pending = self._prepare(self._settings_of(self._merged(changes)))
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
-        except Exception as error:  # a raising callback would end the node from afar
+        except Exception as error:  # an exception would let remote callers end the node
             return SetParametersResult(successful=False, reason=f'{type(error).__name__}: {error}')
         return SetParametersResult(successful=True)
 
@@ -136,9 +136,9 @@ def _declare(node: Node, spec: ParameterSpec) -> None:
         given = node._parameter_overrides[spec.name].value
         raise BadInput(spec.name, given, spec.allowed) from None
     if empty and node.get_parameter_or(spec.name).type_ == Parameter.Type.NOT_SET:
-        # rclpy takes an undeclared [] for bytes, so that the type has to be given apart.
+        # rclpy reads an undeclared [] as bytes, so the type is set separately.
         node.set_parameters([Parameter(spec.name, spec.kind, [])])
-    if empty:  # what is read-only could not be given its type
+    if empty:  # a read-only parameter could not be given its type
         node.set_descriptor(spec.name, spec.descriptor)
 
 
@@ -147,13 +147,13 @@ NODES = ('planner', 'sim')  # one file may serve both
 
 
 def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[str]:
-    """Return the sections of parameter files whose name is that of no node, and their files.
+    """Return sections of parameter files whose name matches no node, with their files.
 
-    Those in other namespaces are for other vehicles.
+    Sections in other namespaces belong to other vehicles.
 
     Args:
-        node: that the files were given to.
-        words: the command line; by default this process's.
+        node: recipient of the files.
+        words: the command line; by default that of this process.
     """
     name = node.get_fully_qualified_name().rpartition('/')[2]
     known = {name, '*', '**', *NODES} - ({node.kind} - {name})
@@ -167,7 +167,7 @@ def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[s
 
 
 def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the sections of a file; none if only rcl can say what is wrong with it."""
+    """Return the sections of a file; none if it is malformed, which rcl reports."""
     try:
         return list(sections(yaml.safe_load(Path(file).read_text(errors='replace'))))
     except yaml.YAMLError:
@@ -175,7 +175,7 @@ def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
 
 
 def sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield sections, which may be nested by namespace: names with a leading slash, and values."""
+    """Yield sections, possibly nested by namespace: names with a leading slash, and values."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name != PARAMETERS:
             yield from sections(below, f'{above}/{str(name).strip("/")}')

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's parameters, and the settings that they add up to."""
+"""The planner's parameters, and the settings derived from them."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ OF_PROBLEM = (
     *('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward', 'terminal'),
     *('max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope'),
 )
-ROUNDING = 1e-5  # of the way of a step: more than a checked plan may be off
+ROUNDING = 1e-5  # in units of a step's length: above the tolerance of checked plans
 
 
 class Ageing(Enum):
-    """Which goals get stale: all; those of a source that streams; none."""
+    """Which goals expire: all; those of a streaming source; none."""
 
     ALL = 'all'
     STREAMED = 'streamed'
@@ -49,10 +49,10 @@ class Ageing(Enum):
 
 @dataclass(frozen=True)
 class PlannerSettings(VehicleParameters):
-    """The planner's parameters, each a field, and what follows from them.
+    """The planner's parameters, one per field, and the quantities derived from them.
 
-    A value for which something else is used, such as 0 for a default, is ``given_...``; what is
-    used instead has the parameter's own name.
+    A value ``given_...`` may be a placeholder, such as 0 for a default; the effective value has the
+    parameter's own name.
     """
 
     # fmt: off
@@ -192,7 +192,7 @@ class PlannerSettings(VehicleParameters):
 
     @cached_property
     def problem(self) -> Problem:
-        """Return what to solve."""
+        """Return the problem to solve."""
         parts = ('position', 'input', 'length', 'terminal', 'attitude')
         problem = Problem(
             **{name: getattr(self, name) for name in OF_PROBLEM},
@@ -204,31 +204,31 @@ class PlannerSettings(VehicleParameters):
 
     @cached_property
     def period(self) -> float:
-        """Return how often to plan, at most a step [s]."""
+        """Return the planning period, at most a step [s]."""
         return self.plan_period or self.step
 
     @cached_property
     def deadline(self) -> float:
-        """Return the limit of a solve, at most half a period [s]."""
+        """Return the time limit of a solve, at most half a period [s]."""
         return self.given_deadline or 0.5 * self.period
 
     @cached_property
     def odom_timeout(self) -> float:
-        """Return after which odometry is stale, at least 1.5 periods [s]."""
+        """Return the age at which odometry is stale, at least 1.5 periods [s]."""
         return max(self.given_odom_timeout or 0.2, 1.5 * self.period)
 
     @cached_property
     def goal_timeout(self) -> float:
-        """Return after which a goal is stale, at least 1.5 periods [s]."""
+        """Return the age at which a goal is stale, at least 1.5 periods [s]."""
         given = self.given_goal_timeout
         return max(given if given > 0.0 else 1.0, 1.5 * self.period)
 
     @cached_property
     def goal_ageing(self) -> Ageing:
-        """Return which goals get stale."""
+        """Return which goals expire."""
         if self.given_goal_timeout:
             return Ageing.ALL if self.given_goal_timeout > 0.0 else Ageing.NONE
-        # A forecast that moves on from the last goal for ever would lead anywhere.
+        # A forecast extrapolated indefinitely from the last goal would be meaningless.
         return Ageing.STREAMED if self.goal_prediction == 'hold' else Ageing.ALL
 
     @cached_property
@@ -238,39 +238,39 @@ class PlannerSettings(VehicleParameters):
 
     @cached_property
     def estimated(self) -> bool:
-        """Return whether to estimate what disturbs besides."""
+        """Return True if an additional disturbance is estimated."""
         return self.given_disturbance == ESTIMATED
 
     @cached_property
     def capture_radius(self) -> float:
-        """Return within which the goal is caught; 0 where it is not to be [m]."""
+        """Return the radius within which the goal is caught; 0 without interception [m]."""
         return self.goal_radius if self.objective == 'intercept' else 0.0
 
     @cached_property
     def approach(self) -> Approach:
-        """Return the cone of headings in which a catch counts; none where nothing is caught."""
+        """Return the cone of headings in which a catch counts; no cone without interception."""
         known = self.approach_of_a_catch()
         known.validate(self.dimension)
         return known if self.objective == 'intercept' else Approach()
 
     @cached_property
     def wants_attitude(self) -> bool:
-        """Return whether goals need an orientation."""
+        """Return True if goals need an orientation."""
         return self.problem.wants_attitude or self.approach.is_the_goals
 
     @cached_property
     def safe_command(self) -> str:
-        """Return ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``: ``auto`` is decided."""
+        """Return ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``, resolving ``auto``."""
         return decided(self.given_safe_command, self.problem, self.gravity)
 
     @cached_property
     def stated_transforms(self) -> dict[str, Edge]:
-        """Return the transforms that are stated, by their child."""
+        """Return the transforms given as parameters, by child."""
         return stated(self.transforms)
 
     @cached_property
     def distance(self) -> Distance:
-        """Return how others are avoided: so that plans, once rounded, keep the whole radius."""
+        """Return the separation from others, enlarged so that rounded plans keep the radius."""
         radius = self.avoid_radius + ROUNDING * self.problem.length_unit
         return Distance(radius, max(self.avoid_timeout or 0.5, 1.5 * self.period))
 
@@ -292,12 +292,12 @@ def planner_settings(values: Values) -> PlannerSettings:
         if not is_topic(topic):
             raise BadInput('avoid', topic, 'names of topics, such as /uav2/plan')
     for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
-        getattr(settings, made)  # raises
+        getattr(settings, made)  # raises if invalid
     return settings
 
 
 def _combinations(s: PlannerSettings) -> list[tuple[str, object, bool, str]]:
-    """Return which values do not go together: parameter, value, whether it is so, what is."""
+    """Return incompatible values: parameter, value, whether it is refused, and allowed ones."""
     thrust, intercepts = s.translation_order == 2, s.objective == 'intercept'
     return [
         ('plan_period', s.plan_period, s.plan_period > s.step, f'at most a step, {s.step:g} s'),

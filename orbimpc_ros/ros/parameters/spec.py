@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Parameters as the fields of a settings class: each is one line, from which all else follows.
+"""Parameters as fields of a settings class: one definition each, from which all else follows.
 
-A field made by :func:`parameter` has the parameter's name, default, range and meaning; its
-descriptor, its check, its row in docs/parameters.md and its place in the settings are made of that.
-The parameters that both nodes have are here, too.
+A field made by :func:`parameter` holds the parameter's name, default, range and meaning; its
+descriptor, its check, its row in docs/parameters.md and its place in the settings are derived from
+these. Parameters common to both nodes are defined here, too.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ S = TypeVar('S')
 
 FAR = 1e6  # [m]: positions in parameters
 MAX_DURATION = 1e3  # [s]: in parameters
-ALLOWED = {  # in words, with the range of numbers
+ALLOWED = {  # descriptions, with a place for the range of numbers
     Type.BOOL: 'true | false',
     Type.STRING: 'text',
     Type.STRING_ARRAY: 'a list of words',
@@ -43,7 +43,7 @@ ALLOWED = {  # in words, with the range of numbers
     Type.INTEGER: 'an integer {}',
 }
 NUMBERS = (Type.DOUBLE, Type.DOUBLE_ARRAY, Type.INTEGER)
-TINY = 1e-6  # stands for "above zero" in ranges, which are closed
+TINY = 1e-6  # means "above zero" in ranges, which are closed
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,16 @@ class ParameterSpec:
     """One parameter.
 
     Attributes:
-        name: as ROS knows it.
+        name: in ROS.
         default: its type is the parameter's; tuples are arrays of doubles, or of words.
         description: one sentence.
-        unit: of the value; empty for none.
-        low: least value allowed, of every element of an array.
-        high: greatest.
-        choices: words allowed, if the parameter is one of a few.
+        unit: of the value; empty without one.
+        low: least allowed value, of every element of an array.
+        high: greatest allowed value.
+        choices: allowed words, if restricted.
         live: whether it may change while the node runs.
         words: whether an array is one of words.
-        timed_thrust: the default with ``weights.scaling`` time at translation order 2, if another.
+        timed_thrust: another default with ``weights.scaling`` time at translation order 2, if any.
     """
 
     name: str
@@ -75,20 +75,20 @@ class ParameterSpec:
     timed_thrust: Value | None = None
 
     def default_beside(self, given: Values) -> Value:
-        """Return the default where other parameters have values that were given."""
+        """Return the default, given the values of other parameters."""
         timed = (given.get('weights.scaling'), given.get('translation_order')) == ('time', 2)
         return self.timed_thrust if timed and self.timed_thrust is not None else self.default
 
     @property
     def kind(self) -> Type:
         """Return the ROS type."""
-        if isinstance(self.default, tuple):  # which may be empty
+        if isinstance(self.default, tuple):  # may be empty
             return Type.STRING_ARRAY if self.words else Type.DOUBLE_ARRAY
         return Type.from_parameter_value(self.default)
 
     @property
     def allowed(self) -> str:
-        """Return what is allowed, in words."""
+        """Describe the allowed values."""
         if self.choices:
             return ' | '.join(each or "''" for each in self.choices)
         return ALLOWED[self.kind].format(f'in [{self.low:g}, {self.high:g}]')
@@ -113,10 +113,10 @@ class ParameterSpec:
         return described
 
     def check(self, value: Any) -> None:
-        """Check a value's range.
+        """Check the range of a value.
 
         Raises:
-            BadInput: out of range, not finite or none of the choices.
+            BadInput: out of range, not finite or not among the choices.
         """
         if self.choices and value not in self.choices:
             raise BadInput.choice(self.name, value, self.choices)
@@ -126,24 +126,24 @@ class ParameterSpec:
 
 
 def parameter(name: str, default: Value, description: str, *range_: Any, **more: Any) -> Any:
-    """Return a field of a settings class that is a parameter; arguments as of ParameterSpec."""
+    """Return a field of a settings class for a parameter; arguments as of ParameterSpec."""
     spec = ParameterSpec(name, default, description, *range_, **more)
     return field(default=default, metadata={'parameter': spec})
 
 
 def specs_of(settings: type) -> tuple[ParameterSpec, ...]:
-    """Return the table of a settings class: its parameters in their order."""
+    """Return the parameters of a settings class in their order."""
     return tuple(
         each.metadata['parameter'] for each in fields(settings) if 'parameter' in each.metadata
     )
 
 
 def settings_from(settings: type[S], values: Values) -> S:
-    """Return settings with these values, each in its range.
+    """Return settings with the given values, after checking their ranges.
 
     Args:
         settings: a class whose fields are parameters.
-        values: of all of its parameters, by name; others are passed over.
+        values: of all of its parameters, by name; others are ignored.
 
     Raises:
         BadInput: a value out of range.
@@ -159,24 +159,24 @@ def settings_from(settings: type[S], values: Values) -> S:
 
 
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
-    """Return the values that were given, and defaults for the rest."""
+    """Return the given values, and defaults for the rest."""
     return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
 
 
 def is_topic(name: str) -> bool:
-    """Return whether a name can be that of a topic."""
+    """Return True if a name is valid for a topic."""
     try:
         validate_topic_name(name)
     except InvalidTopicNameException:
         return False
-    return '//' not in name  # which that lets pass, and a subscription does not
+    return '//' not in name  # accepted by that function, but not by subscriptions
 
 
 def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
-    """Return the first n of x, y, z: in the plane z may be left out.
+    """Return the first n of x, y, z; in the plane z may be left out.
 
     Raises:
-        BadInput: fewer or more numbers; ``name`` is the parameter's.
+        BadInput: a wrong number of values; ``name`` is the parameter's.
     """
     if not dimension <= len(numbers) <= 3:
         wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
@@ -186,7 +186,7 @@ def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
 
 @dataclass(frozen=True)
 class ProcessParameters:
-    """How a node's process works."""
+    """Parameters of a node's process."""
 
     # fmt: off
     autostart: bool = parameter('autostart', True, 'Whether to configure and activate itself at '
@@ -199,7 +199,7 @@ class ProcessParameters:
 
 @dataclass(frozen=True)
 class VehicleParameters(ProcessParameters):
-    """What planner and simulator must agree on."""
+    """Parameters on which planner and simulator must agree."""
 
     # fmt: off
     dimension: int = parameter('dimension', 2, 'Plane (2) or space (3)', '', 2, 3)
@@ -237,11 +237,11 @@ class VehicleParameters(ProcessParameters):
         'Boxes to stay out of: lower, then upper corner of each', 'm', -FAR, FAR, live=True)
     # fmt: on
 
-    velocity_frame = 'body'  # of odometry, where it is no parameter
+    velocity_frame = 'body'  # of odometry, unless it is a parameter
 
     @cached_property
     def disturbance(self) -> Array:
-        """Return the known wind or acceleration, gravity's included, shape (n,).
+        """Return the known wind or acceleration, including gravity, shape (n,).
 
         Raises:
             BadInput: a vehicle of these orders has no gravity.
@@ -258,7 +258,7 @@ class VehicleParameters(ProcessParameters):
         """Return the obstacles.
 
         Raises:
-            BadInput: a number too many, or an upper corner that is not above the lower one.
+            BadInput: a wrong number of values, or an upper corner that is not above the lower one.
         """
         n = self.dimension
         if len(self.obstacles) % (2 * n):
@@ -268,10 +268,10 @@ class VehicleParameters(ProcessParameters):
 
     @cached_property
     def frames(self) -> Frames:
-        """Return the frames that messages must be in, and the body axis that pushes.
+        """Return the required frames of messages, and the thrust axis.
 
         Raises:
-            BadInput: an axis that a vehicle in the plane cannot push along.
+            BadInput: a vehicle in the plane cannot have this thrust axis.
         """
         if self.thrust_axis != 'x' and self.dimension == 2:
             raise BadInput('thrust_axis', self.thrust_axis, 'x when dimension is 2')

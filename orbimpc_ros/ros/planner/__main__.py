@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``python -m orbimpc_ros.ros.planner``, the same as the installed executable."""
+"""``python -m orbimpc_ros.ros.planner``, equivalent to the installed executable."""
 
 import sys
 

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner without its node: messages taken in or refused, and decisions on what they brought.
+"""The planner without its node: takes in or rejects messages, and decides on their content.
 
-The node, replays and flights in one process share it. Times named ``now`` are of the steady clock
-[s], those named ``ros`` of the node's ROS clock [ns], None while that is not known.
+The node, replays and flights in one process share it. Times named ``now`` are on the steady clock
+[s], those named ``ros`` on the node's ROS clock [ns], None while that is unknown.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 T = TypeVar('T')
 
 INCREASING = 'stamps that increase'
-STREAM = 3  # goals one soon after another are a stream, which is missed when it stops
-WINDOW = 10  # odometry messages; one of so many may lack its goal
-COMPARABLE = 60.0  # [s] stamps farther apart are of different clocks
-UNHURRIED = 0.2  # [s] a shorter period leaves no time to wait for others
-TIE = 0.02  # [s] who measures at such a distance measures at the same time
+STREAM = 3  # goals in close succession form a stream, which can become stale
+WINDOW = 10  # odometry messages, of which one may lack its goal
+COMPARABLE = 60.0  # [s] stamps with a larger difference are on different clocks
+UNHURRIED = 0.2  # [s] shorter periods leave no time to wait for others
+TIE = 0.02  # [s] measurements within this interval are simultaneous
 NOT_SET = (
     'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
     'ros2 topic pub "header: {stamp: now, frame_id: ...}")'
@@ -55,7 +55,7 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
 GOALS = ('goal', 'goal_path')
 OBSTACLES, PLAN = 'obstacles', 'plan'
 TRANSFORMS = (TF, TF_STATIC)
-NAMED = (*READ, *messages.POSE_TWIST, OBSTACLES, PLAN)  # topics whose resolved names are of use
+NAMED = (*READ, *messages.POSE_TWIST, OBSTACLES, PLAN)  # topics whose resolved names are needed
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
 RESET = Reason(Cause.RESET, 'reset')
 DISABLED = Reason(Cause.DISABLED, 'disabled')
@@ -65,8 +65,8 @@ OF_PLANNER = (
     *('capture_radius', 'approach', 'centred', 'odom_timeout', 'goal_timeout'),
 )
 RECENT = 15  # decisions
-LOOK = 1e-4  # [s] that a look at the deadline counts for in lock-step: some take 3e-3
-LONGEST = 0.25  # [s] a deadline counts for at most there, where somebody waits for the answer
+LOOK = 1e-4  # [s] counted per check of the deadline in lock-step; some take 3e-3
+LONGEST = 0.25  # [s] longest deadline there, where a simulator waits for the answer
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ class Received(Generic[T]):
     Attributes:
         stamp: the sender's.
         value: its content.
-        at: when it came, on the steady clock [s].
-        timed: whether its stamp is of the node's clock; None where that cannot be known.
-        run: how many messages of its source, itself the last, came one soon after another.
-        moved: the message itself, if it came in another frame.
+        at: time of arrival on the steady clock [s].
+        timed: whether its stamp is on the node's clock; None if that is unknown.
+        run: number of messages of its source, including this one, in close succession.
+        moved: the original message, if it came in another frame.
     """
 
     stamp: Stamp
@@ -90,39 +90,38 @@ class Received(Generic[T]):
     moved: Any = None
 
     def age(self, now: float, ros: int | None = None) -> float:
-        """Return how old it is [s]: by its arrival or its stamp, whichever makes it older."""
+        """Return its age [s], by arrival or by stamp, whichever is greater."""
         return max(now - self.at, self.delay(ros))
 
     def delay(self, ros: int | None) -> float:
-        """Return how old it is by its stamp [s]; 0 where that is unknown."""
+        """Return its age by its stamp [s]; 0 if unknown."""
         return max(0.0, _since(self.stamp.nanoseconds, ros)) if self.timed else 0.0
 
 
 class Inputs:
-    """Takes in messages, and makes snapshots of what is known.
+    """Takes in messages, and makes snapshots of the present inputs.
 
-    What stays of a message depends on stamps, never on the time of day, so that a recording gives
-    the same.
+    The stored state depends on stamps, never on the time of day, so that recordings reproduce it.
 
     Args:
         settings: dimension, frames, timeouts and limits.
-        names: of the topics as they are resolved, by their names here.
-        others: topics of other vehicles' plans, as they are resolved.
+        names: resolved names of topics, by their names here.
+        others: resolved topics of other vehicles' plans.
 
     Attributes:
-        lag: how far the ROS clock may trail: simulated time moves when a message says so [s].
+        lag: how far the ROS clock may trail: simulated time advances only with messages [s].
         latest: message of each topic that has one.
         forecast: predicts the goal from its sightings.
-        refused: messages refused so far, by topic and field.
-        goal_counts: goals taken in so far, by topic.
-        transforms: of frames to one another.
-        displaced: why a goal of another frame is left where it was, in words; empty if it is not.
-        bodies: on ``obstacles``.
+        refused: number of messages refused so far, by topic and field.
+        goal_counts: number of goals taken in so far, by topic.
+        transforms: between frames.
+        displaced: why a goal in another frame is not transformed; otherwise empty.
+        bodies: from ``obstacles``.
         agents: the latest plans of other vehicles, by topic.
         traffic_stamps: of the latest message on obstacles and of each plan, by topic [ns].
-        leaders: topics of the vehicles that plan before this one where stamps are shared. Planners
-            that answer odometry of the same moment would each avoid what the others planned the
-            moment before; by the names of their plans one comes after the other instead.
+        leaders: topics of vehicles that plan before this one if stamps are shared. Planners that
+            answer odometry of the same time would each avoid the others' previous plans; instead,
+            they plan one after the other, in the order of the names of their plans.
     """
 
     def __init__(
@@ -142,15 +141,15 @@ class Inputs:
         self.agents: dict[str, AgentTrajectory] = {}
         self.traffic_stamps: dict[str, int] = {}
         self.leaders = tuple(name for name in self.others if name < self.names[PLAN])
-        self._periods: dict[str, int] = {}  # from one plan of another vehicle to the next [ns]
-        self._timed: set[str] = set()  # topics whose stamps are of the node's own clock
-        # Whether each topic that may do so shared the stamp of the latest odometry, and before.
+        self._periods: dict[str, int] = {}  # period of another vehicle's plans [ns]
+        self._timed: set[str] = set()  # topics with stamps on the node's own clock
+        # Topics that share the stamp of the latest odometry, and whether they did before.
         self._shares: set[str] = set()
         paired = (*GOALS, OBSTACLES, *self.leaders)
         self._shared: dict[str, deque[bool]] = {topic: deque(maxlen=WINDOW) for topic in paired}
 
     def adopt(self, settings: PlannerSettings) -> None:
-        """Take over new settings; another kind of forecast starts afresh from the last goal."""
+        """Take over new settings; another kind of forecast starts anew from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
         self.settings = settings
         self.transforms.adopt(settings.stated_transforms, settings.transform_timeout)
@@ -160,7 +159,7 @@ class Inputs:
                 self.forecast.observe(self.latest['goal'].value)
 
     def start_afresh(self) -> None:
-        """Forget all but a goal sent by hand, as after a reset or when time jumped."""
+        """Forget all but a goal sent by hand, as after a reset or a clock jump."""
         self._keep_goal_alone()
         for each in (self.bodies, self.agents, self.traffic_stamps, self._periods, self._timed):
             each.clear()
@@ -176,7 +175,7 @@ class Inputs:
             if topic in messages.POSE_TWIST:
                 topic, message = 'odom', self._synchronizer.take(topic, message)
             if message is None:
-                return ''  # the other half is to come
+                return ''  # waits for the other half
             if topic in READ:
                 self._take(topic, message, now, ros)
             elif topic in TRANSFORMS:
@@ -204,7 +203,7 @@ class Inputs:
             message = self._placed(message)
         stamp, value = read(topic, message, settings)
         apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance + self.lag))
-        by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: of its arrival
+        by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: dated by arrival
         timeout = settings.goal_timeout if topic != 'odom' else settings.odom_timeout
         fresh = last is not None and now - last.at <= timeout
         if not by_hand:
@@ -214,7 +213,7 @@ class Inputs:
             self._require_near(topic, stamp, value, fresh=fresh)
         timed = None  # before time starts, or without a stamp
         if not by_hand:
-            # Once timed, always timed: what was held up on the way must not pass for fresh.
+            # Once timed, always timed: a delayed message must not count as fresh.
             if apart <= COMPARABLE:
                 self._timed.add(topic)
             timed = topic in self._timed or (None if math.isnan(apart) else False)
@@ -223,7 +222,7 @@ class Inputs:
         self._keep(topic, Received(stamp, value, now, timed, run, moved))
 
     def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
-        """Refuse a stamp [ns] that is not later than that of the last message, if any is fresh."""
+        """Reject a stamp [ns] not later than that of the last message, if that is fresh."""
         last = self.latest.get(topic)
         if stamp == 0 and topic == 'odom' and topic in self._timed:
             raise BadInput.stating('unset stamp', '0', NOT_SET)
@@ -238,7 +237,7 @@ class Inputs:
             raise BadInput('reordered stamp', stamp, INCREASING)
 
     def _require_near(self, topic: str, stamp: Stamp, value: Any, *, fresh: bool) -> None:
-        """Refuse a goal that jumps; once the last is stale, the new one is believed."""
+        """Reject a goal that jumps; once the last one is stale, the new one is accepted."""
         limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
         if limit == 0.0 or last is None or isinstance(value, Route):
             return
@@ -276,9 +275,9 @@ class Inputs:
     # --- goals
 
     def _keep_goal_alone(self) -> None:
-        """Forget odometry and goals, but for one sent by hand, which stays without its stamp.
+        """Forget odometry and goals, except a goal sent by hand, which loses its stamp.
 
-        A stream sends the next one; if it has stopped, its last one is not to be flown to.
+        A stream will send another goal; if it has stopped, its last goal must not be flown to.
         """
         goal = self.latest.get('goal')
         self.latest.clear()
@@ -288,22 +287,22 @@ class Inputs:
             self._see_anew(replace(goal, stamp=unset, timed=None))
 
     def _see_anew(self, goal: Received[GoalObservation]) -> None:
-        """Take a goal for all that was ever seen of it."""
+        """Replace the goal and all of its history."""
         self.latest['goal'] = goal
         self.forecast.reset()
         self.forecast.observe(goal.value)
 
     def _date_goal(self) -> None:
-        """Take a goal without a stamp for one that is seen when the latest odometry is."""
+        """Give a goal without a stamp the time of the latest odometry."""
         goal, known = self.latest.get('goal'), self.odometry
         if goal is not None and known is not None and not goal.stamp.nanoseconds:
             self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
 
     def _placed(self, message: Any) -> Any:
-        """Return a message as of the world's frame: itself, or what can be read of it elsewhere.
+        """Return a message in the world frame: itself, or its readable parts transformed.
 
         Raises:
-            BadInput: it is of another frame, and no transform leads from there.
+            BadInput: it is in another frame, and there is no transform.
         """
         world = self.settings.frames.world
         if not world or message.header.frame_id == world:
@@ -311,9 +310,9 @@ class Inputs:
         return self.transforms.moved(message, world)
 
     def _place_again(self, at: int) -> None:
-        """Move a goal that holds, and stands in another frame, to where that is at a stamp [ns].
+        """Transform a stationary goal in another frame again, with the transform at a stamp [ns].
 
-        Localisation corrects how ``map`` lies in ``odom``, by metres where it closes a loop.
+        Localisation corrects the pose of ``map`` in ``odom``, by metres at a loop closure.
         """
         goal, frames = self.latest.get('goal'), self.settings.frames
         self.displaced = ''
@@ -346,7 +345,7 @@ class Inputs:
         self.agents[topic], self.traffic_stamps[topic] = agent, stamp.nanoseconds
 
     def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
-        """Refuse a stamp [ns] of the future, or older than a lifetime [s] when odometry came."""
+        """Reject a stamp [ns] in the future, or older than a lifetime [s] at the last odometry."""
         _past(stamp, ros, self.settings.future_tolerance + self.lag)
         limit = min(lifetime, COMPARABLE)
         if self.odometry is None or (age := (self._time - stamp) / SECOND) <= limit:
@@ -356,9 +355,9 @@ class Inputs:
         raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
 
     def _take_obstacles(self, message: Any, ros: int | None) -> str:
-        """Take in markers, each by itself; return in a line the first that is refused or odd."""
-        odd, count = list[tuple[str, str]](), len(message.markers)  # what is to blame, and how
-        if count > MOST:  # to read them all would take long
+        """Take in markers one by one; describe the first rejected or unusual one."""
+        odd, count = list[tuple[str, str]](), len(message.markers)  # culprits and descriptions
+        if count > MOST:  # reading them all would take too long
             odd.append(
                 ('count', f' refused: count is {count}; allowed: {MOST}: the first are taken')
             )
@@ -369,7 +368,7 @@ class Inputs:
         return f'{self.names[OBSTACLES]}{odd[0][1]}{more}' if odd else ''
 
     def _take_marker(self, marker: Any, ros: int | None) -> tuple[str, str] | None:
-        """Take in a marker; return what is to blame, and how, where it is refused or odd."""
+        """Take in a marker; return culprit and description if it is rejected or unusual."""
         settings = self.settings
         try:
             seen = read_obstacle(marker, settings.problem.dimension, settings.frames, self._placed)
@@ -387,14 +386,14 @@ class Inputs:
         return None
 
     def traffic(self, at: float) -> Traffic | None:
-        """Return what is known at a time [s]; None where nothing was ever heard."""
+        """Return the traffic at a time [s]; None if there has never been a message."""
         if not self.traffic_stamps:
             return None
         known = self.bodies.current(at), tuple(self.agents.values())
         return Traffic(*known, self.settings.obstacle_unseen_speed, self.settings.distance)
 
     def silences(self) -> list[str]:
-        """Return which other vehicles are not heard, in words."""
+        """Return messages on other vehicles that have fallen silent."""
         if self.odometry is None:
             return []
         due = self.odometry.value.time - self.settings.distance.timeout
@@ -421,15 +420,15 @@ class Inputs:
 
     @property
     def _stamps(self) -> dict[str, int]:
-        """Return the latest stamps of what may accompany odometry, by topic [ns]."""
+        """Return the latest stamps of topics that may accompany odometry [ns]."""
         return self.goal_stamps | self.traffic_stamps
 
     def _end_shares(self) -> None:
-        """Learn what came with the odometry that is now replaced.
+        """Update statistics of the topics that came with the replaced odometry.
 
-        A source in lock-step shares its stamps from its first message on. One that merely shares
-        the driver's clock, yet is slower, shares some: a planner that waited for it would answer at
-        its pace.
+        A source in lock-step shares its stamps from its first message on. A slower one that merely
+        shares the driver's clock shares some of them: waiting for it would slow the planner down to
+        its rate.
         """
         for topic, shared in self._shared.items():
             if topic in self._shares or shared:
@@ -438,7 +437,7 @@ class Inputs:
 
     @property
     def companions(self) -> list[str]:
-        """Return the topics that accompany every odometry message, but for rare losses."""
+        """Return the topics that accompany every odometry message, apart from rare losses."""
         return [
             topic
             for topic, shared in self._shared.items()
@@ -447,14 +446,14 @@ class Inputs:
 
     @property
     def in_step(self) -> bool:
-        """Return whether goals come with odometry, as from a simulator that waits for answers."""
+        """Return True if goals come with odometry, as from a simulator that waits for answers."""
         return self._time in self.goal_stamps.values() or bool(self.companions)
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is missing, nor anyone yet to speak whom odometry waits for.
+        """Return True if nothing is missing, and all messages that odometry waits for are here.
 
-        Those are its companions, and vehicles that have measured before.
+        These are from its companions, and from vehicles that have measured earlier.
         """
         if self.missing or any(self._is_due(topic) for topic in self.others):
             return False
@@ -462,10 +461,10 @@ class Inputs:
         return all(topic in stamps and stamps[topic] >= time for topic in self.companions)
 
     def _is_due(self, topic: str) -> bool:
-        """Return whether a vehicle has measured before, and its plan is on its way.
+        """Return True if a vehicle has measured earlier, and its plan is still to come.
 
-        It is known by its period. Who plans without it may choose a way that crosses its new one.
-        At the same time it is the leaders who plan first.
+        This is inferred from its period. Planning without it might lead to a path that crosses its
+        new one. For simultaneous measurements, the leaders plan first.
         """
         period = self._periods.get(topic)
         if period is None or self.settings.period < UNHURRIED:
@@ -477,7 +476,7 @@ class Inputs:
 
     @property
     def missing(self) -> str:
-        """Return what no plan can be made without, in words; empty if nothing is missing."""
+        """Describe the missing inputs without which there is no plan; empty if complete."""
         latest, absent = self.latest, []
         if 'odom' not in latest:
             absent.append(f'odometry on {self.names["odom"]}')
@@ -491,7 +490,7 @@ class Inputs:
 
     @property
     def untimed(self) -> str:
-        """Return which sources' stamps are of another clock than this node's, in words."""
+        """Return the sources whose stamps are not on this node's clock."""
         found = (t for t in READ if t in self.latest and self.latest[t].timed is False)
         return ', '.join(self.names[topic] for topic in found)
 
@@ -499,11 +498,11 @@ class Inputs:
 
     @property
     def heard(self) -> dict[str, Any]:
-        """Return which messages the next decision is made of, by the keys on ``tick``.
+        """Return the messages on which the next decision is based, by the keys on ``tick``.
 
-        Those are the stamps of the goals known, by topic [ns]; how many goals were taken in so far,
-        for some may be lost on the way; how the forecast takes the goal to move, if it chooses; and
-        the stamps of what was heard last of obstacles and of other vehicles, by topic [ns].
+        These are the stamps of the present goals, by topic [ns]; the number of goals so far, since
+        some may be lost; the motion of the goal chosen by the forecast, if it chooses; and the
+        latest stamps of obstacles and of other vehicles, by topic [ns].
         """
         model = getattr(self.forecast, 'model', '')
         return {
@@ -516,13 +515,13 @@ class Inputs:
     def snapshot(
         self, now: float, ros: int | None = None, *, stop: Reason | None = None, taking: float = 0.0
     ) -> Snapshot:
-        """Return all that a decision is made of.
+        """Return all inputs of a decision.
 
         Args:
             now: on the steady clock [s].
             ros: on the ROS clock.
-            stop: why no plan may be followed, if none may.
-            taking: how long the decision is going to take [s].
+            stop: reason for following no plan, if any.
+            taking: expected duration of the decision [s].
         """
         known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
@@ -530,7 +529,7 @@ class Inputs:
         wanted = None if goal is None else goal.value.attitude
         if path is not None:
             fresh = ages['goal_path'] <= self.settings.goal_timeout
-            if fresh or goal is None:  # without any other it is its age that matters
+            if fresh or goal is None:  # as the only goal, it is judged by its age
                 motion = path.value
             if fresh and path.value.attitude is not None:
                 wanted = path.value.attitude
@@ -552,7 +551,7 @@ class Inputs:
         )
 
     def _goal_age(self, topic: str, now: float, ros: int | None) -> float:
-        """Return how old a goal is [s]; 0 for one that does not age."""
+        """Return the age of a goal [s]; 0 for one that does not expire."""
         settings, goal = self.settings, self.latest[topic]
         route = isinstance(goal.value, Route)
         by_hand = (topic == 'goal' or route) and goal.run < STREAM
@@ -565,12 +564,12 @@ class Inputs:
 
 
 def _since(stamp: int, ros: int | None) -> float:
-    """Return the time since a stamp [ns], negative before it [s]; NaN if it is not known."""
+    """Return the time since a stamp [ns], negative before it [s]; NaN if unknown."""
     return math.nan if ros is None else (ros - stamp) / SECOND
 
 
 def _past(stamp: int, ros: int | None, allowed: float) -> float:
-    """Return the time since a stamp [ns], which is not ahead by more than is allowed [s].
+    """Return the time since a stamp [ns], after checking that it is not too far ahead [s].
 
     Raises:
         BadInput: it is.
@@ -583,7 +582,7 @@ def _past(stamp: int, ros: int | None, allowed: float) -> float:
 
 
 def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, Any]:
-    """Return the stamp and the content of an input; a goal without a frame is of the world's.
+    """Return stamp and content of an input; a goal without a frame is in the world frame.
 
     Raises:
         BadInput: it is not acceptable.
@@ -595,7 +594,7 @@ def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, An
 
 
 def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerSettings) -> None:
-    """Refuse a goal without an attitude where one is asked for.
+    """Reject a goal without an attitude if one is required.
 
     Raises:
         BadInput: in the plane, its x axis is vertical.
@@ -606,7 +605,7 @@ def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerS
 
 
 def others(avoid: Iterable[str], own: str, resolve: Callable[[str], str]) -> tuple[str, ...]:
-    """Return the topics of other vehicles' plans, one's own left out: a fleet may share its list.
+    """Return the topics of other vehicles' plans, without one's own: a fleet may share its list.
 
     Args:
         avoid: topics, as given.
@@ -626,7 +625,7 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
         settings.problem,
         shrinking=settings.horizon_mode == 'shrinking',
         safe=settings.safe_command,
-        # On a dry run somebody else commands, who is not known.
+        # On a dry run, the commands of another node are unknown.
         estimated=settings.estimated and not settings.dry_run,
         reserve=settings.obstacle_reserve,
         **{name: getattr(settings, name) for name in OF_PLANNER},
@@ -637,26 +636,26 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
 
 
 class Core:
-    """Decides on what messages have brought; publishing is left to others.
+    """Decides on the content of messages; publishing is left to its users.
 
     Args:
         settings: of the planner.
         planner: compiled for them.
-        simulated: whether time stands still while a decision is made.
-        clock: that deadlines are kept by [s]; None where a solve has none, so that what it finds
-            does not depend on the machine.
-        counted: whether deadlines are kept by work instead while goals come with odometry.
-        names: of the topics as they are resolved, by their names here.
-        others: topics of other vehicles' plans, as they are resolved.
+        simulated: whether time stops during a decision.
+        clock: of deadlines [s]; None for solves without a deadline, so that results do not depend
+            on the machine.
+        counted: whether deadlines are measured by work instead while goals come with odometry.
+        names: resolved names of topics, by their names here.
+        others: resolved topics of other vehicles' plans.
 
     Attributes:
         settings: of the planner.
         inputs: take in messages.
         planner: decides.
-        counts: ``deadline misses``, decisions that took longer than their deadline; ``overruns``,
-            that took longer than their period.
-        seen: what the last decision was made of.
-        outdated: why the last plan may not be followed, made in too long a time; None if it may.
+        counts: ``deadline misses``, decisions that exceeded their deadline; ``overruns``, decisions
+            that exceeded their period.
+        seen: snapshot of the last decision.
+        outdated: why the last plan, which took too long, may not be followed; None if it may.
     """
 
     def __init__(
@@ -673,7 +672,7 @@ class Core:
         self.settings, self.planner = settings, planner
         self.inputs = Inputs(settings, names, others)
         self.counts = Counter({'deadline misses': 0, 'overruns': 0})
-        self._recent: deque[float] = deque(maxlen=RECENT)  # how long decisions took [s]
+        self._recent: deque[float] = deque(maxlen=RECENT)  # durations of decisions [s]
         self.seen = Snapshot()
         self.outdated: Reason | None = None
         self._simulated, self._counted = simulated, counted
@@ -682,17 +681,17 @@ class Core:
 
     @property
     def expected(self) -> float:
-        """Return how long a decision usually takes [s]."""
+        """Return the usual duration of a decision [s]."""
         return statistics.median(self._recent) if self._recent else 0.0
 
     def install(self, settings: PlannerSettings, planner: Planner) -> None:
-        """Go on with other settings and the planner made for them."""
+        """Continue with other settings and their planner."""
         planner.continue_from(self.planner)
         self.settings, self.planner = settings, planner
         self.inputs.adopt(settings)
 
     def start_afresh(self, *, wind: bool = False) -> None:
-        """Forget plan and inputs, but for a goal sent by hand; with ``wind`` that estimate, too."""
+        """Forget plan and inputs, except a goal sent by hand; with ``wind``, its estimate too."""
         self.planner.start_afresh(wind=wind)
         self.inputs.start_afresh()
 
@@ -700,7 +699,7 @@ class Core:
         self, now: float, ros: int | None = None, stop: Reason | None = None
     ) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
-        known = self.inputs.odometry  # a whole snapshot would forget bodies, which replays do not
+        known = self.inputs.odometry  # a full snapshot would drop bodies, unlike in replays
         if known is None:
             return self.planner.unsafe(Snapshot(stop=stop))
         age = known.age(now, ros)
@@ -714,13 +713,13 @@ class Core:
         *,
         fresh: bool = False,
     ) -> Decision:
-        """Return what to do next, how long that took, and which messages it is made of.
+        """Return the next command, the time taken, and the messages used.
 
         Args:
             now: on the steady clock [s].
             ros: on the ROS clock.
-            stop: why no plan may be followed, if none may.
-            fresh: whether odometry counts as fresh, as where somebody else has judged it.
+            stop: reason for following no plan, if any.
+            fresh: whether odometry counts as fresh, for instance if judged elsewhere.
         """
         begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
@@ -731,8 +730,8 @@ class Core:
         given = math.inf if self._unlimited else self.settings.deadline
         self._deadline = Deadline(self._clock, begun + given)
         if self._counted and self.inputs.in_step:
-            # A clock that goes on by the looks at it, of which a search takes one after each part:
-            # what it limits is the same on every machine, however busy.
+            # This clock advances with each reading, of which a search takes one after each part:
+            # its limit is the same on every machine, however busy.
             looked = (LOOK * looks for looks in itertools.count(1)).__next__
             self._deadline = Deadline(looked, min(given, LONGEST))
         at = None if ros is None else ros / SECOND + taking
@@ -752,7 +751,7 @@ class Core:
 
     @property
     def goal(self) -> tuple[Array, Array | None] | None:
-        """Return where the goal was at the odometry last answered, and its attitude, if known.
+        """Return the position of the goal at the last answered odometry, and any known attitude.
 
         None unless it was fresh and nothing was missing.
         """
@@ -765,16 +764,16 @@ class Core:
         return motion.at(np.array([measured.time]))[0], self.seen.wanted
 
     def proved(self, decision: Decision, *, catches: bool = False) -> Decision:
-        """Return the last decision with a proof of what it states, if there is one by its deadline.
+        """Return the last decision with a proof of its claim, if one is found by its deadline.
 
-        That is that nothing is feasible or, with ``catches``, that nothing is caught before a time.
-        Its command went out before, and need not wait for that.
+        The claim is infeasibility or, with ``catches``, that there is no catch before some time.
+        The command has already been sent, without waiting for the proof.
         """
         nothing, catch = decision.infeasible, decision.catch if catches else None
         count = 0 if catch is None else steps_before(catch.bound, catch.sought.problem.step)
         if nothing is None and not count:
             return decision
-        # Imported by the first decision that needs it: a tenth of a second that starts are spared.
+        # Imported by the first decision that needs it: it saves a tenth of a second at the start.
         from orbimpc_ros.mpc.proof.document import WORD, held_in_time
         from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
 

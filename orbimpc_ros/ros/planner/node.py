@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner node: messages to the core, its decisions to messages, and a watch on both.
+"""The planner node: passes messages to the core, publishes its decisions, and monitors both.
 
-What is watched besides is who is at the other ends of its topics.
+It also monitors the other ends of its topics.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ from orbimpc_ros.ros.process import LATCHED, LATEST, LIFE, Managed, NodeClock, f
 from orbimpc_ros.ros.topics import NUMBERS, message_of
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
 
-INCOMPATIBLE = 'ERROR: '  # how rclpy begins what makes two profiles incompatible
+INCOMPATIBLE = 'ERROR: '  # prefix of reasons for incompatibility in rclpy
 
 
 class EndpointMonitor:
-    """Who is at the other ends of a planner's topics.
+    """Monitors the other ends of a planner's topics.
 
-    They are looked at one topic at a time: each look is short, so that no odometry waits for it.
-    DDS reports mismatches in events, too. But handlers of events lengthen every wait of the node,
-    and no event reports the end of a mismatch.
+    They are checked one topic at a time: each check is short, so that odometry is not delayed. DDS
+    also reports mismatches as events. But event handlers lengthen every wait of the node, and no
+    event reports the end of a mismatch.
 
     Args:
-        node: whose topics to look at.
+        node: owner of the topics.
         odometry: its subscription to odometry.
-        velocity: its publisher of commands; None if it commands nothing.
+        velocity: its publisher of commands; None without commands.
 
     Attributes:
-        sources: that more than one publishes odometry, in words; empty if none or one does.
-        rivals: that somebody else commands the vehicle as well, in words; empty if nobody does.
+        sources: message if there are several publishers of odometry; otherwise empty.
+        rivals: message if another node commands the vehicle as well; otherwise empty.
     """
 
     def __init__(self, node: Node, odometry: Subscription, velocity: Publisher | None) -> None:
@@ -68,11 +68,11 @@ class EndpointMonitor:
 
     @property
     def mismatches(self) -> list[str]:
-        """Return which topics connect to somebody who cannot hear, or be heard, and why."""
+        """Return which topics have incompatible ends, and why."""
         return [self._mismatched[topic] for topic in sorted(self._mismatched)]
 
     def look(self) -> None:
-        """Look who else publishes odometry and commands, and at the ends of one more topic."""
+        """Check publishers of odometry and commands, and the ends of one more topic."""
         self.sources = self.rivals = ''
         where, count = self._odometry.topic_name, self._odometry.get_publisher_count()
         if count > 1:
@@ -89,13 +89,13 @@ class EndpointMonitor:
 
 
 def _mismatch(node: Node, end: Publisher | Subscription) -> str:
-    """Return who cannot hear ``end`` or be heard by it, and why; empty if there is nobody."""
+    """Return which other end is incompatible with ``end``, and why; empty if none is."""
     topic = end.topic_name
     message: Any = end.msg_type
     kind = f'{message.__module__.split(".")[0]}/msg/{message.__name__}'
     ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
     same, others = ends if isinstance(end, Publisher) else ends[::-1]
-    # DDS shows its view of one's own profile as of any other, its defaults filled in.
+    # The profile of the own end comes from DDS, with defaults filled in, like any other's.
     own = [each.qos_profile for each in same if each.node_name == node.get_name()]
     for other in others if own else ():
         who = f'{topic} of {full_name(other)}'
@@ -111,33 +111,33 @@ def _mismatch(node: Node, end: Publisher | Subscription) -> str:
 
 
 EVENTS = ('arrived', 'caught')  # topics
-INPUTS = ('goal', 'goal_path', 'wind', core.OBSTACLES)  # topics beside those of odometry
-# Who is connected is looked at instead: an event handler makes every wait of the node longer.
+INPUTS = ('goal', 'goal_path', 'wind', core.OBSTACLES)  # topics in addition to those of odometry
+# Connections are polled instead: an event handler lengthens every wait of the node.
 UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
-STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: who waits sends it again
+STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: a waiting simulator resends it
 LEADERS_PATIENCE = 30.0  # [s] the same for plans of other vehicles
-MARKERS = 10  # messages on obstacles that may wait, for each may matter
-TRANSFORMS = 100  # messages on /tf that may wait: each tells of other frames
-REPEAT = 0.1  # [s] until a repeated request is answered again: not for messages that come twice
-WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
-LATE = 1.5  # periods from one tick of the timer to the next
-HEALTH = 1.0  # [s] between messages on /diagnostics, at most
-CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
-REFUSED = 1.0  # [s] for which a refused message is a reason to warn
-SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
-LULL = 10.0  # [s] the same, once it has come: lock-step waits for slow planners
+MARKERS = 10  # queued messages on obstacles, each of which may matter
+TRANSFORMS = 100  # queued messages on /tf, each for other frames
+REPEAT = 0.1  # [s] until a repeated request is answered again, unlike duplicate messages
+WATCH = 0.05  # [s] longest period of checks of the age of inputs
+LATE = 1.5  # periods between ticks of the timer, above which they are late
+HEALTH = 1.0  # [s] longest interval between messages on /diagnostics
+CLOCK_SET = 0.1  # [s] jump of the system clock that is tolerated without a fresh start
+REFUSED = 1.0  # [s] duration of the warning on a refused message
+SILENCE = 1.5  # [s] without any /clock before a warning
+LULL = 10.0  # [s] the same after the first one: lock-step waits for slow planners
 QUIET = 10.0  # [s] for which the same line is not logged again
 NUMBER = re.compile(r'(?<![\w/])[-+]?\d+(\.\d+)?(e[-+]?\d+)?')
 
 
 class PlannerNode(Managed):
-    """Wires messages to the core and its decisions to messages, and watches what it stands on."""
+    """Connects messages to the core and its decisions to messages, and monitors its inputs."""
 
     def __init__(self) -> None:
         super().__init__('planner')
-        self._logged: dict[str, float] = {}  # when each line was logged last [s]
+        self._logged: dict[str, float] = {}  # time of the last log of each line [s]
         report_compilation(self.get_logger().info)
         if not COMPILED:
             self._log(without_compiler(), warn=True)
@@ -150,12 +150,12 @@ class PlannerNode(Managed):
         self._enabled, self._altitude = True, math.nan
         self._wing: Wing | None = None
         self._refusal, self._refused_at = '', -math.inf
-        self._watched = -math.inf  # when it was last looked around [s]
-        self._ticked, self._late_ticks = math.inf, 0  # when the timer ticked last [s]
+        self._watched = -math.inf  # time of the last checks [s]
+        self._ticked, self._late_ticks = math.inf, 0  # time of the last tick of the timer [s]
         self._mode_changes = 0
         settings = self._live.settings()
         self._gate = not settings.gated
-        # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
+        # Before compilation: cmd_vel shows a simulator that a planner is being configured.
         self._create_publishers(settings)
         if settings.autopilot:
             known = settings.frames, self._switched, partial(self._log, warn=True)
@@ -182,14 +182,14 @@ class PlannerNode(Managed):
             self.get_logger().warning(doubt)
 
     def activate(self) -> None:
-        """Plan and command, of what comes from now on."""
+        """Plan and command, based on messages from now on."""
         self._patience.cancel()
-        self._core.inputs.latest.clear()  # nor does a goal sent by hand stay
+        self._core.inputs.latest.clear()  # including a goal sent by hand
         self._core.start_afresh()
         self._begin_anew()
 
     def deactivate(self) -> None:
-        """Command what is safe for the last time."""
+        """Send a final safe command."""
         self.safe(core.INACTIVE)
 
     def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
@@ -212,13 +212,13 @@ class PlannerNode(Managed):
         self._publish_events()
         self._numbers = {n: self.create_publisher(Float64, f'~/{n}', qos()) for n in NUMBERS}
         self._health = self.create_publisher(message_of('/diagnostics'), '/diagnostics', qos())
-        self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
+        self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as last published
 
     def _begin_anew(self) -> None:
-        self._sent_at = -math.inf  # when something went out last, on the steady clock [s]
-        self._first: Mapping[str, Any] = {}  # messages of the last decision, sent at once
-        self._stamp = Stamp(0)  # of what it answers
-        self._answered = -1  # stamp of the odometry that was answered last [ns]
+        self._sent_at = -math.inf  # time of the last output, on the steady clock [s]
+        self._first: Mapping[str, Any] = {}  # commands of the last decision
+        self._stamp = Stamp(0)  # of the answered odometry
+        self._answered = -1  # stamp of the last answered odometry [ns]
         self._decision: Decision | None = None  # the last one
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
@@ -226,16 +226,16 @@ class PlannerNode(Managed):
         plans = dict.fromkeys(self._core.inputs.others, message_of(core.PLAN))
         kinds, listening = {topic: message_of(topic) for topic in (*odometry, *INPUTS)}, {}
         for topic, kind in (kinds | plans).items():
-            # Markers add up: one that is lost leaves a body out, or leaves one where none is. So
-            # these are to be reliable; who offers less is reported as a mismatch. The rest is whole
-            # each time.
+            # Markers are incremental: losing one omits a body, or keeps one that is gone. So they
+            # must be reliable; a lower offer is reported as a mismatch. Other messages are complete
+            # in themselves.
             profile = qos(MARKERS) if topic == core.OBSTACLES else LATEST
             callback = self.at_work(self._hear, topic)
             listening[topic] = self.create_subscription(
                 kind, topic, callback, profile, event_callbacks=UNHEARD
             )
         if settings.gated:
-            # Even while inactive: whoever is activated has to know whether the vehicle is flown.
+            # Even while inactive: a node must know on activation whether the vehicle is flown.
             self.create_subscription(Bool, 'engaged', self.guard(self._on_engaged), LATEST)
         if settings.tf:
             self._listen_to_transforms()
@@ -246,9 +246,9 @@ class PlannerNode(Managed):
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
     def _listen_to_transforms(self) -> None:
-        """Subscribe to transforms, while inactive, too, with the qualities of service of tf2.
+        """Subscribe to transforms, even while inactive, with the qualities of service of tf2.
 
-        The messages of tf2 are enough: its library would hear them in a thread of its own.
+        The messages of tf2 suffice: its library would receive them in a separate thread.
 
         Raises:
             BadInput: the messages are not installed.
@@ -264,13 +264,13 @@ class PlannerNode(Managed):
 
     def _create_timers(self, settings: PlannerSettings) -> None:
         if settings.trigger == 'timer':
-            # In ROS time: simulated time sets the pace. Everything that watches is steady.
+            # In ROS time: simulated time sets the pace. All monitoring uses the steady clock.
             self.create_timer(settings.period, self.at_work(self._on_timer))
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
         self._watch_period = min(WATCH, 0.5 * settings.period)
         self._watchman = self.every(self._watch_period, self._watch)
-        # Whatever the node is just doing: an inactive planner publishes that it is.
+        # In all states: an inactive planner reports that it is inactive.
         self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
 
     @property
@@ -281,27 +281,27 @@ class PlannerNode(Managed):
     # --- inputs
 
     def _hear(self, topic: str, message: Any) -> None:
-        """Take in a message; answer odometry as soon as it has what belongs to it.
+        """Take in a message; answer odometry once all messages that belong to it are here.
 
         DDS does not order topics. A source that stamps odometry and goals alike, such as the
-        simulator in lock-step, means them to be used together; then runs repeat exactly.
+        simulator in lock-step, intends them to be used together; then runs repeat exactly.
         """
         inputs, at = self._core.inputs, (self.steady_now(), self.ros_now)
         stop, before = self._stop(), inputs.odometry
         if topic == core.OBSTACLES:
-            self._core.planner.expect_hazards()  # its publisher may not have been noticed yet
+            self._core.planner.expect_hazards()  # its publisher may not have been discovered yet
         if refusal := inputs.update(topic, message, *at):
             self._refuse(refusal)
             if topic == 'odom':
                 self._repeat_answer(message)
             return
         if topic == 'goal':
-            self._altitude = message.pose.position.z or math.nan  # 0: that which is held
+            self._altitude = message.pose.position.z or math.nan  # 0: hold the present one
             goal = inputs.latest['goal']
             self._events.send(goal.value.position, streams=goal.run >= core.STREAM)
         known = inputs.odometry
         measured = known is not before
-        # Transforms come in while it is inactive, too.
+        # Transforms arrive even while it is inactive.
         if known is not None and self.active and self._core.settings.trigger == 'odom':
             waits = known.stamp.nanoseconds != self._answered
             if not inputs.complete:
@@ -309,13 +309,13 @@ class PlannerNode(Managed):
                     self._wait()
             elif measured or (waits and self._core.unsafe(*at) is None):
                 self._answer(self._core.decide(*at, stop))
-        if known is not None and measured:  # no command waits for it
+        if known is not None and measured:  # no command waits for this
             self._frame_check.note(known.value)
         if topic == 'goal':
             self._publish_events()
 
     def _wait(self) -> None:
-        """Let new odometry wait for a while for what belongs to it."""
+        """Let new odometry wait for a while for messages that belong to it."""
         if self._core.inputs.missing:
             self._show_changes()
         elif self._patience.is_canceled():
@@ -323,13 +323,13 @@ class PlannerNode(Managed):
             self._patience.reset()
 
     def _on_engaged(self, message: Bool) -> None:
-        """Begin to command, from a fresh start, or fall silent at once."""
+        """Start to command, from a fresh state, or fall silent at once."""
         if message.data != self._gate:
             self._gate = message.data
             self._switched('engaged: commands' if message.data else 'not engaged: silent')
 
     def _switched(self, words: str) -> None:
-        """Note that commands begin or end to leave, the former from a fresh start."""
+        """Record that commands start, from a fresh state, or stop being sent."""
         if self._engaged:
             self._core.planner.start_afresh()
         self._mode_changes += 1
@@ -338,7 +338,7 @@ class PlannerNode(Managed):
 
     @property
     def _engaged(self) -> bool:
-        """Return whether commands may leave."""
+        """Return True if commands may be sent."""
         return self._gate and (self._wing is None or self._wing.engaged)
 
     def _refuse(self, refusal: str) -> None:
@@ -346,18 +346,18 @@ class PlannerNode(Managed):
         self._show_changes()
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
-        """Answer a repeated request again: the first answer may have been lost in discovery."""
+        """Repeat the answer to repeated odometry: the first may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._sent_at > REPEAT
         if stamp != self._answered or not waited or self._unsafe():
             return
         self._send(self._first)
         if self._decision is not None:
-            self._tell(self._decision, self._heard)  # also for new readers
+            self._tell(self._decision, self._heard)  # also for new subscribers
 
     @property
     def _patience_left(self) -> int:
-        """Return how many calls an odometry message waits for what belongs to it."""
+        """Return the number of timer calls for which odometry waits for its companions."""
         inputs = self._core.inputs
         leaders = set(inputs.leaders).intersection(inputs.companions)
         standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
@@ -365,7 +365,7 @@ class PlannerNode(Managed):
         return round(patience / (0.5 * GOAL_PATIENCE))
 
     def _on_patience(self) -> None:
-        # On the second call at the soonest: after a stall, what lies waiting gets its turn first.
+        # On the second call at the earliest: after a stall, queued messages come first.
         self._waits -= 1
         if self._waits == 0:
             self._patience.cancel()
@@ -373,7 +373,7 @@ class PlannerNode(Managed):
 
     def _on_timer(self) -> None:
         now, late = self._time.nanoseconds / SECOND, LATE * self._core.settings.period
-        self._late_ticks += now - self._ticked > late  # whatever held it up
+        self._late_ticks += now - self._ticked > late  # whatever the cause
         self._ticked = now
         self._plan_if_nothing_is_missing()
 
@@ -386,7 +386,7 @@ class PlannerNode(Managed):
             self._answer(self._core.decide(self.steady_now(), self.ros_now, self._stop()))
 
     def _answer(self, decision: Decision) -> None:
-        """Publish what was decided on the latest odometry, and look around while there is time."""
+        """Publish the decision on the latest odometry, and monitor while there is time."""
         self._patience.cancel()
         odometry, outdated = self._core.inputs.latest['odom'], self._core.outdated
         if decision.state is not None and outdated is not None:
@@ -394,7 +394,7 @@ class PlannerNode(Managed):
         self._publish(odometry.stamp, decision)
         self._answered = odometry.stamp.nanoseconds
         self._look_for_events()
-        # The next odometry, which must not wait, is farthest now: watch if that is due soon.
+        # The next odometry must not wait and is farthest away now: monitor if that is due soon.
         if self.steady_now() - self._watched >= 0.5 * self._watch_period:
             self._watch()
             self._watchman.reset()
@@ -411,14 +411,14 @@ class PlannerNode(Managed):
         return self._core.unsafe(self.steady_now(), self.ros_now, self._stop())
 
     def safe(self, reason: Reason) -> None:
-        """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
+        """Send a safe command now, unless the planner has not commanded anything yet."""
         if self.active and self._sent_at > -math.inf:
             self._be_safe(reason)
             if self._wing is not None and self._wing.engaged:
                 self._wing.release()
 
     def _be_safe(self, reason: Reason) -> None:
-        # Stamped now: it is no answer to any odometry.
+        # Stamped now: it does not answer any odometry.
         now = max(self._time.nanoseconds, self._answered + 1)
         known, settings = self._core.inputs.odometry, self._core.settings
         frames = settings.frames if known is None else known.stamp.frames
@@ -437,7 +437,7 @@ class PlannerNode(Managed):
         if self._engaged and not settings.dry_run:
             self._core.planner.sent(command, self._time.nanoseconds / SECOND)
         self._stamp, heard = stamp, self._heard
-        self._tell(decision, heard - outputs.CLAIMS)  # the vehicle did not wait for it
+        self._tell(decision, heard - outputs.CLAIMS)  # sent after the commands
         self._decision = self._core.proved(decision, catches='certificate' in heard)
         self._tell(self._decision, heard & outputs.CLAIMS)
         self._publish_numbers(outputs.numbers(self._decision))
@@ -445,12 +445,12 @@ class PlannerNode(Managed):
 
     @property
     def _heard(self) -> frozenset[str]:
-        """Return the topics that somebody listens to."""
+        """Return the topics that have subscribers."""
         ends = self._publishers_of.items()
         return frozenset(topic for topic, each in ends if each.get_subscription_count())
 
     def _tell(self, decision: Decision, topics: Set[str]) -> None:
-        """Publish what there is to say of a decision, on topics that somebody listens to."""
+        """Publish reports of a decision on topics that have subscribers."""
         known, name = self._core.inputs.odometry is not None, self.get_fully_qualified_name()
         made = self._core.settings, self._stamp, decision, name
         self._send(outputs.report_messages(*made, oriented=known, heard=topics))
@@ -460,18 +460,18 @@ class PlannerNode(Managed):
     def _send(self, messages: Mapping[str, Any]) -> None:
         for topic, message in messages.items():
             wanted = topic not in outputs.COMMANDS or self._engaged
-            if wanted and topic in self._publishers_of:  # of commands, none on a dry run
+            if wanted and topic in self._publishers_of:  # no commands on a dry run
                 self._publishers_of[topic].publish(message)
         self._sent_at = self.steady_now()
 
     def _publish_numbers(self, found: Mapping[str, float]) -> None:
-        """Publish numbers, each on a topic of its own, while somebody subscribes."""
+        """Publish numbers, each on its own topic, if it has subscribers."""
         for name, number in found.items():
             if self._numbers[name].get_subscription_count():
                 self._numbers[name].publish(Float64(data=float(number)))
 
     def _look_for_events(self) -> None:
-        """Look whether the latest odometry shows a goal caught or reached."""
+        """Check whether the latest odometry shows that the goal is caught or reached."""
         settings, known = self._core.settings, self._core.inputs.odometry
         found = self._core.goal
         if known is None or found is None:
@@ -485,7 +485,7 @@ class PlannerNode(Managed):
         self._publish_events()
 
     def _publish_events(self) -> None:
-        """Publish what has happened, or no longer holds, where that is news."""
+        """Publish events that have changed."""
         for name, publisher in self._event_publishers.items():
             holds = getattr(self._events, name)
             if holds != self._shown.get(name):
@@ -499,7 +499,7 @@ class PlannerNode(Managed):
         self._watched = self.steady_now()
         self._monitor.look()
         self._time.look()
-        if self._obstacles.get_publisher_count():  # somebody may publish some: ready in a second
+        if self._obstacles.get_publisher_count():  # obstacles may come: compilation takes a second
             self._core.planner.expect_hazards()
         flying = self._sent_at > -math.inf or not self._enabled
         due = self.steady_now() - self._sent_at >= self._core.settings.period
@@ -516,7 +516,7 @@ class PlannerNode(Managed):
         return Reason(Cause.CLOCK, stood) if stood else None
 
     def _notices(self) -> list[str]:
-        """Return what to warn of even if all goes well, in words; empty ones do not count."""
+        """Return warnings for normal operation; empty strings are ignored."""
         inputs, now = self._core.inputs, self.steady_now()
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         other = f"stamps of {inputs.untimed} are not of this node's clock" if inputs.untimed else ''
@@ -528,7 +528,7 @@ class PlannerNode(Managed):
         return [*ends, *inputs.silences(), left_out, inputs.displaced, refused]
 
     def _condition(self) -> tuple[bytes, list[str]]:
-        """Return the level of diagnostics, and what it is due to."""
+        """Return the level of diagnostics, and its reasons."""
         wrong = [self._monitor.sources, *self._monitor.mismatches]
         missing = self._core.inputs.missing
         waiting = f'waits for {missing}' if missing else ''
@@ -537,7 +537,7 @@ class PlannerNode(Managed):
         return outputs.condition(wrong, waiting, self._decision, self._notices())
 
     def _show_changes(self) -> None:
-        """Log what is new of the condition, and publish it if the level has changed."""
+        """Log changes of the condition, and publish it if the level has changed."""
         level, parts = self._condition()
         current = {NUMBER.sub('#', part): (level != OK, part) for part in parts}
         for kind, (odd, part) in current.items():
@@ -571,12 +571,12 @@ class PlannerNode(Managed):
         self._health.publish(message)
 
     def _log(self, text: str, *, warn: bool = False) -> None:
-        """Log a line, unless it was logged lately, numbers aside."""
+        """Log a line, unless the same, apart from numbers, was logged recently."""
         kind, now = NUMBER.sub('#', text), self.steady_now()
         last = self._logged.pop(kind, -math.inf)
         news = now - last >= QUIET
         self._logged[kind] = now if news else last
-        if len(self._logged) > 100:  # text may hold what a stranger sent
+        if len(self._logged) > 100:  # text may contain untrusted input
             del self._logged[next(iter(self._logged))]
         if news and warn:
             self.get_logger().warning(text)
@@ -586,10 +586,10 @@ class PlannerNode(Managed):
     # --- fresh starts
 
     def _on_jump(self, by: float) -> None:
-        """Start afresh if the clock has jumped [s].
+        """Start anew if the clock has jumped [s].
 
-        Simulated time moves in steps. A step forward makes what is known as much older, which its
-        age shows; a jump is what makes all of it stale.
+        Simulated time advances in steps. A step forward ages all inputs, which their age reflects;
+        a jump is one that makes all of them stale.
         """
         settings, back, forth = self._core.settings, CLOCK_SET, CLOCK_SET
         if self._time.simulated:

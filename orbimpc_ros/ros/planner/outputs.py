@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Decisions as messages, commands first; and in words the vehicle that the planner believes in."""
+"""Decisions as messages, commands first; and a summary of the configured vehicle and task."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
 COMMANDS = ('cmd_vel', 'rotation', 'cmd_thrust', 'thrust')
 TOPICS = frozenset({*REPORTS, *COMMANDS})
-CLAIMS = frozenset({'tick', 'certificate'})  # which wait for proofs
+CLAIMS = frozenset({'tick', 'certificate'})  # sent after proofs
 UNHEARD: dict[str, Any] = {'goal_stamps': {}, 'goal_counts': {}, 'traffic_stamps': {}}
-ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
+ANOTHER_PLAN = 0.01  # unexplained share of the gradient above which a plan is not optimal
 LONGEST = 60  # steps; prices of longer plans take milliseconds
 
 
 def level(decision: Decision) -> bytes:
-    """Return how bad a decision is, in diagnostics' terms."""
+    """Return the diagnostic level of a decision."""
     if decision.fallback is Fallback.SAFE_COMMAND:
         return ERROR
     good = decision.status is Status.OPTIMAL and not (decision.fallback or decision.reason)
@@ -48,7 +48,7 @@ def level(decision: Decision) -> bytes:
 
 
 def numbers(decision: Decision) -> dict[str, float]:
-    """Return what is published as numbers, by name: the time [s], and of a plan its costs."""
+    """Return the published numbers, by name: the time [s], and the costs of a plan."""
     plan, took = decision.plan, {'solve_time': 1e-3 * decision.solve_time_ms}
     if plan is None:
         return took
@@ -60,8 +60,8 @@ def values(decision: Decision) -> dict[str, object]:
 
     Attributes of the plan are NaN or empty without one. ``speed_fraction`` is |R_k e1| along the
     plan, k = 0..N; ``projection_distance`` the largest Frobenius distance from R_k to its rotation,
-    k = 1..N. ``catch_bound`` is the time before which nothing can catch the goal, as far as that
-    was counted again, or refuted.
+    k = 1..N. ``catch_bound`` is the time before which no catch is possible, as far as that was
+    verified or refuted.
     """
     plan, catch, case = decision.plan, decision.catch, decision.case
     refuted, wind = decision.refutation is not None, decision.disturbance
@@ -104,10 +104,10 @@ def values(decision: Decision) -> dict[str, object]:
 
 
 def prices(decision: Decision) -> dict[str, float]:
-    """Return the price of each constraint that keeps a decision's plan from being better.
+    """Return the shadow price of each constraint that is active in a decision's plan.
 
-    Dearest first, by name and step, such as ``floor@3``; empty if none does, if the plan is no
-    optimum, or if it is long.
+    Largest first, by name and step, such as ``floor@3``; empty if there is none, if the plan is not
+    optimal, or if it is long.
     """
     case, plan = decision.case, decision.plan
     if case is None or plan is None or plan.horizon > LONGEST:
@@ -121,13 +121,13 @@ def prices(decision: Decision) -> dict[str, float]:
 def condition(
     wrong: Iterable[str], waiting: str, decision: Decision | None, notices: Iterable[str]
 ) -> tuple[bytes, list[str]]:
-    """Return a planner's condition: a level, and what it is due to.
+    """Return a planner's condition: a level, and its reasons.
 
     Args:
-        wrong: what is wrong around it, in words; empty ones do not count.
-        waiting: why it does not plan, in words; empty if it does.
-        decision: the last one, if there was one.
-        notices: what to warn of while all goes well; empty ones do not count.
+        wrong: external problems; empty strings are ignored.
+        waiting: why it does not plan; empty if it does.
+        decision: the last one, if any.
+        notices: warnings in normal operation; empty strings are ignored.
     """
     errors, warnings = [*filter(None, wrong)], [*filter(None, notices)]
     if errors:
@@ -158,7 +158,7 @@ def outputs(settings: PlannerSettings) -> list[str]:
 
 
 def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) -> dict[str, Any]:
-    """Return the messages to the vehicle, by topic; it waits for them, so they are sent first."""
+    """Return the messages to the vehicle, by topic; they are sent first."""
     problem = settings.problem
     pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
     if problem.translation_order == 1:
@@ -183,15 +183,15 @@ def report_messages(
     oriented: bool,
     heard: Collection[str] = TOPICS,
 ) -> dict[str, Any]:
-    """Return the messages to everybody else, by topic.
+    """Return the messages to all other receivers, by topic.
 
     Args:
-        settings: give the problem.
-        stamp: of the odometry that is answered.
+        settings: source of the problem.
+        stamp: of the answered odometry.
         decision: the answer.
         node: name of the planner.
         oriented: whether the vehicle's attitude is known, so that one can be commanded.
-        heard: topics that somebody listens to: others are not worth the work.
+        heard: topics with subscribers; others are not computed.
     """
     made: dict[str, Any] = {}
     if 'tick' in heard:
@@ -209,7 +209,7 @@ def report_messages(
 
 
 def _path(settings: PlannerSettings, stamp: Stamp, decision: Decision) -> Path | None:
-    """Return where the vehicle will be; without a plan only whoever avoids it has to know."""
+    """Return the predicted path; without a plan only for vehicles that avoid this one."""
     problem, plan = decision.problem or settings.problem, decision.plan
     if plan is not None:
         flown = [*zip(plan.positions, plan.projected, strict=True)]
@@ -222,7 +222,7 @@ def _path(settings: PlannerSettings, stamp: Stamp, decision: Decision) -> Path |
 
 
 def _certificate(decision: Decision) -> UInt8MultiArray | None:
-    """Return what proves the plan's bound, where there is a form of it."""
+    """Return the proof of the plan's bound, if it has a certificate."""
     case, plan = decision.case, decision.plan
     if case is None or plan is None or plan.proof.tree is None or plan.proof.lower_bound <= 0.0:
         return None
@@ -230,7 +230,7 @@ def _certificate(decision: Decision) -> UInt8MultiArray | None:
 
 
 def refutation_messages(decision: Decision) -> dict[str, Any]:
-    """Return by topic what refutes that anything is feasible, or caught, where that is proved."""
+    """Return, by topic, the proof of infeasibility, or of no catch, if there is one."""
     made = decision.refutation
     return {} if made is None else {'certificate': _proof(made)}
 
@@ -240,10 +240,10 @@ def _proof(made: Certificate | Refutation) -> UInt8MultiArray:
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
-    """Return N + 1 positions and attitudes of a vehicle that obeys one command for a horizon."""
+    """Return N + 1 positions and attitudes of a vehicle under one command for a horizon."""
     turn = exp(problem.step * command.body_rate)
     attitudes = [state.attitude]
-    for step in range(problem.horizon):  # of second order, it turns from the second step on
+    for step in range(problem.horizon):  # at rotation order 2, it turns from the second step on
         still = step == 0 and problem.rotation_order == 2
         attitudes.append(attitudes[-1] if still else attitudes[-1] @ turn)
     fractions = np.full(problem.horizon + 1, command.speed_fraction)
@@ -253,12 +253,12 @@ def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array
     return list(zip(positions, attitudes, strict=True))
 
 
-BRISK = 2.0 * math.pi  # [rad/s] a turn in a second: above it, numbers tend to be degrees
+BRISK = 2.0 * math.pi  # [rad/s] one turn per second: larger numbers are probably degrees
 DEFAULTS = {spec.name: spec.default for spec in PLANNER}
 
 
 def summary(settings: PlannerSettings, simulated: bool) -> str:
-    """Return in one line what the planner takes the vehicle and its own task to be.
+    """Return a one-line summary of the vehicle and the task, as configured.
 
     Args:
         settings: of the planner.
@@ -288,11 +288,11 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
 
 
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
-    """Return what is allowed, yet hardly meant, one line each.
+    """Return warnings about settings that are allowed but probably unintended.
 
     Args:
         settings: of the planner.
-        given: values that were given at the start, by parameter.
+        given: values given at the start, by parameter.
     """
     problem, found = settings.problem, []
     rate, floor = problem.max_rate, problem.floor
@@ -310,7 +310,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
             'late; one that obeys at once misses its goal by far: give it lags, such as 0.001 [s], '
             'and discretisation exact'
         )
-    turned = problem.horizon * problem.step * rate  # whoever intercepts looks beyond the horizon
+    turned = problem.horizon * problem.step * rate  # interception plans beyond the horizon
     if not settings.capture_radius and problem.turns_are_angles and turned < math.pi:
         needed = math.ceil(math.pi / (problem.step * rate))
         found.append(
@@ -329,7 +329,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
 
 
 def _vehicle(settings: PlannerSettings) -> list[object]:
-    """Return full speed or thrust, and the limits of the vehicle."""
+    """Describe full speed or thrust, and the limits of the vehicle."""
     problem, unit = settings.problem, _unit(settings.problem)
     least = problem.least_speed * problem.forward
     degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
@@ -345,7 +345,7 @@ def _vehicle(settings: PlannerSettings) -> list[object]:
 
 
 def _surroundings(settings: PlannerSettings) -> list[object]:
-    """Return what moves the vehicle beside its thrust, and what it cannot do against that."""
+    """Describe external influences on the vehicle, and its inability to counteract them."""
     problem, gravity, unit = settings.problem, settings.gravity, _unit(settings.problem)
     least = problem.least_speed * problem.forward
     hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'

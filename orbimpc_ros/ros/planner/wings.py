@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A wing's autopilot on its own topics: what it measures as ``odom`` and ``wind``, and setpoints.
+"""Interface to the autopilot of a wing on its own topics: ``odom``, ``wind``, and setpoints.
 
-Setpoints leave only in the mode that takes them, and while the autopilot's measurements are fresh.
-Otherwise the planner is silent, as the firmwares expect: PX4 acts when OffboardControlMode stops,
-and ArduPlane is told once, if it still listens, to go back to its guided target.
+Setpoints are sent only in the mode that accepts them, and while the autopilot's measurements are
+fresh. Otherwise the planner is silent, as the firmwares expect: PX4 reacts when OffboardControlMode
+stops, and ArduPlane is sent one command, if it is still connected, to resume its guided target.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ from orbimpc_ros.ros.firmware import Setpoint
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.process import LATEST, Managed, qos
 
-FRESH = 0.4  # [s]: without a position for longer, no setpoint leaves
-APART = 0.1  # [s] at most, from an attitude to the position that goes with it
+FRESH = 0.4  # [s]: no setpoints are sent without a position for longer
+APART = 0.1  # [s] largest interval between an attitude and its position
 MODE_LOST = 2.5  # [s]: PX4 and MAVROS report the mode once or twice a second
 AIRSPEED_LOST, WIND_LOST = 1.0, 10.0  # [s]: then they are unknown; the latter is PX4's own limit
 ALIVE = 0.1  # [s] between messages that keep offboard mode
 OFFBOARD = 14  # VehicleStatus.NAVIGATION_STATE_OFFBOARD
-REFUSALS = 5.0  # [s] without an answer to a command, which then counts as lost
+REFUSALS = 5.0  # [s] after which an unanswered command counts as lost
 
 
 class Wing(ABC):
-    """A wing's autopilot.
+    """The autopilot of a wing.
 
     Args:
         node: makes publishers and subscriptions.
         frames: of odometry.
-        switched: called with a line whenever setpoints may leave, or may no longer.
-        warn: called with a line about whatever else goes wrong.
+        switched: called with a line when sending of setpoints becomes possible or impossible.
+        warn: called with a line about any other problem.
 
     Attributes:
-        engaged: whether setpoints may leave.
+        engaged: whether setpoints may be sent.
     """
 
-    name: ClassVar[str]  # as the parameter ``autopilot`` has it
+    name: ClassVar[str]  # value of the parameter ``autopilot``
     package: ClassVar[str]
     mode: ClassVar[str]
 
@@ -72,33 +72,33 @@ class Wing(ABC):
         self._switched, self._warn = switched, warn
         self._odometry_out = node.create_publisher(OdometryMessage, 'odom', qos())
         self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
-        self._latest: dict[str, tuple[float, Any]] = {}  # when each came [s], and what it was
+        self._latest: dict[str, tuple[float, Any]] = {}  # time [s] and value, by event
         node.create_timer(ALIVE, node.guard(self.look), clock=node.steady)
         self._connect()
 
     @abstractmethod
     def _connect(self) -> None:
-        """Subscribe to what the autopilot measures, and make what setpoints leave by."""
+        """Subscribe to the autopilot's measurements, and create the means to send setpoints."""
 
     @abstractmethod
     def _publish(self, wanted: Setpoint) -> None:
         """Send a setpoint."""
 
     def _keep(self) -> None:  # noqa: B027
-        """Keep the mode, or the possibility to enter it."""
+        """Keep the mode, or the ability to enter it."""
 
     def release(self) -> None:  # noqa: B027
-        """Hand the wing back to its autopilot, where silence does not do that."""
+        """Return control to the autopilot, if silence does not do so."""
 
     def send(self, wanted: Setpoint) -> None:
-        """Send a setpoint if it may leave; without one, the autopilot is not kept in the mode."""
+        """Send a setpoint if allowed; without setpoints, the autopilot is not kept in the mode."""
         self.look()
         self._note('setpoint')
         if self.engaged:
             self._publish(wanted)
 
     def look(self) -> None:
-        """Look whether setpoints may leave, and keep the mode while there are some."""
+        """Update whether setpoints may be sent, and keep the mode while they are."""
         engaged = in_mode = self._last('mode', math.inf, otherwise=False)
         why = f'{"in" if in_mode else "has left"} {self.mode}'
         for what, limit in (('mode', MODE_LOST), ('position', FRESH)):
@@ -113,11 +113,11 @@ class Wing(ABC):
             self._keep()
 
     def _note(self, what: str, value: Any = True) -> None:
-        """Note what has just come, or gone."""
+        """Record an event with its value and time."""
         self._latest[what] = self._node.steady_now(), value
 
     def _last(self, what: str, within: float, otherwise: Any = None) -> Any:
-        """Return what came last, if that was within a time [s]."""
+        """Return the last value of an event, if that was within a time [s]."""
         at, value = self._latest.get(what, (-math.inf, otherwise))
         return value if self._node.steady_now() - at <= within else otherwise
 
@@ -125,12 +125,12 @@ class Wing(ABC):
         self._node.create_subscription(kind, topic, self._node.guard(callback), LATEST)
 
     def _mode_is(self, *, right: bool) -> None:
-        """Take in whether the autopilot is in the mode that takes setpoints."""
+        """Take in whether the autopilot is in the mode that accepts setpoints."""
         self._note('mode', right)
         self.look()
 
     def _airspeed_is(self, true: float) -> None:
-        """Take in the true airspeed [m/s]; none above 0 is none."""
+        """Take in the true airspeed [m/s]; it is unknown unless positive."""
         self._note('airspeed', true if true > 0.0 else math.nan)
 
     def _wind_is(self, message: TwistWithCovarianceStamped) -> None:
@@ -140,7 +140,7 @@ class Wing(ABC):
         self._wind_out.publish(message)
 
     def _moved(self, stamp: int, position: Array, velocity: Array, rotation: Array) -> None:
-        """Publish odometry through the air, of what is measured over ground at a stamp [ns].
+        """Publish odometry through the air, given measurements over ground at a stamp [ns].
 
         Positions [m] and velocities [m/s] are ENU, shape (3,); rotations FLU to ENU, shape (3, 3).
         """
@@ -149,7 +149,7 @@ class Wing(ABC):
         through = firmware.through_air(velocity, rotation, airspeed, wind)
         parts = (position, velocity, rotation.ravel())
         if through is None or not np.isfinite(np.concatenate(parts)).all():
-            return  # as if there were no measurement
+            return  # treated as no measurement
         self._note('position')
         turn = firmware.coordinated(rotation, float(np.linalg.norm(through)))
         rates = np.array([0.0, 0.0, turn])
@@ -177,7 +177,7 @@ class Px4(Wing):
 
     @cached_property
     def _publishers(self) -> dict[type, Publisher]:
-        """Return what setpoints leave by, made when there is one: a dry run has none."""
+        """Return the publishers of setpoints, created on first use: a dry run has none."""
         types, create = self._types, self._node.create_publisher
         return {
             kind: create(kind, _versioned(f'fmu/in/{name}', kind), qos())
@@ -223,7 +223,7 @@ class Px4(Wing):
         self._mode_is(right=message.nav_state == OFFBOARD)
 
     def _keep(self) -> None:
-        # Of velocity: position would have PX4's own guidance publish setpoints, too.
+        # Of velocity: with position, PX4's own guidance would publish setpoints, too.
         self._fill(self._types.OffboardControlMode, {'velocity': True})
 
     def _publish(self, wanted: Setpoint) -> None:
@@ -269,14 +269,14 @@ class ArduPlane(Wing):
         self._mode_is(right=message.connected and message.mode == self.mode)
 
     def _publish(self, wanted: Setpoint) -> None:
-        """Send a setpoint's commands one after another; a new one waits for the last one's end."""
+        """Send the commands of a setpoint in sequence; a new setpoint waits for their end."""
         busy = self._due and self._node.steady_now() - self._asked < REFUSALS
         if not busy:
             self._due = list(firmware.guided(wanted, self._share))
             self._ask()
 
     def release(self) -> None:
-        """Have ArduPlane forget the heading: it circles around its guided target then."""
+        """Have ArduPlane drop the heading: it then circles around its guided target."""
         self._due = [{'command': firmware.CHANGE_HEADING, 'param1': firmware.NO_HEADING}]
         self._ask()
 
@@ -300,6 +300,6 @@ WINGS: Mapping[str, type[Wing]] = {wing.name: wing for wing in (Px4, ArduPlane)}
 
 
 def _versioned(topic: str, kind: Any) -> str:
-    """Return a topic of PX4, which has the version of its message in its name, from 1 on."""
+    """Return a topic of PX4, with the version of its message in its name, from 1 on."""
     version = getattr(kind, 'MESSAGE_VERSION', 0)
     return f'{topic}_v{version}' if version else topic
