@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.problem import Approach
 
 STAY = 1.0  # [s] within the radius, after which the vehicle has arrived
 WINDOW = 20  # measurements
-FITS_BETTER = 0.3  # ratio of errors, other frame to stated one, below which the other is believed
+FITS_BETTER = 0.3  # ratio of errors, other frame to stated one, below which the other is assumed
 TELLING = 0.3  # of the speed: larger errors of the stated frame are not noise
 
 

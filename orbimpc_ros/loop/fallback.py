@@ -109,7 +109,7 @@ def _end(task: Task, plan: Plan) -> float:
 
 
 def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
-    """Yield plans found without search, checked against a proof; turns first, which evade."""
+    """Yield plans found without search, given a proof of their bound; turns first, which evade."""
     for rotations in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
         x = coordinates(rotations)
         yield assemble(*task.known, x, projection=task.projection, proof=proof)

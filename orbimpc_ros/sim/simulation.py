@@ -58,7 +58,7 @@ class FlightSimulation(ABC):
         self.node, self.settings = node, replace(settings, child_frame_id=body)
         self._orders = Orders(self.settings.scenario.model, self.settings.frames)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
-        self._refused_at = -np.inf  # last diagnostic of a refusal, on the steady clock [s]
+        self._refused_at = -np.inf  # time of the last such diagnostic, on the steady clock [s]
         deep, profiles = qos(DEPTH), {'captured': LATCHED, 'world_markers': qos()}
         self._commands, _ = (
             node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)

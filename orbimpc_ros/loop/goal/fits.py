@@ -260,7 +260,7 @@ class Placement(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """The noise of sightings: a gamma distribution of its precision."""
+    """Gamma distribution of the precision of the noise of sightings."""
 
     share: float  # half the equivalent number of values
     scale: float  # half the sum of their squares [m^2]

@@ -261,8 +261,8 @@ class Inputs:
                 first = True
         self.latest[topic] = received
         if topic == 'goal':
-            # What has no stamp shows where the goal is, not how it moves. (In simulations the first
-            # one has 0 for its stamp.)
+            # A goal without a stamp gives a position, but no motion. (In simulations the first
+            # goal has a stamp of 0.)
             undated = last and last.stamp.nanoseconds == 0 and last.value.time > 0.0
             if back or undated:
                 self.forecast.reset()
@@ -326,7 +326,7 @@ class Inputs:
         _, value = messages.read_sighting(placed, self.settings.problem.dimension, frames)
         self._see_anew(replace(goal, value=replace(value, time=goal.value.time)))
 
-    # --- what moves around the vehicle
+    # --- moving obstacles
 
     def _take_plan(self, topic: str, message: Any, ros: int | None) -> None:
         """Take in the plan of another vehicle.
@@ -400,7 +400,7 @@ class Inputs:
         found = (silence(name, self.agents.get(name), due) for name in self.others)
         return [*filter(None, found)]
 
-    # --- what belongs together
+    # --- messages that belong together
 
     @property
     def odometry(self) -> Received[Odometry] | None:
@@ -414,7 +414,7 @@ class Inputs:
 
     @property
     def goal_stamps(self) -> dict[str, int]:
-        """Return the stamps of the goals known, by topic [ns]."""
+        """Return the stamps of the present goals, by topic [ns]."""
         latest = self.latest
         return {topic: latest[topic].stamp.nanoseconds for topic in GOALS if topic in latest}
 
@@ -494,7 +494,7 @@ class Inputs:
         found = (t for t in READ if t in self.latest and self.latest[t].timed is False)
         return ', '.join(self.names[topic] for topic in found)
 
-    # --- what decisions are made of
+    # --- inputs of decisions
 
     @property
     def heard(self) -> dict[str, Any]:

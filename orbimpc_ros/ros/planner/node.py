@@ -116,7 +116,7 @@ INPUTS = ('goal', 'goal_path', 'wind', core.OBSTACLES)  # topics in addition to 
 UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
-STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: a waiting simulator resends it
+STANDING_PATIENCE = 1.0  # [s] the same while simulated time is stopped; a waiting simulator resends
 LEADERS_PATIENCE = 30.0  # [s] the same for plans of other vehicles
 MARKERS = 10  # queued messages on obstacles, each of which may matter
 TRANSFORMS = 100  # queued messages on /tf, each for other frames

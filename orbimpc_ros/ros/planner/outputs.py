@@ -60,8 +60,8 @@ def values(decision: Decision) -> dict[str, object]:
 
     Attributes of the plan are NaN or empty without one. ``speed_fraction`` is |R_k e1| along the
     plan, k = 0..N; ``projection_distance`` the largest Frobenius distance from R_k to its rotation,
-    k = 1..N. ``catch_bound`` is the time before which no catch is possible, as far as that was
-    verified or refuted.
+    k = 1..N. ``catch_bound`` is the time before which no catch is possible, as far as that has been
+    verified or proved by a refutation.
     """
     plan, catch, case = decision.plan, decision.catch, decision.case
     refuted, wind = decision.refutation is not None, decision.disturbance

@@ -7,7 +7,7 @@ thruster pulses. Wheels and thrusters come from Basilisk's library: Honeywell's 
 Monarc-1.
 
 The attitude setpoint turns at the commanded rate. Only the hull, the gains, and the model errors
-are defined here; the flight software does not know these errors: the position of the center of
+are defined here. These errors are hidden from the flight software: the position of the center of
 mass, and the strength and direction of each thruster.
 
 The axes do not rotate; their origin moves with the client.
