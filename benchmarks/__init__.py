@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Measurements against others, and of the reactions to faults: run from a clone, not installed.
+"""Comparisons with other methods, and reactions to faults: run from a clone, not installed.
 
-Harnesses, scenarios and the loop without ROS are those of the tests.
+Harnesses, scenarios and the loop without ROS are shared with the tests.
 """
 
 import sys

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The machine that measures: processor, versions, and the use of its processes."""
+"""The machine of a measurement: processor, versions, and the load of its processes."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def _version(name: str) -> str | None:
 
 
 def require_known(only: Sequence[str] | None, names: Sequence[str]) -> None:
-    """Require that what ``--only`` names is there.
+    """Require that the names given to ``--only`` exist.
 
     Raises:
-        BadInput: it is not.
+        BadInput: one does not exist.
     """
     for name in only or ():
         if name not in names:
@@ -57,10 +57,10 @@ def require_known(only: Sequence[str] | None, names: Sequence[str]) -> None:
 
 
 def writable(file: str | None) -> Path | None:
-    """Create the file of ``--json`` before the work, so that it will not be in vain.
+    """Create the file of ``--json`` before the work, so that no results are lost.
 
     Raises:
-        BadInput: it cannot be written; what is in it stays until the result comes.
+        BadInput: it cannot be written; its content is kept until there are results.
     """
     if file is None:
         return None
@@ -73,7 +73,7 @@ def writable(file: str | None) -> Path | None:
 
 
 def write(file: Path | None, head: Mapping[str, Any], rows: Sequence[Any]) -> None:
-    """Write rows, below what is in ``head``, as JSON into the file, if there is one."""
+    """Write the values in ``head`` and the rows as JSON into the file, if there is one."""
     if file is not None:
         content = {**head, 'rows': [row.as_json() for row in rows]}
         file.write_text(json.dumps(content, indent=1, allow_nan=False) + '\n')
@@ -86,6 +86,6 @@ def resident(pid: int) -> int:
 
 
 def busy(pid: int) -> float:
-    """Return the processor time of a process so far, all threads together [s]."""
+    """Return the processor time of all threads of a process so far [s]."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Lines and orbits in wind and gusts: this planner beside what wings follow paths with today.
+"""Lines and orbits in wind and gusts: this planner against today's path followers for wings.
 
-All fly the same airframes, through the same inner loops, at the same airspeed and rate, and know
-the mean wind. ``python -m benchmarks.paths --flights 5`` prints a table.
+All fly the same airframes with the same inner loops, at the same airspeed and rate, and with the
+mean wind known. ``python -m benchmarks.paths --flights 5`` prints a table.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from orbimpc_ros.tool.files import read
 
 WINDS = (0.0, 0.3, 0.6, 0.9, 1.2)  # of the airspeed
 PERIOD = 0.2  # [s] between commands
-MET, ALONG = 3.0, math.radians(20.0)  # [m] from the path, and the course off it: then it is met
+MET, ALONG = 3.0, math.radians(20.0)  # [m], and of course: errors at which a path is met
 GUST = 1.0  # [m/s] standard deviation along each axis
 
 
-KNOWN = read(str(File(__file__).with_suffix('.yaml')))  # which has the units
+KNOWN = read(str(File(__file__).with_suffix('.yaml')))  # that file gives the units
 AIRFRAMES = {name: SimpleNamespace(**each) for name, each in KNOWN['airframes'].items()}
 Follower = Callable[[float, Flying, float], tuple[float, float]]
 
 
 class Unmanned(Engine):
-    """A wing of 18 m/s as an engine: a roll loop of second order (4 rad/s, 0.7), Dryden's gusts."""
+    """A wing at 18 m/s as an engine: a second-order roll loop (4 rad/s, 0.7), Dryden gusts."""
 
     name = 'unmanned'
     tick = 0.01  # [s]
@@ -69,7 +69,7 @@ class Unmanned(Engine):
         self._position = self._position + tick * self.motion().velocity
 
     def motion(self) -> Motion:
-        """Return how it flies now, in the plane; a gust is in the ground's velocity at once."""
+        """Return the present motion in the plane; gusts act on the ground velocity immediately."""
         attitude, air = about(2, self._heading), self._wind + self._gust
         velocity = self._speed * attitude[:2, 0] + air
         known = self._time, self._position, velocity, attitude, np.zeros(3), air, self._speed
@@ -105,7 +105,7 @@ def rival(name: str, frame: SimpleNamespace, path: Path, max_rate: float) -> Fol
 
 
 def seen(motion: Motion, wind: complex) -> Flying:
-    """Return what a follower sees of a motion, in the mean wind."""
+    """Return the measurements of a motion for a follower, with the mean wind."""
     known = motion.position, motion.velocity, motion.velocity - motion.air
     position, over_ground, through_air = (complex(*each[:2]) for each in known)
     return Flying(position, over_ground, through_air, wind)
@@ -117,7 +117,7 @@ def vector(number: complex) -> Array:
 
 
 def flight(airframe: str, shape: str, wind: float, name: str, seed: int) -> dict[str, float]:
-    """Fly and return what came of it: errors after the first meeting [m], when that was [s]."""
+    """Fly, and return results: errors after meeting the path first [m], the time of that [s]."""
     frame, rng = AIRFRAMES[airframe], np.random.default_rng(seed)
     angle, blown, off = rng.uniform(-math.pi, math.pi, size=3)
     aside = rng.uniform(0.5, 1.0) * frame.aside * rng.choice([-1.0, 1.0])

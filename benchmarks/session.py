@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A DDS domain with its own nodes as processes, and an observer in this process."""
+"""A DDS domain with nodes in child processes, and an observer in this process."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.processes import Child, Processes, isolate
 
-PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
+PATIENCE = 60.0  # [s] for any event, even on a busy machine
 PLANNER = 'orbimpc_ros.ros.planner'  # the module of the node
 
 
 class Session(Observer):
-    """An observer of nodes that it starts, and that end with it.
+    """An observer that starts nodes, which end with it.
 
     Args:
         nodes: their executor.
         executor: the observer's own.
 
     Attributes:
-        folder: takes parameters and logs until the session ends.
-        processes: those of the nodes.
+        folder: for parameters and logs until the session ends.
+        processes: of the nodes.
     """
 
     def __init__(self, nodes: str, executor: str = 'wait_set') -> None:
         place = ExitStack()
         self.folder = Path(place.enter_context(tempfile.TemporaryDirectory()))
-        place.enter_context(mock.patch.dict(os.environ))  # which will name the folder
+        place.enter_context(mock.patch.dict(os.environ))  # restores variables that name the folder
         super().__init__(isolate(self.folder), executor)
         self.processes = Processes()
         for context in (place, self.processes):
@@ -56,7 +56,7 @@ class Session(Observer):
         """Spin until ``done``.
 
         Raises:
-            OrbimpcError: it never is, or the last process has ended.
+            OrbimpcError: ``done`` never becomes true, or the last process has ended.
         """
         self.spin(PATIENCE, lambda: bool(done()) or not self.processes[-1].running)
         if not done():

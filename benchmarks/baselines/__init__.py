@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Controllers to compare with, behind the same forecast, wind estimate and lag compensation."""
+"""Baseline controllers with the same forecast, wind estimate and lag compensation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BASELINES: dict[str, type[Baseline]] = {
     'pursuit': PurePursuit,
     'lead': Lead,
     'proportional': Proportional,
-    'waypoint': Waypoint,  # of an engine that has guidance of its own
+    'waypoint': Waypoint,  # for an engine with its own guidance
 }
 TUNED = Path(__file__).with_name('tuned.yaml')
 
@@ -27,7 +27,7 @@ def baseline_named(name: str, settings: PlannerSettings, study: str) -> Baseline
     Args:
         name: in :data:`BASELINES`.
         settings: of the planner that it replaces.
-        study: whose tuning it has.
+        study: whose tuning to use.
 
     Raises:
         BadInput: all baselines are planar.
@@ -38,7 +38,7 @@ def baseline_named(name: str, settings: PlannerSettings, study: str) -> Baseline
 
 
 def tuned_of(study: str) -> dict[str, dict[str, float]]:
-    """Return the numbers found for a study, by baseline; else for the one that it is like."""
+    """Return the tuned numbers of a study, or of the study that it is like, by baseline."""
     known, file = read(str(TUNED)), shared(f'config/studies/{study}.yaml')
     base = study if file is None else read(str(file)).get('like', study)
     return {**known.get(base, {}), **known.get(study, {})}

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The base of the baselines: the planner's step with commands that need no plan."""
+"""The base class of the baselines: the planner's interface, with commands but no plans."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import MovingObstacle, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
-BEHIND: Mapping[str, float] = {'behind': 10.0}  # with a cone of approach
-LINED = math.radians(30.0)  # off the direction of approach: behind the goal by less
+BEHIND: Mapping[str, float] = {'behind': 10.0}  # default with a cone of approach
+LINED = math.radians(30.0)  # off the direction of approach: a vehicle within it is behind the goal
 
 
 class Sight(NamedTuple):
     """The inputs of a baseline at a tick."""
 
-    time: float  # earliest time at which it can act, after its lags [s]
-    state: State  # at that time, from which moving obstacles count theirs
+    time: float  # earliest time at which a command can act, after lags [s]
+    state: State  # at that time, from which moving obstacles count their time
     # returns the goal's positions at times, shape (M,) [s], as shape (M, 2) [m]
     ahead: Callable[[Array], Array]
     wind: Array  # shape (2,) [m/s]
@@ -40,7 +40,7 @@ class Sight(NamedTuple):
 
 
 class Baseline(ABC):
-    """Flies a planar vehicle of orders (1, 1).
+    """A controller of a planar vehicle of orders (1, 1).
 
     Args:
         settings: of the planner that it replaces.
@@ -68,12 +68,12 @@ class Baseline(ABC):
 
     @abstractmethod
     def steered(self, sight: Sight) -> tuple[float, float]:
-        """Return the share of full speed and the body rate [rad/s], still to be limited."""
+        """Return the share of full speed and the body rate [rad/s], before limits."""
 
     def step(
         self, snapshot: Snapshot, now: float | None = None, late: Late | None = None
     ) -> Decision:
-        """Return the command that it steers; see :meth:`Planner.step`."""
+        """Return a decision with the command; see :meth:`Planner.step`."""
         assert snapshot.odometry is not None
         assert snapshot.goal is not None
         assert not isinstance(snapshot.goal, np.ndarray)
@@ -90,14 +90,14 @@ class Baseline(ABC):
         )
 
     def sent(self, command: Command, at: float | None = None) -> None:
-        """Take note of a command that was sent; see :meth:`Planner.sent`."""
+        """Register a command that was sent; see :meth:`Planner.sent`."""
         self._compensator.history.add(command, at)
 
     def _led(self, sight: Sight) -> Sight:
-        """Return a sight whose goal is led to along the direction of approach, if there is one.
+        """Return a sight with an intermediate goal on the line of approach, if there is one.
 
-        A vehicle that is not yet behind the goal, as seen along that direction, is led to a point
-        ``behind`` it, so many steps at full speed away; else to the middle of the remaining line.
+        A vehicle that is not yet behind the goal is led to a point behind it, at a distance of
+        ``behind`` steps at full speed; otherwise to the middle of the remaining line.
         """
         if not self.cone.exists or 'behind' not in self.tuned:
             return sight
@@ -110,7 +110,7 @@ class Baseline(ABC):
         return sight._replace(ahead=lambda times: sight.ahead(times) - back)
 
     def expect_hazards(self) -> None:  # noqa: B027
-        """Compile nothing: it solves none of the package's programs."""
+        """Compile nothing: a baseline solves none of the package's programs."""
 
     @property
     def fastest(self) -> float:
@@ -125,7 +125,7 @@ class Baseline(ABC):
 
 
 def depths(hazards: Sequence[MovingObstacle], paths: Array, times: Array) -> Array:
-    """Return how deep points of paths are inside of what moves [m]; negative outside.
+    """Return the depths of points of paths inside of moving obstacles [m]; negative outside.
 
     Args:
         hazards: at least one.

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Path followers that wings fly today, each as its paper has it.
+"""Path followers of today's autopilots for wings, each as in its paper.
 
 - NPFG, PX4's: Stastny and Siegwart, *On Flying Backwards* (arXiv 1908.01381).
 - L1, ArduPilot's: Park, Deyst and How, *A New Nonlinear Guidance Logic for Trajectory Tracking*
@@ -7,8 +7,8 @@
 - A vector field, ROSplane's: Nelson et al., *Vector Field Path Following* (2007), as in Beard and
   McLain, *Small Unmanned Aircraft*, chapters 6 and 10.
 
-All return a rate of turn, which the same inner loop makes a bank of. Vectors are complex numbers,
-x + iy.
+All return a rate of turn, which the same inner loop converts to a bank. Vectors are complex
+numbers, x + iy.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from benchmarks.baselines.baseline import wrapped
 from orbimpc_ros.mpc.arrays import Array
 
 GRAVITY = 9.80665  # [m/s^2]
-FARTHEST = 1.05  # [rad] course of a vector field off a line, far from it
+FARTHEST = 1.05  # [rad] angle between a line and a vector field far from it
 
 
 class Track(NamedTuple):
-    """A path as seen from a wing."""
+    """A path relative to a wing."""
 
     error: float  # distance from the path, positive to the left of it [m]
-    tangent: complex  # where it leads, of length one
-    curvature: float  # positive to the left [1/m]
+    tangent: complex  # unit tangent of the path
+    curvature: float  # of the path, positive to the left [1/m]
 
 
 @dataclass(frozen=True)
 class Path:
-    """A straight line through the origin, or a circle about it, which is flown to the left."""
+    """A straight line through the origin, or a circle around it, which is flown to the left."""
 
     angle: float  # of the line, from east [rad]
     radius: float  # of the circle [m]; 0 for a line
 
     def seen(self, position: complex) -> Track:
-        """Return the path as seen from a position [m]."""
+        """Return the path relative to a position [m]."""
         if not self.radius:
             tangent = cmath.rect(1.0, self.angle)
             return Track(cross(tangent, position), tangent, 0.0)
@@ -52,7 +52,7 @@ class Path:
         return Track(self.radius - away, 1j * position / away, 1.0 / self.radius)
 
     def points(self, length: float) -> Array:
-        """Return points: each degree of a circle, or the ends of a line, ``length`` away [m]."""
+        """Return points: one per degree of a circle, or the ends of a line, ``length`` away [m]."""
         if not self.radius:
             ahead = np.array([math.cos(self.angle), math.sin(self.angle)])
             return np.array([-length * ahead, length * ahead])
@@ -63,7 +63,7 @@ class Path:
 
 
 class Flying(NamedTuple):
-    """What a follower knows: position [m], velocity over ground and through the air, wind [m/s]."""
+    """A follower's inputs: position [m], velocity over ground and through the air, wind [m/s]."""
 
     position: complex
     over_ground: complex
@@ -74,9 +74,9 @@ class Flying(NamedTuple):
 def npfg(track: Track, wing: Flying, period: float, damping: float = 0.7) -> float:
     """Return the rate of turn of nonlinear path-following guidance [rad/s].
 
-    The bearing turns from the shortest way to the path to the path's own, as the error falls below
-    a bound. It is made an airspeed vector where the wind allows; elsewhere one that flies into the
-    wind, and drifts the least across.
+    As the error falls below a bound, the bearing turns from the direction to the path to the
+    path's tangent. An airspeed vector realises it if the wind allows; otherwise the airspeed points
+    into the wind, with the least drift across.
     """
     airspeed, bound = abs(wing.through_air), max(abs(wing.over_ground), 1.0) * period * damping
     look = 0.5 * math.pi * (1.0 - min(1.0, abs(track.error) / bound)) ** 2
@@ -101,13 +101,13 @@ def npfg(track: Track, wing: Flying, period: float, damping: float = 0.7) -> flo
 
 
 def l1(track: Track, wing: Flying, period: float, damping: float = 0.75) -> float:
-    """Return the rate of turn towards a point of the path ahead [rad/s].
+    """Return the rate of turn towards a point ahead on the path [rad/s].
 
-    ArduPilot's length is ``damping * period / pi`` times the speed over ground.
+    Its distance, as in ArduPilot, is ``damping * period / pi`` times the speed over ground.
     """
     ground = max(abs(wing.over_ground), 1.0)
     length = max(damping * period / math.pi * ground, abs(track.error) + 1e-3)
-    # On a line the point ahead is where a circle of this length cuts it; on an orbit nearly so.
+    # The point ahead is where a circle of this radius cuts a line, and approximately an orbit.
     inward = math.asin(max(-1.0, min(1.0, -track.error / length)))
     bent = math.asin(min(1.0, 0.5 * length * track.curvature))
     off = wrapped(cmath.phase(track.tangent) + inward + bent - cmath.phase(wing.over_ground))
@@ -137,5 +137,5 @@ def dot(one: complex, other: complex) -> float:
 
 
 def cross(one: complex, other: complex) -> float:
-    """Return how far one vector is turned to the left to the other."""
+    """Return the cross product of two vectors, positive if the other one is to the left."""
     return (one.conjugate() * other).imag

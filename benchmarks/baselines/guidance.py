@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Guidance laws: pure pursuit, lead pursuit, proportional navigation, with a sidestep in traffic.
 
-The sidestep is the course nearest to the wanted one that stays clear of moving obstacles: velocity
-obstacles (Fiorini and Shiller 1998) for a vehicle that turns at a limited rate.
+A sidestep is the course closest to the wanted one that stays clear of moving obstacles: velocity
+obstacles (Fiorini and Shiller 1998) for a vehicle with a limited turn rate.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import numpy as np
 from benchmarks.baselines.baseline import BEHIND, Baseline, Sight, depths, wrapped
 from orbimpc_ros.mpc.arrays import Array
 
-LOOKS, FARTHEST = 240, 12.0  # points of the forecast, as far as so many horizons
+LOOKS, FARTHEST = 240, 12.0  # points of the forecast, and its length in horizons
 NEAR = 1e-9
-ASIDE = math.radians(60.0)  # off the line of sight by more, a law for small angles does not hold
-COURSES, POINTS = 72, 24  # of sidesteps
-SLOWER = (1.0, 0.6, 0.2)  # times the wanted speed; each of it lost counts as half a turn
+ASIDE = math.radians(60.0)  # angle to the line of sight up to which a small-angle law holds
+COURSES, POINTS = 72, 24  # of sidesteps: courses, and points on each
+SLOWER = (1.0, 0.6, 0.2)  # shares of the wanted speed; losing all of it counts as half a turn
 
 
 class _Guided(Baseline):
-    """Steers to where a law wants to point, or aside of what is in the way there."""
+    """A baseline that steers to the heading of a guidance law, or around moving obstacles."""
 
     TUNABLE: ClassVar[dict[str, float]] = {**BEHIND, 'margin': 0.2, 'look': 8.0}
 
     def steered(self, sight: Sight) -> tuple[float, float]:
-        """Return the speed and the turn that the law wants, or those of a sidestep."""
+        """Return the speed and the turn of the law, or those of a sidestep."""
         heading, fraction = self.wanted(sight)
         if sight.state.hazards:
             heading, fraction = self._sidestepped(sight, heading, fraction)
@@ -37,13 +37,13 @@ class _Guided(Baseline):
 
     @abstractmethod
     def wanted(self, sight: Sight) -> tuple[float, float]:
-        """Return where to point at the end of the step [rad], and the share of full speed."""
+        """Return the heading at the end of the step [rad], and the share of full speed."""
 
     def _sidestepped(self, sight: Sight, heading: float, fraction: float) -> tuple[float, float]:
         """Return the heading [rad] and the share of full speed of a sidestep.
 
-        It keeps ``margin`` to all that moves, in steps at full speed, and looks ``look`` steps
-        ahead. Clear of everything it is the least detour, else the one that is in the least deep.
+        It keeps a ``margin`` to moving obstacles, in steps at full speed, and looks ``look`` steps
+        ahead. It is the least detour that is clear of all, or else the one of least depth.
         """
         problem = self.problem
         times = problem.step * self.tuned['look'] * np.arange(1, POINTS + 1) / POINTS
@@ -58,7 +58,7 @@ class _Guided(Baseline):
         return heading + float(each[best]), float(speeds[best])
 
     def _flown(self, sight: Sight, courses: Array, fractions: Array, times: Array) -> Array:
-        """Return paths of turns to courses [rad] at shares of full speed, shape (M, K, 2) [m]."""
+        """Return paths that turn to courses [rad] at shares of full speed, shape (M, K, 2) [m]."""
         turn = wrapped(courses - sight.heading)
         each = times[1] - times[0]
         most = self.fastest * (times - 0.5 * each)
@@ -69,12 +69,12 @@ class _Guided(Baseline):
 
 
 class PurePursuit(_Guided):
-    """Pure pursuit: flies over ground along the line of sight, crabbed into the wind."""
+    """Pure pursuit: flies along the line of sight over ground, crabbed into the wind."""
 
     TUNABLE = _Guided.TUNABLE | {'gain': 1.0, 'fraction': 1.0}
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
-        """Return a part of the turn to the line of sight, and full speed."""
+        """Return the heading after a share of the turn to the line of sight, and the speed."""
         away = sight.ahead(np.array([sight.time]))[0] - sight.state.position
         speed = self.tuned['fraction'] * self.problem.forward
         course = crabbed(away, speed, sight.wind)
@@ -83,20 +83,20 @@ class PurePursuit(_Guided):
 
 
 class Lead(_Guided):
-    """Lead pursuit: straight to the earliest point at which it can meet the goal in the wind.
+    """Lead pursuit: straight to the earliest point of interception in the wind.
 
-    ``turn`` is the share of the time for the first turn that is taken off the flight.
+    ``turn`` is the share of the time for the first turn that counts as lost.
     """
 
     TUNABLE = _Guided.TUNABLE | {'gain': 1.0, 'fraction': 1.0, 'turn': 0.3}
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
-        """Return a part of the turn to the point of meeting, and the speed."""
+        """Return the heading after a share of the turn to the interception, and the speed."""
         course, fraction = self._meeting(sight)
         return sight.heading + self.tuned['gain'] * wrapped(course - sight.heading), fraction
 
     def _meeting(self, sight: Sight) -> tuple[float, float]:
-        """Return where to point [rad], and the share of full speed that gets there in time."""
+        """Return the heading to the interception [rad], and the share of full speed for it."""
         problem, fraction = self.problem, self.tuned['fraction']
         longest = FARTHEST * problem.horizon * problem.step
         times = np.linspace(0.0, longest, LOOKS + 1)[1:]
@@ -111,7 +111,7 @@ class Lead(_Guided):
 
 
 class Waypoint(Baseline):
-    """Full speed; the guidance of an engine turns, and flies to the goal's present position."""
+    """Full speed; the guidance of an engine steers to the goal's present position."""
 
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return full speed, and no turn."""
@@ -119,15 +119,15 @@ class Waypoint(Baseline):
 
 
 class Proportional(_Guided):
-    """Proportional navigation: turns in proportion to how the line of sight turns.
+    """Proportional navigation: turns in proportion to the rate of the line of sight.
 
-    Far off the line of sight it turns to it first.
+    Far off the line of sight it first turns to the line.
     """
 
     TUNABLE = _Guided.TUNABLE | {'constant': 3.0, 'fraction': 1.0}
 
     def wanted(self, sight: Sight) -> tuple[float, float]:
-        """Return what the rate of the law makes of a step, and full speed."""
+        """Return the heading after a step at the rate of the law, and the speed."""
         step = self.problem.step
         now, soon = sight.ahead(sight.time + np.array([0.0, step]))
         away, fraction = now - sight.state.position, self.tuned['fraction']
@@ -137,16 +137,16 @@ class Proportional(_Guided):
         axis = sight.state.attitude[:, 0]
         closing = (soon - now) / step - fraction * self.problem.forward * axis - sight.wind
         turned = (away[0] * closing[1] - away[1] * closing[0]) / max(float(away @ away), NEAR)
-        most = step * self.fastest  # so that no rate turns the other way about
+        most = step * self.fastest  # larger turns would wrap to the other side
         turn = min(max(step * self.tuned['constant'] * turned, -most), most)
         return sight.heading + turn, fraction
 
 
 def crabbed(way: Array, speed: float, wind: Array) -> float:
-    """Return where to point so as to fly a way over ground, shape (2,), as far as wind lets [rad].
+    """Return the heading to fly a direction over ground, as far as the wind allows [rad].
 
     Args:
-        way: in any length.
+        way: direction over ground, of any length, shape (2,).
         speed: through the air [m/s].
         wind: shape (2,) [m/s].
     """

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc bench``: side by side, in one run, with the solvers that are installed."""
+"""``orbimpc bench``: a comparison with the installed solvers, side by side in one run."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from benchmarks.machine import machine, require_known, versions, writable, write
 from orbimpc_ros.install import command
 from orbimpc_ros.tool.processes import ProgressLine
 
-WARM_UP = 3  # instances solved before the clock counts
-SEVERAL = 5  # time limits that a solver may use up, where others meet few of the instances
+WARM_UP = 3  # instances solved before measurements
+SEVERAL = 5  # budget in time limits, where rivals solve few of the instances
 NODES = ('start', 'latency', 'planners')  # measured over DDS
 Measurement = tuple[str, Callable[[], list[BenchRow]]]
 
@@ -40,7 +40,7 @@ def run(file: str | None, only: Sequence[str] | None, *, quick: bool) -> int:
     """Measure, writing each row at once; print the table.
 
     Returns:
-        1 if a requirement was missed, ours was beaten or a measurement failed.
+        1 if a requirement was missed, our solver was beaten or a measurement failed.
 
     Raises:
         KeyboardInterrupt: the run was interrupted; the rows so far are kept.
@@ -52,7 +52,7 @@ def run(file: str | None, only: Sequence[str] | None, *, quick: bool) -> int:
         for title, measure in _measurements(only or names(), quick, rows):
             try:
                 rows += measure()
-            except Exception as error:  # whatever it is, the others are still worth measuring
+            except Exception as error:  # of any kind: continue with the others
                 note = f'failed: {type(error).__name__}: {error}'
                 rows.append(BenchRow(title, OURS, note=note, failed=True))
             write(kept, head, rows)

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.bench.echo``: answers each odometry message at once.
 
-The command has the same type and stamp, and takes no planning: the least that rclpy and DDS
-cost. Goals are taken in as well, since they come just before odometry.
+The command has the same type and stamp but needs no planning: its latency is that of rclpy and
+DDS. Goals are received as well, since they come just before odometry.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from orbimpc_ros.tool.processes import interruptions
 
 
 def main() -> None:
-    """Echo until a signal comes."""
+    """Echo until a signal arrives."""
     with interruptions() as received, initialised(sys.argv, context=get_default_context()):
         node = rclpy.create_node('echo', automatically_declare_parameters_from_overrides=True)
         commands = node.create_publisher(TwistStamped, 'cmd_vel', qos())

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Seeded instances: states, goals and disturbances, drawn at random or met in flight.
+"""Seeded instances: states, goals and disturbances, drawn at random or from flights.
 
-The vehicles in flight follow this package's own controller; some are in continuous time.
+Vehicles in flight are controlled by this package's planner; some are in continuous time.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 UP = exp(np.array([0.0, -0.5 * math.pi, 0.0]))  # the thrust axis points upwards
-SHORT = 8  # steps that a controller plans among boxes, so as not to be slow
+SHORT = 8  # horizon of the controller among boxes, for speed
 
 
 class Instance(NamedTuple):
-    """One solve: the start of the plan, and goals g_1..g_N, shape (N, n) [m]."""
+    """The data of a solve: the start of the plan, and goals g_1..g_N, shape (N, n) [m]."""
 
     state: State
     goals: Array
 
 
 def circling(problem: Problem, count: int) -> list[Instance]:
-    """Return consecutive ticks of the closed loop around the swinging rope, the approach skipped.
+    """Return consecutive ticks of the closed loop around the swinging rope, without the approach.
 
-    That is the hard regime: the goal is nearer than the floor lets the vehicle stay.
+    This is the hard regime: the goal is closer than the floor allows the vehicle to stay.
     """
     return [
         Instance(decision.state, np.tile(flight.goal, (problem.horizon, 1)))
@@ -53,7 +53,7 @@ def circling(problem: Problem, count: int) -> list[Instance]:
 
 
 def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
-    """Return a flight around the swinging rope tick by tick, the approach skipped."""
+    """Return a flight around the swinging rope tick by tick, without the approach."""
     endless = replace(retrieval(), max_ticks=APPROACH + count, capture_radius=0.0)
     flown = islice(fly(Planner(problem), endless, Hold()), APPROACH, None)
     return [(flight, decision) for flight, decision, _ in flown]
@@ -72,7 +72,7 @@ def scattered(problem: Problem, count: int, distance: float) -> list[Instance]:
 
 
 def arrivals(problem: Problem, count: int, goal: Array, spread: float) -> list[Instance]:
-    """Return departures from rest at the origin for a goal, the first exact, the others moved."""
+    """Return departures from rest at the origin; all goals but the first are perturbed."""
     rng, n = np.random.default_rng(SEED), problem.dimension
     moved = spread * rng.normal(size=(count, n))
     moved[0] = 0.0
@@ -81,7 +81,7 @@ def arrivals(problem: Problem, count: int, goal: Array, spread: float) -> list[I
 
 
 def boxes(count: int, *, space: bool = False) -> tuple[Box, ...]:
-    """Return the first of 16 boxes ahead of the origin: in the plane within 7 m, in space 8 m."""
+    """Return the first of 16 boxes ahead of the origin: within 7 m in the plane, 8 m in space."""
     rng = np.random.default_rng(SEED)
     if space:
         middles = rng.uniform([1.5, -0.8, -1.6], [8.0, 0.8, 0.4], size=(16, 3))
@@ -93,7 +93,7 @@ def boxes(count: int, *, space: bool = False) -> tuple[Box, ...]:
 
 
 def landings(problem: Problem, count: int) -> list[Instance]:
-    """Return the first ticks of descents to the origin, from where an approach may have ended."""
+    """Return the first ticks of descents to the origin, from possible ends of an approach."""
     rng, found = np.random.default_rng(SEED), []
     for _ in range(count):
         position = np.array([0.0, 0.0, 60.0]) + rng.uniform(-10.0, 10.0, 3)
@@ -110,7 +110,7 @@ Departure = Callable[[Problem, np.random.Generator], tuple[Plant, Vehicle, Rope]
 
 
 def in_flight(problem: Problem, count: int, departs: Departure, seconds: float) -> list[Instance]:
-    """Return consecutive ticks of vehicles on flights of so many seconds, each drawn anew."""
+    """Return consecutive ticks of random flights, each of a number of seconds."""
     rng, found = np.random.default_rng(SEED), list[Instance]()
     while len(found) < count:
         flown = _flown(problem, *departs(problem, rng))
@@ -129,7 +129,7 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
         response=Response(plant.speed_lag, plant.rate_lag),
     )
     now = Command(vehicle.fraction, np.zeros(plant.rates), vehicle.attitude)
-    controller.sent(now, vehicle.time)  # odometry does not show a thrust
+    controller.sent(now, vehicle.time)  # odometry does not contain the thrust
     ahead = problem.step * np.arange(1.0, problem.horizon + 1.0)
     while True:
         odometry = measured(vehicle, plant.velocity_source)
@@ -147,8 +147,8 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
 def wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
     """Return a wing in a known wind, its start, and a drifting, swinging goal 80 m away.
 
-    It lags behind its commands, and its goal is slower than it can fly: after the approach it
-    circles.
+    The wing lags behind its commands, and its goal is slower than it can fly: it circles after
+    the approach.
     """
     angles = rng.uniform(-math.pi, math.pi, size=3)
     blowing, bearing, course = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -173,7 +173,7 @@ def wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Ro
 
 
 def multirotor(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
-    """Return a multirotor that hovers, and a place behind the boxes."""
+    """Return a multirotor that hovers, and a goal behind the boxes."""
     plant = Plant(
         dimension=3,
         translation_order=2,

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The interleaved run: every solver on the same instance before the next instance comes."""
+"""The interleaved run: every solver solves an instance before the next instance is taken."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Samples:
 
     times: dict[int, float] = field(default_factory=dict)  # solve times [ms]
     solutions: dict[int, Solution] = field(default_factory=dict)  # results
-    refused: str = ''  # why it takes no part (any more); empty if it does
+    refused: str = ''  # reason for not taking part (any more), if any
 
 
 def interleaved_run(
@@ -35,9 +35,9 @@ def interleaved_run(
 ) -> dict[str, Samples]:
     """Return the results of each solver on each instance, after a warm-up on the first one.
 
-    The order alternates from instance to instance, so that no solver always comes second to a
-    warm cache. A solver that has used up ``budget`` [s] stops taking part, and all but ours meet
-    only the first of ``every`` so many instances.
+    The order alternates from instance to instance, so that no solver always has the advantage of a
+    warm cache. A solver that has used up ``budget`` [s] stops taking part, and all but ours solve
+    only one in ``every`` instances.
     """
     samples = {name: Samples() for name in solvers}
     for name, solver in solvers.items():
@@ -46,7 +46,7 @@ def interleaved_run(
             if time.perf_counter() < end and not samples[name].refused:
                 _run(solver, instances[0], samples[name], None)
     gc.collect()
-    gc.disable()  # its pauses would count as those of what is measured
+    gc.disable()  # its pauses would count as solve times
     try:
         for i, instance in enumerate(instances):
             for name in list(solvers)[:: 1 if i % 2 else -1]:
@@ -60,7 +60,7 @@ def interleaved_run(
 
 
 def _run(solver: Solver, instance: Instance, into: Samples, number: int | None) -> None:
-    """Solve an instance; a solver that breaks does not end the run: the table has the reason."""
+    """Solve an instance; a solver's failure does not end the run, but is noted in the table."""
     try:
         solver.prepare(*instance)
         begin = time.perf_counter()

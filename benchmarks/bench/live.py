@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Planner processes over DDS: start, memory, latency, many at once on one machine.
+"""Planner processes over DDS: start-up time, memory, latency, and many planners on one machine.
 
-A driver in this process publishes odometry and receives commands; a command carries the stamp of
-the odometry that it answers, so that each latency is from one publish to one receipt, on one clock.
+A driver in this process publishes odometry and receives commands. A command has the stamp of the
+odometry that it answers, so that each latency is from publication to receipt, on one clock.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.tool.bags import fields, stamp_of
 
 FRAMES = Frames('odom', 'base_link')
-POINTS = 100  # of the flight around the rope that is replayed
-AHEAD = 5_000_000  # [ns] by which a goal's stamp precedes odometry's: from another sensor
-MEETING = 60.0  # [s] until every planner must have answered
+POINTS = 100  # ticks of the replayed flight around the rope
+AHEAD = 5_000_000  # [ns] by which a goal's stamp, from another sensor, precedes odometry's
+MEETING = 60.0  # [s] for every planner to answer
 FAST, FASTEST, SLOW = 50.0, 200.0, 5.0  # [Hz]
-SETTLED = 50  # answers before the clock counts
-WARM_UP = 2.0  # [s] of many planners at once
+SETTLED = 50  # answers before measurements
+WARM_UP = 2.0  # [s], for many planners at once
 PLANNERS = (1, 5, 20)
-TRAILING = 10.0  # [s] in which the last answers come, or are lost
+TRAILING = 10.0  # [s] for the last answers
 BARE = 'a node that only answers'
 ECHO = 'benchmarks.bench.echo'
 PARAMETERS = {
@@ -55,20 +55,20 @@ START, AT_ONCE = 'node: start to first command', 'planners at 5 Hz'
 
 
 class Driver(Session):
-    """Starts nodes on the paper's UAV problem and publishes odometry and goals for each in turns.
+    """Starts nodes for the paper's UAV problem and publishes odometry and goals to each in turns.
 
     Args:
         modules: of the nodes, by namespace.
-        executor: of all, this one's included.
+        executor: of all nodes and of this process.
 
     Attributes:
-        sent: when odometry was published [s], by its stamp [ns], for each node.
+        sent: times of publication of odometry [s], by its stamp [ns], for each node.
     """
 
     def __init__(self, modules: Mapping[str, str], executor: str = 'wait_set') -> None:
         super().__init__(executor, executor)
         self.sent = [dict[int, float]() for _ in modules]
-        # When the command that answers a stamp came [s], and the solve time reported then [ms].
+        # Receipt of the command that answers a stamp [s], and the solve time reported for it [ms].
         self._came, self._solved = dict[int | None, float](), dict[int | None, float]()
         create, self._publishers = self.node.create_publisher, list[tuple[Any, Any]]()
         for name in modules:
@@ -103,7 +103,7 @@ class Driver(Session):
 
     @property
     def _answered(self) -> bool:
-        """Return whether all commands came, and all reports of a node that makes any."""
+        """Return whether all commands have arrived, and all reports of nodes that report."""
         came, solved = self._came.keys(), self._solved.keys()
         asked = [each.keys() for each in self.sent]
         reported = (each <= solved or each.isdisjoint(solved) for each in asked)
@@ -122,7 +122,7 @@ class Driver(Session):
         """Drive until every planner has answered.
 
         Raises:
-            OrbimpcError: one has not.
+            OrbimpcError: one has not answered in time.
         """
 
         def silent() -> int:
@@ -154,7 +154,7 @@ class Driver(Session):
 def measurements(
     wanted: Sequence[str], quick: bool
 ) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
-    """Yield title and measurement of those of ``start``, ``latency`` and ``planners`` wanted."""
+    """Yield title and measurement of ``start``, ``latency`` and ``planners``, if wanted."""
     if 'start' in wanted:
         yield START, partial(_start, 2 if quick else 5)
     if 'latency' in wanted:
@@ -169,7 +169,7 @@ def measurements(
 
 
 def _start(count: int) -> list[BenchRow]:
-    """Return the rows of time to the first command, and memory."""
+    """Return the rows of the time to the first command and of memory."""
     times, sizes = [], []
     for _ in range(count):
         with closing(Driver({'': PLANNER})) as driver:
@@ -184,10 +184,10 @@ def _start(count: int) -> list[BenchRow]:
 
 
 def latency(title: str, rate: float, executor: str, seconds: float) -> list[BenchRow]:
-    """Return the rows of a planner, and beside it of a node that answers without planning.
+    """Return the rows of a planner and of a node that answers without planning.
 
-    They are driven in turns within a period, so that both meet the same machine: what the planner
-    adds to the other's latency, its solve left out, is its own.
+    They are driven in turns within a period, under the same load of the machine: the planner's
+    latency without its solve, less that of the other node, is its overhead.
     """
     with closing(Driver({'/ours': PLANNER, '/bare': ECHO}, executor)) as driver:
         driver.until_answered(FAST)
@@ -197,7 +197,7 @@ def latency(title: str, rate: float, executor: str, seconds: float) -> list[Benc
         ours, bare = driver.trips(0), driver.trips(1)[:, 0]
     done = ours[np.isfinite(ours).all(axis=1)]
     beside, floor = percentiles(done[:, 0] - done[:, 1]), percentiles(bare[np.isfinite(bare)])
-    # Where one is quicker by chance, what it adds is too little to be seen, and not negative.
+    # If a planner is faster by chance, its overhead is too small to measure, but not negative.
     added = max(0.0, beside[0] - floor[0]), max(0.0, beside[1] - floor[1])
     limits = {'p50_ms': 0.6, 'p99_ms': 2.0} if rate == FAST else None
     lost, ticks = float(np.isinf(ours[:, 0]).sum()), SETTLED + len(ours)

@@ -2,9 +2,9 @@
 """The problems that are solved side by side, their solvers, and their requirements.
 
 All solvers get the same problem, the same instances, the same relative gap and one thread. Solvers
-that state a minimum speed and a turn rate as what they are, not convex, take a minute for a tick of
-a real vehicle: they meet a few of the ticks only, spread over the flights, and start cold there,
-while our controller has its previous plan, as it has in flight.
+with nonconvex constraints for minimum speed and turn rate take a minute for a tick of a real
+vehicle: they solve only a few ticks, spread over the flights, from a cold start, while our
+controller has its previous plan, as it has in flight.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from orbimpc_ros.mpc.problem.scaling import weighed
 GUROBI, SCIP, IPOPT, CVXPY = 'Gurobi', 'SCIP', 'IPOPT (local)', 'CVXPY + Clarabel'
 PACKAGES = {GUROBI: 'gurobipy', SCIP: 'pyscipopt', IPOPT: 'casadi', CVXPY: 'cvxpy'}
 CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
-DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
+DEFAULTS = 'dubins'  # problem for which SCIP's defaults prove more than its fast settings
 FULL, RATE = 15.0, 0.4363  # [m/s], [rad/s] of the wing in config/fixed_wing.yaml
 ROUND, OCTAGON = Floor('circle', fraction=2.0 / 3.0), Floor('polygon', 8, 2.0 / 3.0)
-# Turning costs a multirotor, and fuel a lander, whose thrust then keeps to its limits.
+# A multirotor pays for turning, and a lander for fuel, which keeps its thrust at its limits.
 MULTIROTOR, LANDER = Weights(1.0, 1.0, 0.0, 10.0), Weights(0.0, 0.01, 1.0, 0.0)
 TURNING, LENGTH = Weights(0.0, 0.05, 1.0, 0.0), Weights(0.0, 0.0, 1.0, 0.0)
 FUEL = Weights(0.0, 1.0, 0.1, 0.0)
@@ -55,19 +55,19 @@ class Comparison:
     key: str  # short name, for ``--only``
     title: str  # description
     problem: Problem  # to solve
-    instances: Callable[[Problem, int], list[Instance]]  # makes that many
+    instances: Callable[[Problem, int], list[Instance]]  # returns that many
     counts: tuple[int, int]  # instances to measure, quickly or not
     gap: float = 1e-4  # relative gap to prove
-    rivals: tuple[str, ...] = ()  # names of the solvers beside ours
+    rivals: tuple[str, ...] = ()  # names of the other solvers
     required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # limits by solver
     closed_loop: bool = False  # whether instances follow each other
-    every: int = 1  # rivals meet the first of so many instances, where they would take too long
+    every: int = 1  # rivals solve one in so many instances, where they are slow
 
     def solver(self, name: str, cap: float) -> Solver:
         """Return a solver set up for the problem.
 
         Raises:
-            ImportError: it is not installed.
+            ImportError: the solver is not installed.
         """
         follows = self.closed_loop and (name == OURS or self.every == 1)
         if name == OURS:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows of results, their table, and the file that is complete after each of them."""
+"""Rows of results, their table, and the values of each row in the file of results."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ import numpy as np
 from benchmarks.bench.interleaved import OURS, Samples
 from orbimpc_ros.mpc.arrays import Array
 
-OWN = ('note', 'beaten', 'failed')  # fields that the file does not have
-LATE = 'ticks late by over a period'  # counted by rows of many planners, besides their times
-HULLS = 'SE(2) hull N='  # begins the problems whose time is fitted over N
-SAME = 1e-4  # relative: objectives closer than this agree
+OWN = ('note', 'beaten', 'failed')  # fields that are not in the file
+LATE = 'ticks late by over a period'  # counted in rows of many planners, in addition to times
+HULLS = 'SE(2) hull N='  # prefix of the problems whose time is fitted over N
+SAME = 1e-4  # relative difference up to which objectives agree
 LAYOUT = '  {:<20}{:>5}{:>8}{:>8}{:>6}{:>10}{:>7}{:>7}{:>7}'
 HEAD = ('', 'n', 'p50 ms', 'p99 ms', 'gap', 'objective', 'x p50', 'x p99', '')
 WIDTH, INDENT = 80, 4 * ' '
@@ -27,7 +27,7 @@ WIDTH, INDENT = 80, 4 * ' '
 
 @dataclass(frozen=True)
 class BenchRow:
-    """One solver on one problem; what was not measured is NaN, in JSON null."""
+    """The results of one solver on one problem; unmeasured values are NaN, or null in JSON."""
 
     problem: str  # title
     contender: str  # name of the solver
@@ -44,7 +44,7 @@ class BenchRow:
     required: Mapping[str, float] | None = None
     note: str = ''  # for the table alone
     beaten: bool = False  # whether it found a trajectory that costs less than ours
-    failed: bool = False  # whether the measurement itself, or our own solver, broke off
+    failed: bool = False  # whether the measurement itself, or our own solver, failed
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the file, with None for NaN."""
@@ -75,7 +75,7 @@ def rows_of(
     required: Mapping[str, Mapping[str, float]],
     gap: float = 0.0,
 ) -> list[BenchRow]:
-    """Return a row per solver, ours first; objectives agree that are no farther than ``gap``."""
+    """Return a row per solver, ours first; objectives within ``gap`` of each other agree."""
     return [
         _measured(BenchRow(problem, name, required=required.get(name)), each, samples[OURS], gap)
         for name, each in samples.items()
@@ -83,7 +83,7 @@ def rows_of(
 
 
 def _measured(row: BenchRow, theirs: Samples, ours: Samples, gap: float) -> BenchRow:
-    """Return the row of a solver with what it was measured at beside ours."""
+    """Return the row of a solver with its measurements, also relative to ours."""
     common = sorted(theirs.times.keys() & ours.times.keys())
     row = replace(row, note=theirs.refused, failed=theirs is ours and bool(ours.refused))
     if not common:
@@ -140,7 +140,7 @@ def growth(rows: Sequence[BenchRow]) -> list[BenchRow]:
 
 
 def table(rows: Sequence[BenchRow]) -> str:
-    """Return the table; ``x`` are multiples of our time on the same instances."""
+    """Return the table; columns ``x`` are multiples of our time on the same instances."""
     lines = [LAYOUT.format(*HEAD).rstrip()]
     for problem, group in itertools.groupby(rows, attrgetter('problem')):
         lines.append(problem)
@@ -162,7 +162,7 @@ def _cells(row: BenchRow) -> tuple[str, ...]:
 
 
 def _required(row: BenchRow) -> str:
-    """Return the limits in words: that of ratio_p50 as ``x p50 >= 10``."""
+    """Return the limits as text, such as ``x p50 >= 10`` for ratio_p50."""
     limits = (
         f'x {name[6:]} >= {limit:g}'
         if name.startswith('ratio_')

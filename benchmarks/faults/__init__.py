@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc faults``: the fault matrix, with real nodes as processes of their own over DDS."""
+"""``orbimpc faults``: the fault matrix, with real nodes in separate processes over DDS."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(
     only: Sequence[str] | None, file: str | None, executor: str, *, long: bool, show: bool
 ) -> int:
-    """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
+    """Try every row and print the table; return 1 if a command was unsafe or a reaction late."""
     kept = writable(file)
     if find_spec('rclpy') is None:
         hint = f'install ROS 2, or {command_for_extra("ros")}'
@@ -50,9 +50,9 @@ def run(
 
 
 def fill(rows: Sequence[FaultCase], long: bool, executor: str) -> None:
-    """Try the rows and print them; all processes are gone at the end.
+    """Try the rows and print them; all processes have ended afterwards.
 
-    A planner that never recovers ends its row alone. SIGTERM ends them like Ctrl-C.
+    A planner that never recovers ends only its own row. SIGTERM has the effect of Ctrl-C.
 
     Args:
         rows: to try.
@@ -62,9 +62,9 @@ def fill(rows: Sequence[FaultCase], long: bool, executor: str) -> None:
     from orbimpc_ros.mpc.kernels.__main__ import PARTS
 
     progress = ProgressLine(len(rows))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # which leaves in order
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # which ends child processes
     try:
-        for part in PARTS:  # a planner that compiles answers nothing meanwhile
+        for part in PARTS:  # a planner does not answer while it compiles
             part()
         for number, row in enumerate(rows):
             begin = time.monotonic()

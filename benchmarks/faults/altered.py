@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner node, made to raise on odometry that slips sideways fast.
+"""The planner node, modified to raise an exception on odometry with fast sideslip.
 
 No message makes the planner itself raise, as far as is known.
 """
@@ -17,7 +17,7 @@ sound = Planner.step
 
 
 def step(self: Planner, snapshot: Snapshot, *rest: Any, **more: Any) -> Any:
-    """Plan, unless the odometry slips."""
+    """Plan, unless the odometry has sideslip."""
     odometry = snapshot.odometry
     if odometry is not None and odometry.body_velocity[1] > 0.5 * SLIP and not snapshot.stop:
         raise ArithmeticError('slipped')

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Harnesses of fault cases: nodes in a domain of their own, their stimulus, and a monitor."""
+"""Harnesses of fault cases: nodes in their own DDS domain, a stimulus, and a monitor."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ PLANNER: dict[str, Any] = {
     'goal_timeout': 0.4,
     'goal_jump_limit': 5.0,
     'max_rate': 3.0,
-    'safe_command': 'stop',  # with a floor it would be to circle, which is no sign to judge by
+    'safe_command': 'stop',  # by default it circles with a floor, which proves no reaction
 }  # [s], [m/s], [m], [rad/s]
 
 
 class Monitored(Session):
-    """A session with a planner, of which a monitor hears every command, tick and diagnostic.
+    """A session with a planner whose commands, ticks and diagnostics a monitor records.
 
     Args:
         nodes: their executor.
@@ -51,7 +51,7 @@ class Monitored(Session):
         module: of the planner.
 
     Attributes:
-        planner: the process of the one that was started last.
+        planner: process of the planner that was started last.
     """
 
     planner: Child
@@ -72,24 +72,24 @@ class Monitored(Session):
         self.planner = self.launch(self._module, self._values)
 
     def until_first(self, event: Event, since: float) -> float:
-        """Spin until an event of the monitor since a time [s]; return when, infinite for never."""
+        """Spin until an event of the monitor since a time [s]; return its time, or infinity."""
         self.spin(PATIENCE, lambda: event(self.monitor, since) < math.inf)
         return event(self.monitor, since)
 
 
 class Harness(Monitored):
-    """Feeds a planner at a steady rate and records all that it publishes, until closed.
+    """Feeds a planner at a steady rate and records everything it publishes, until closed.
 
     Args:
         nodes: their executor.
-        parameters: of the planner, beside those of all harnesses.
-        simulated: whether to be the planner's clock as well.
-        seed: of all draws.
+        parameters: of the planner, in addition to those of all harnesses.
+        simulated: whether to publish the planner's clock as well.
+        seed: of all random draws.
         module: of the planner.
 
     Attributes:
-        draw: generator of all draws.
-        jump: error of the clock [s]; only where that is simulated.
+        draw: generator of all random draws.
+        jump: error of a simulated clock [s].
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Harness(Monitored):
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
-        """Stop the clock for a while, and let it run on from there."""
+        """Stop the clock within a context, and let it run on from there."""
         self._frozen_at = time.monotonic()
         yield
         self.jump += self._frozen_at - time.monotonic()
@@ -131,21 +131,21 @@ class Harness(Monitored):
 
     @contextmanager
     def spoiling(self, topic: str, spoil: stimulus.Spoiler) -> Iterator[None]:
-        """Change ``odometry`` or ``goal`` on their way for a while."""
+        """Alter ``odometry`` or ``goal`` messages before they are sent, within a context."""
         self._spoiled = {topic: spoil}
         yield
         self._spoiled = {}
 
     @contextmanager
     def muted(self) -> Iterator[None]:
-        """Leave odometry to another publisher for a while."""
+        """Leave odometry to another publisher within a context."""
         self.node.destroy_publisher(self._odometry)
         self._odometry = None
         yield
         self._odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
 
     def until_planned(self) -> None:
-        """Feed a healthy planner until it commands to move."""
+        """Feed a healthy planner until it commands a motion."""
         since = time.monotonic()
         self.until(lambda: self.monitor.moving(since) > 0, 'a plan')
 

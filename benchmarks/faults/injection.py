@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Injection of faults into a running planner: moments of their beginning, and reactions."""
+"""Injection of faults into a running planner: moments of injection, and reactions."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
 RUNNING = (MIDWAY, SOLVING)
 TIMES = (START, *RUNNING)
 SEEDS = (1, 2, 3)
-AFTER = 3  # ticks that a fault lasts beyond the latest reaction
-INTO = 0.03  # [s] of a solve
+AFTER = 3  # ticks by which a fault outlasts the latest reaction
+INTO = 0.03  # [s] from the start of a solve to an injection
 # A search that lasts until its deadline, with a plan at hand: nearly constant speed, limited turns,
 # and a gap that it cannot close.
 SLOW = {
@@ -30,7 +30,7 @@ SLOW = {
     'weights.input': 0.0,
     'weights.length': 0.1,
     'gap_tolerance': 1e-9,
-    'delay_compensation': False,  # the stimulus does not obey commands: foreseen, it is no problem
+    'delay_compensation': False,  # which assumes obeyed commands; the stimulus ignores them
 }
 
 
@@ -39,9 +39,9 @@ class Fault:
     """A fault, and the reaction that it requires."""
 
     name: str  # of the fault
-    imposed: Callable[[Harness], AbstractContextManager[Any]]  # it lasts as long as the context
-    # time after which no earlier plan may be flown: an input counts as stale, and the plan that
-    # outlives it has had its ticks [s]
+    imposed: Callable[[Harness], AbstractContextManager[Any]]  # for as long as the context
+    # time after which no earlier plan may be flown: an input has become stale, and the plan that
+    # is flown on has used up its ticks [s]
     wait: float = 0.0
     strict: bool = True  # whether the planner must be safe as long as the fault lasts
     event: Event = Monitor.first_safe  # the reaction
@@ -57,15 +57,15 @@ def fault_case(
     allowed: float = 1.0,
     simulated: bool = False,
 ) -> FaultCase:
-    """Return a row of faults that are injected into a running planner of the row's own.
+    """Return a row of faults that are injected into a running planner for this row.
 
     Args:
         name: for ``--only``.
         title: description.
-        faults: makes them anew.
-        short: moments of injection in the short form, the faults taken in turns.
+        faults: makes new faults.
+        short: moments of injection in the short form, which takes the faults in turns.
         allowed: latest reaction, in ticks.
-        simulated: whether the harness is the planner's clock as well.
+        simulated: whether the harness publishes the planner's clock as well.
     """
 
     def run(nodes: str, long: bool) -> Iterator[Outcome]:
@@ -109,7 +109,7 @@ def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
             late = max(0.0, harness.until_first(fault.event, begin) - due) / STEP
         harness.spin(AFTER * STEP)
         unsafe = unsafe_commands(harness.monitor, fault, begin, due)
-        if when == START and fault.strict:  # then there is nothing from before to be flown
+        if when == START and fault.strict:  # there is no earlier plan to be flown
             unsafe += harness.monitor.moving(begin, due)
     harness.planner.require_health()
     harness.until_planned()
@@ -117,20 +117,20 @@ def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
 
 
 def unsafe_commands(monitor: Monitor, fault: Fault, begin: float, due: float) -> int:
-    """Return how many commands should not have been sent since a fault began [s].
+    """Return the number of commands since the beginning of a fault that should not have been sent.
 
     Args:
-        monitor: has the commands.
+        monitor: with the commands.
         fault: that was injected.
-        begin: when it began [s].
-        due: when nothing planned before may be flown any more [s].
+        begin: time of its beginning [s].
+        due: time from which no earlier plan may be flown [s].
     """
     again = monitor.moving_again(due, due + STEP)
     return monitor.broken(begin) + (again if fault.strict else 0)
 
 
 def until_due(harness: Harness, when: str) -> None:
-    """Feed a healthy planner until a fault is to be injected."""
+    """Feed a healthy planner until the moment to inject a fault."""
     harness.until_planned()
     if when == SOLVING:
         heard = len(harness.monitor.ticks)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows of faults at a planner that runs: inputs, clocks, other participants, no feasible plan."""
+"""Rows of faults of a running planner: inputs, clocks, other participants, no feasible plan."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from orbimpc_ros.ros.process import LATCHED, qos
 
 STALE = 0.3  # [s] odom_timeout: 1.5 steps
 LADDER = FALLBACK_TICKS * STEP  # [s] that a shifted plan may be flown
-LOST = 0.4 + LADDER  # [s] goal_timeout of the harness, and the last plan after it
+LOST = 0.4 + LADDER  # [s] goal_timeout of the harness, plus the last plan
 REPORT = 5.0  # ticks in which a mismatch must be reported
-MEET = 0.6  # [s] that discovery may take
-TURNED = 30.0  # ticks in which a velocity's frame must be doubted: first the vehicle has to turn
+MEET = 0.6  # [s] for discovery
+TURNED = 30.0  # ticks in which a wrong velocity frame must be reported, after a turn
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)
 TO_ONE = 1.0  # [s] first time of a reset clock
-WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # everywhere is inside of this box
+WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # a box that contains all positions
 ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
 
 
@@ -89,10 +89,10 @@ def _jumps() -> list[Fault]:
 
 
 def _infeasible() -> list[Fault]:
-    """Return a box that grows around the vehicle: no plan is left, the fallbacks have to end."""
+    """Return a box that encloses the vehicle: no plan is feasible, and fallbacks must end."""
 
     def reported(monitor: Monitor, since: float) -> float:
-        """Return when a safe command had been sent and its reason reported."""
+        """Return the time by which a safe command was sent and reported."""
         ticks = (tick for tick in monitor.ticks if Fallback.SAFE_COMMAND in tick.values['fallback'])
         stated = next((tick.at for tick in ticks if tick.at >= since), math.inf)
         return max(stated, monitor.first_safe(since))
@@ -107,7 +107,7 @@ def _infeasible() -> list[Fault]:
 
 
 def _mismatch() -> list[Fault]:
-    """Return a subscription to commands as latched, which they are not: it would get none."""
+    """Return a subscription with latched QoS, which is incompatible with commands."""
     quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
 
     @contextmanager
@@ -123,7 +123,7 @@ def _mismatch() -> list[Fault]:
 
 
 def _sources() -> list[Fault]:
-    """Return a second publisher of odometry: neither may be believed."""
+    """Return a second publisher of odometry: neither may be trusted."""
 
     @contextmanager
     def published(harness: Harness) -> Iterator[None]:
@@ -139,7 +139,7 @@ FAULT_CASES = (
                RUNNING),
     fault_case('goal', 'stale goal', lambda: [_goal('no goal', stimulus.lost)]),
     fault_case('stamps', 'future, repeated, malformed stamps', _stamps, RUNNING),
-    # At the start a stamp that is not set might be that of simulated time.
+    # At the start an unset stamp might be the zero of simulated time.
     fault_case('unset', 'stamps that are not set, after good ones', lambda: [
         _odometry('stamps not set', with_field('header.stamp', Time()), times=RUNNING)]),
     fault_case('garbage', 'bytes that are no message', lambda: [

@@ -17,10 +17,10 @@ NEVER = 'never'
 class Outcome:
     """The outcome of one case."""
 
-    case: str  # description in a few words
+    case: str  # description
     unsafe: int = 0  # commands that should never have been sent
-    reaction: float = math.nan  # delay, in the row's unit; NaN if nothing had to happen
-    failure: str = ''  # other failures, in words; empty if there were none
+    reaction: float = math.nan  # delay, in the row's unit; NaN if no reaction was due
+    failure: str = ''  # description of other failures; empty without
 
 
 @dataclass
@@ -34,16 +34,16 @@ class FaultCase:
     cases: Callable[[str, bool], Iterator[Outcome]]
     unit: str = 'ticks'  # of reactions
     outcomes: list[Outcome] = field(default_factory=list)
-    seconds: float = 0.0  # that they took
+    seconds: float = 0.0  # so far
 
     @property
     def unsafe(self) -> int:
-        """Return how many commands should never have been sent."""
+        """Return the number of commands that should never have been sent."""
         return sum(each.unsafe for each in self.outcomes)
 
     @property
     def worst(self) -> float:
-        """Return the latest reaction; NaN where none was due."""
+        """Return the latest reaction; NaN if none was due."""
         found = [each.reaction for each in self.outcomes if not math.isnan(each.reaction)]
         return max(found, default=math.nan)
 
@@ -65,7 +65,7 @@ class FaultCase:
 
     @property
     def ok(self) -> bool:
-        """Return whether every case was safe and in time, and there was one."""
+        """Return whether there were cases, and all were safe and in time."""
         return bool(self.outcomes) and not self.failures
 
     def as_json(self) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The monitor: every command received, judged by its content and by its time of sending."""
+"""The monitor: judges every command by its content and its time of sending."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from geometry_msgs.msg import TwistStamped
 
 from orbimpc_ros.ros.messages import WARN
 
-About = Mapping[str, int]  # message information of DDS: time of sending, of the system's clock
-SLACK = 1e-6  # relative, on limits
-STILL = 1e-9  # [m/s], [rad/s]: nothing moves
+About = Mapping[str, int]  # message information of DDS: time of sending on the system's clock
+SLACK = 1e-6  # relative tolerance on limits
+STILL = 1e-9  # [m/s], [rad/s]: standstill
 
 
 class HeardCommand(NamedTuple):
@@ -45,12 +45,12 @@ class HeardStatus(NamedTuple):
 class Monitor:
     """Records everything that a planner publishes.
 
-    Times are of the monotonic clock, of when a message was sent: how long it waited for a
-    monitor that was held up is not the planner's delay.
+    Times are those of sending, on the monotonic clock: a delay of the monitor does not count as
+    a delay of the planner.
     """
 
     speed: float  # limit of every command, fault or not [m/s]
-    rate: float  # and of its body rate [rad/s]
+    rate: float  # limit of its body rate [rad/s]
     commands: list[HeardCommand] = field(default_factory=list)  # received so far
     ticks: list[HeardStatus] = field(default_factory=list)  # reports on ``tick``
     health: list[HeardStatus] = field(default_factory=list)  # diagnostics
@@ -62,40 +62,40 @@ class Monitor:
         self.commands.append(HeardCommand(_sent(about), message.twist.linear.x, rates))
 
     def broken(self, since: float = -math.inf) -> int:
-        """Return how many commands are not finite or beyond a limit."""
+        """Return the number of commands that are not finite or exceed a limit."""
         return sum(each.at >= since and not self._keeps_limits(each) for each in self.commands)
 
     def _keeps_limits(self, command: HeardCommand) -> bool:
-        slow = -STILL <= command.speed <= self.speed * (1.0 + SLACK)  # no NaN is
+        slow = -STILL <= command.speed <= self.speed * (1.0 + SLACK)  # False for NaN
         return slow and math.hypot(*command.rates) <= self.rate * (1.0 + SLACK)
 
     def moving(self, since: float, until: float = math.inf) -> int:
-        """Return how many commands of a time are not the safe one."""
+        """Return the number of commands in a time interval that are not safe."""
         return sum(since < each.at <= until and not each.safe for each in self.commands)
 
     def moving_again(self, since: float, due: float) -> int:
-        """Return how many commands are not safe though one was, or, if none was, are overdue.
+        """Return the number of unsafe commands after the first safe one or, without one, ``due``.
 
         Args:
-            since: when inputs from before the fault are out of date [s]. Until then a planner that
-                is safe for another reason, as on a busy machine, may go on with them.
+            since: time from which inputs from before the fault are stale [s]. Until then a planner
+                that was safe for another reason, as on a busy machine, may plan with them again.
             due: latest time of a safe command [s].
         """
         safe = self.first_safe(since)
         return self.moving(safe if safe < math.inf else due)
 
     def first_safe(self, since: float) -> float:
-        """Return when the first safe command was sent [s]; infinite if none was."""
+        """Return the time of sending of the first safe command [s]; infinity without one."""
         safe = (each.at for each in self.commands if each.at >= since and each.safe)
         return next(safe, math.inf)
 
 
-# Returns when something first happened since a time [s]; infinite if it has not.
+# Returns the time of the first occurrence since a time [s]; infinity without one.
 Event = Callable[[Monitor, float], float]
 
 
 def complaint(word: str = '', level: bytes = WARN) -> Event:
-    """Return the event of a diagnostic of a level that contains a word."""
+    """Return the event of a diagnostic of at least a level that contains a word."""
 
     def first(monitor: Monitor, since: float) -> float:
         heard = (each for each in monitor.health if each.at >= since and each.level >= level)
@@ -106,12 +106,12 @@ def complaint(word: str = '', level: bytes = WARN) -> Event:
 
 
 def _sent(about: About) -> float:
-    """Return when a message was sent, on the monotonic clock [s]."""
+    """Return the time of sending of a message on the monotonic clock [s]."""
     return time.monotonic() - 1e-9 * (time.time_ns() - about['source_timestamp'])
 
 
 def record(into: list[HeardStatus], message: DiagnosticArray, about: About) -> None:
-    """Record what a report says, among the ticks or the health of a monitor."""
+    """Record a report in the ticks or the health of a monitor."""
     for each in message.status:
         values = {pair.key: pair.value for pair in each.values}
         into.append(HeardStatus(_sent(about), each.level, each.message, values))

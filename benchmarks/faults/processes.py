@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows on whole processes: deadlines, floods, exceptions, signals, restarts."""
+"""Rows of faults of whole processes: deadlines, floods, exceptions, signals, restarts."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.processes import Child
 from orbimpc_ros.tool.settings import config
 
-ALTERED = 'benchmarks.faults.altered'  # the planner's module, made to raise
+ALTERED = 'benchmarks.faults.altered'  # the planner's module, modified to raise exceptions
 LEAVE = 5.0  # [s] in which a process must have ended
-FAREWELLS = 3  # safe commands at the end
+FAREWELLS = 3  # safe commands before the exit
 LATCH = 0.2  # [s] command_timeout
 FLOOD, SETTLED, LATE = 5000.0, 1.0, 5.0  # [Hz], [s] to be discovered, [ms] beyond a period
 SOAK, SOAK_STEP, MEBIBYTE, GROWTH = 1000.0, 0.05, 2.0**20, 2.0  # [Hz], [s], [bytes], [MiB]
-SLOWEST = 0.75  # ticks: half a step that a solve may take, a quarter for a busy machine
+SLOWEST = 0.75  # ticks: half a step for a solve, and a quarter for a busy machine
 
 
-# --- no time
+# --- deadlines
 
 
 def _no_time(nodes: str, long: bool) -> Iterator[Outcome]:
-    """Searches that cannot end: every tick has its command all the same."""
+    """Searches that cannot end before the deadline: every tick has a command nevertheless."""
     with closing(Harness(nodes, SLOW)) as harness:
         for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
             harness.set_live(deadline=0.0)
@@ -86,7 +86,7 @@ def flooded(harness: Harness, rate: float) -> Iterator[None]:
 
 
 def _flood(nodes: str, long: bool) -> Iterator[Outcome]:
-    """Odometry that comes faster than it can be read: plans go on, and every tick comes in time."""
+    """Odometry that arrives faster than it can be read: planning goes on, and ticks are in time."""
     with closing(Harness(nodes)) as harness:
         harness.until_planned()
         with flooded(harness, FLOOD):
@@ -100,7 +100,7 @@ def _flood(nodes: str, long: bool) -> Iterator[Outcome]:
 
 
 def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
-    """A planner at 20 Hz on odometry at 1 kHz for long: its memory does not grow."""
+    """A planner at 20 Hz with odometry at 1 kHz for a long time: its memory does not grow."""
     with closing(Harness(nodes, {'step': SOAK_STEP})) as harness:
         harness.until_planned()
         with flooded(harness, SOAK):
@@ -117,7 +117,7 @@ def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
 
 
 def _exceptions(nodes: str, long: bool) -> Iterator[Outcome]:
-    """A controller that raises: one is survived, after five in a row the planner has to leave."""
+    """A controller with exceptions: the planner survives one, and must exit after five in a row."""
     slipping = 'odometry', with_field('twist.twist.linear.y', SLIP)
     for seed in SEEDS if long else SEEDS[:1]:
         with closing(Harness(nodes, seed=seed, module=ALTERED)) as harness:
@@ -133,14 +133,14 @@ def _exceptions(nodes: str, long: bool) -> Iterator[Outcome]:
             with harness.spoiling(*slipping):
                 code = _exit_code(harness)
             failure = '' if code == 1 else f'exit code {code} after many in a row'
-            # Until odometry is stale, sound messages on their way may be answered.
+            # Until odometry is stale, valid messages in transit may be answered.
             moving = harness.monitor.moving_again(begin + STALE, begin + 2 * STEP)
             unsafe = harness.monitor.broken() + moving
             yield Outcome('raises again and again', unsafe, failure=failure)
 
 
 def _signalled(number: int) -> Any:
-    """Return the cases of a signal: after it three safe commands, and exit code 0."""
+    """Return the cases of a signal: three safe commands must follow, and exit code 0."""
 
     def run(nodes: str, long: bool) -> Iterator[Outcome]:
         draw = random.Random(number)
@@ -158,7 +158,7 @@ def _signalled(number: int) -> Any:
 
 
 def _exit_code(harness: Harness) -> int | None:
-    """Return how the planner has ended; None if it goes on."""
+    """Return the exit code of the planner; None if it has not ended."""
     harness.spin(PATIENCE, lambda: not harness.planner.running)
     return harness.planner.wait(0.0)
 
@@ -179,11 +179,11 @@ def _ended(harness: Harness, number: int, case: str) -> Outcome:
 
 
 class Flying(Monitored):
-    """The retrieval in real time, faster than the paper's by a factor: planner and simulator.
+    """The paper's retrieval in real time, accelerated by a factor: planner and simulator.
 
     Args:
         nodes: their executor.
-        step: between ticks [s]; speed, swing and cost of turning are scaled with it.
+        step: between ticks [s], by which speed, swing and turning cost are scaled.
         seed: of random moments.
     """
 
@@ -203,21 +203,21 @@ class Flying(Monitored):
         self.start()
 
     def until_moving(self) -> None:
-        """Listen until the vehicle flies.
+        """Listen until the vehicle moves.
 
         Raises:
-            OrbimpcError: it does not.
+            OrbimpcError: it does not move.
         """
         heard = self._odometry
         self.until(lambda: heard and _place(heard[0]) != _place(heard[-1]), 'a vehicle that flies')
 
     def until_over(self) -> str:
-        """Listen until the flight has ended, or many times as long; return how it has failed."""
+        """Listen until the flight has ended, or is long overdue; return the failure, or ''."""
         self.spin(10 * self.usual, lambda: bool(self._captured))
         return '' if self._captured and self._captured[-1].data else 'not caught'
 
     def stands(self) -> bool:
-        """Return whether the vehicle stands still three odometry messages from now."""
+        """Return whether the vehicle is at rest three odometry messages from now."""
         enough = len(self._odometry) + 3
         self.spin(PATIENCE, lambda: len(self._odometry) >= enough)
         before, now = self._odometry[-2:]
@@ -229,7 +229,7 @@ def _place(message: Odometry) -> Point:
 
 
 def _silenced(flying: Flying, number: int, case: str) -> Outcome:
-    """Silence a planner in flight by a signal; return whether the vehicle is stopped in time."""
+    """Silence a planner in flight by a signal; return the time until the vehicle is stopped."""
     flying.until_moving()
     flying.spin(flying.draw.uniform(0.5, 1.5))
     begin = time.monotonic()

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The stimulus of a planner: a healthy vehicle and goal, and ways in which messages go wrong.
+"""The stimulus of a planner: a healthy vehicle and goal, and corruptions of their messages.
 
-``python -m`` this module with a rate [Hz] publishes odometry at it until killed.
+Run with ``python -m`` and a rate [Hz], this module publishes odometry at this rate until killed.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ FRAMES = Frames('odom', 'base_link')
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
-AT_ONCE = 0.1  # [s] that a flood catches up with, at most
-SLIP = 5.0  # [m/s] sideways, which makes the failing planner raise
+AT_ONCE = 0.1  # [s] of delay that a flood makes up for, at most
+SLIP = 5.0  # [m/s] sideslip, on which the modified planner raises an exception
 
-# From a message to others in its place, none, or bytes that are no message at all.
+# Maps a message to its replacements: other messages, none, or invalid bytes.
 Spoiler = Callable[[Any, random.Random], list[Any]]
 
 
@@ -53,7 +53,7 @@ def odometry_at(seconds: float, stamp: int) -> Odometry:
 
 
 def goal_at(seconds: float, stamp: int) -> PoseStamped:
-    """Return a goal that swings in the middle of the circle."""
+    """Return a goal that swings around the middle of the circle."""
     swing = 0.3 * math.sin(0.5 * seconds)
     return messages.goal_message(Stamp(stamp, FRAMES), np.array([swing, RADIUS]))
 
@@ -64,7 +64,7 @@ def lost(_message: Any, _draw: random.Random) -> list[Any]:
 
 
 def with_field(path: str, *values: Any) -> Spoiler:
-    """Return a change of a field, such as ``pose.position.x``, to one of some values."""
+    """Return a change of a field, such as ``pose.position.x``, to one of the given values."""
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
         *parents, name = path.split('.')
@@ -75,7 +75,7 @@ def with_field(path: str, *values: Any) -> Spoiler:
 
 
 def shifted(low: float, high: float) -> Spoiler:
-    """Return a shift of stamps by a time between two [s]."""
+    """Return a shift of stamps by a random time in a range [s]."""
 
     def spoil(message: Any, draw: random.Random) -> list[Any]:
         stamp = messages.nanoseconds(message.header.stamp, 'stamp')
@@ -87,7 +87,7 @@ def shifted(low: float, high: float) -> Spoiler:
 
 
 def in_the_world(message: Any, _draw: random.Random) -> list[Any]:
-    """Give an odometry's velocity along the world's axes, as if that were the body's."""
+    """Express odometry's velocity in the world frame instead of the body frame."""
     turned, velocity = message.pose.pose.orientation, message.twist.twist.linear
     yaw = 2.0 * math.atan2(turned.z, turned.w)
     velocity.x, velocity.y = velocity.x * math.cos(yaw), velocity.x * math.sin(yaw)
@@ -95,7 +95,7 @@ def in_the_world(message: Any, _draw: random.Random) -> list[Any]:
 
 
 def repeated() -> Spoiler:
-    """Return a repetition of the first message for ever."""
+    """Return an endless repetition of the first message."""
     first: list[Any] = []
 
     def spoil(message: Any, _draw: random.Random) -> list[Any]:
@@ -107,7 +107,7 @@ def repeated() -> Spoiler:
 
 
 def scaled_quaternion(message: Any, draw: random.Random) -> list[Any]:
-    """Change a quaternion to zero, or by 1 % in length."""
+    """Set a quaternion to zero, or change its length by 1 %."""
     turned = getattr(message.pose, 'pose', message.pose).orientation
     factor = draw.choice((0.0, 1.01, 0.99, 1e200))
     for name in 'xyzw':
@@ -116,7 +116,7 @@ def scaled_quaternion(message: Any, draw: random.Random) -> list[Any]:
 
 
 def garbled(message: Any, draw: random.Random) -> list[Any]:
-    """Return bytes that are no such message: cut off, with absurd lengths, in another encoding."""
+    """Return invalid bytes: truncated, with absurd lengths, or in another encoding."""
     whole = bytes(serialize_message(message))
     ways = (
         whole[: draw.randrange(len(whole))],
@@ -129,7 +129,7 @@ def garbled(message: Any, draw: random.Random) -> list[Any]:
 
 
 def flood() -> None:
-    """Publish odometry, its pose moved on a hundred times a second."""
+    """Publish odometry, whose pose is updated a hundred times a second."""
     period = 1.0 / float(sys.argv[1])
     source = Observer()
     publisher = source.node.create_publisher(Odometry, 'odom', qos())

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The interface of a solver, and this package's own."""
+"""The interface of a solver, and this package's own solver."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Solution:
 
     objective: float  # of its trajectory; NaN if it found none
     gap: float = math.nan  # relative, as it proved it; NaN if it proves nothing
-    capped: bool = False  # whether it ran into its time limit
+    capped: bool = False  # whether it reached its time limit
 
 
 class Solver(Protocol):
@@ -44,13 +44,13 @@ class Solver(Protocol):
 
 
 class Ours:
-    """This package's solver, with the shifted previous plan as its guess.
+    """This package's solver, warm-started with the shifted previous plan.
 
     Args:
         problem: to solve.
         gap: relative gap within which a plan counts as proved.
         cap: time limit [s].
-        closed_loop: whether instances follow each other, so that the previous plan is of use.
+        closed_loop: whether instances follow each other, so that the previous plan is a warm start.
     """
 
     def __init__(self, problem: Problem, gap: float, cap: float, *, closed_loop: bool) -> None:
@@ -63,7 +63,7 @@ class Ours:
         self._state, self._goals = state, goals
 
     def solve(self) -> None:
-        """Plan as the controller does; shifting the previous plan is a part of it."""
+        """Plan as the controller does, including the shift of the previous plan."""
         state, goals = self._state, self._goals
         guess, end = None, time.perf_counter() + self._cap
         if self._closed_loop and self._solver.takes_guess and self._plan is not None:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""CVXPY with Clarabel: the paper's relaxation, stated once (DPP), solved anew at each tick."""
+"""CVXPY with Clarabel: the paper's relaxation, stated once (DPP) and solved at each tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE = 1e-8  # Clarabel's own
 
 
 class Conic:
-    """The relaxation of a problem without floor and boxes, as tests state it.
+    """The relaxation of a problem without floor and boxes, as in the tests.
 
     Args:
         problem: to solve.

@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Gurobi, SCIP and IPOPT on one program: rotations and binaries alone, least big M.
+"""Gurobi, SCIP and IPOPT on one program: only rotations and binaries, least big M.
 
 In z_k = R_k e1, k = 1..N, with s_k = s_1 + h z sum_{j<k} R_j e1 (n = 2, orders (1, 1)),
 
     cost = sum_i |F z_i|^2 + q_i^T z_i + c + l h z sum_{k=1..N-1} |z_k|    (i: coordinates).
 
-A round floor and turns are quadratic and not convex. One thread each; the model is built before
-the clock runs, and the previous solution moved one step on is its start. IPOPT finds a local
-optimum, from the present heading, held, and proves nothing.
+A round floor and turns are quadratic and not convex. Each solver has one thread; the model is built
+before the clock runs, with the previous solution, shifted by a step, as a warm start. IPOPT finds a
+local optimum, starting from a constant heading, and proves nothing.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
 
-LOCAL = 1e-6  # a local solver's own tolerance, at most: looser ones leave limits violated
+LOCAL = 1e-6  # largest tolerance of a local solver: looser ones violate limits
 QUIET: dict[str, Any] = {'expand': True, 'print_time': False, 'ipopt.print_level': 0}
 SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 
@@ -32,13 +32,13 @@ SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 class MixedInteger:
     """The program of a planar problem with a floor, turns below a quarter, boxes or an arrival.
 
-    A subclass states it in a solver's Python interface.
+    A subclass implements it in a solver's Python interface.
 
     Args:
         problem: to solve.
         gap: relative gap to prove.
         cap: time limit [s].
-        closed_loop: whether instances follow each other, so that a shifted start is of use.
+        closed_loop: whether instances follow each other, so that a warm start is possible.
     """
 
     emphasis = 'FAST'  # SCIP's settings, four times as fast as its defaults around the rope
@@ -56,7 +56,7 @@ class MixedInteger:
         condensed = Condensed(problem)
         self.factor, self._affine = _factor(0.5 * condensed.hessian), condensed.affine
         self._advance = problem.step * problem.forward
-        self._reach = problem.maps.reach[:, 1:]  # what z adds to s_1..s_N, shape (N, N)
+        self._reach = problem.maps.reach[:, 1:]  # coefficients of z in s_1..s_N, shape (N, N)
         self._groups: list[Array] = []  # variables by constraint, step and coordinate
         self._last: list[Array] = []  # their values in the last solution
 
@@ -80,7 +80,7 @@ class MixedInteger:
         flown = self._reach @ z
         for box in problem.boxes:
             offsets = np.concatenate([-box.minimum, box.maximum]) - SIDES @ first
-            # The big M is twice what the horizon can fly.
+            # The big M is twice the distance flown in a horizon.
             self._choose(flown[1:], SIDES, offsets, 2.0 * problem.horizon * self._advance)
         if problem.terminal == 'constraint':
             for moved, distance in zip(flown[-1], goals[-1] - first, strict=True):
@@ -93,7 +93,7 @@ class MixedInteger:
             self.start(zip(_flat(self._groups), _flat(moved), strict=True))
 
     def _free(self, *shape: int, **kind: Any) -> Array:
-        """Return new variables, for each step those of its row."""
+        """Return new variables, one row per step."""
         made = np.empty(shape, dtype=object)
         for place in np.ndindex(shape):
             made[place] = self.model.addVar(**kind)
@@ -109,7 +109,7 @@ class MixedInteger:
             self.require(-aside <= slope * ahead)
 
     def _choose(self, points: Array, faces: Array, offsets: Array, big: float) -> None:
-        """Require one of faces_i . point >= offsets_i of every point, by binaries."""
+        """Require faces_i . point >= offsets_i for some i, for every point, by binaries."""
         chosen = self._free(len(points), len(faces), vtype='B')
         for each in chosen.sum(axis=1):
             self.require(each >= 1.0)
@@ -118,7 +118,7 @@ class MixedInteger:
             self.require(beyond[place] >= float(offsets[place[1]]) - big)
 
     def _lengths(self, axes: Array) -> Any:
-        """Return the cost of the length, |z_k| in an epigraph."""
+        """Return the cost of the length, with |z_k| as an epigraph."""
         weight = self.problem.weights.length * self._advance
         if weight == 0.0:
             return 0.0
@@ -172,7 +172,7 @@ class _Gurobi(MixedInteger):
 
 
 class _Scip(MixedInteger):
-    """The quadratic cost in one constraint, as squares alone: seen as convex at once."""
+    """The quadratic cost as one constraint of pure squares, which SCIP recognises as convex."""
 
     def open(self) -> None:
         import pyscipopt
@@ -227,7 +227,7 @@ class _Ipopt(MixedInteger):
         self._library, self.model, self._opti = casadi, self, casadi.Opti()
 
     def addVar(self, **_bounds: float) -> Any:  # noqa: N802
-        return self._opti.variable()  # in the unit disk by another limit
+        return self._opti.variable()  # bounded by the unit disk
 
     def require(self, constraint: Any) -> None:
         self._opti.subject_to(constraint)
