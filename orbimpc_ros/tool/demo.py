@@ -289,7 +289,7 @@ class Recorder:
 
     The recorder subscribes to odometry once every planner has answered a call. DDS announces
     endpoints in the order of creation: a planner that has discovered the last one has discovered
-    all subscriptions, and a simulator that waits for that to odometry finds the recorder complete.
+    all subscriptions, and a simulator that waits for this last one finds the recorder complete.
 
     Args:
         folder: of the bag, created.

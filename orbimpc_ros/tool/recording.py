@@ -286,7 +286,7 @@ def _latest(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
     answer = recorded.answer
     begun = recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0))
     measured = _last(sent, 'odom', recorded.stamp)
-    # If times are mere stamps, a solve takes no time: inputs sent before the odometry count.
+    # If times are mere stamps, a solve seems to take no time: inputs before the odometry count.
     known = begun if measured < 0 else max(begun, sent[measured].sent)
     latest = {each.topic: k for k, each in enumerate(sent) if each.sent <= known}
     if measured >= 0 or was_solved(answer):  # else the odometry belongs to an earlier answer

@@ -60,7 +60,7 @@ def run(
 def opened(
     path: Path, namespace: str, params: str | None, changes: Sequence[str] = ()
 ) -> tuple[Recording, PlannerSettings, bool]:
-    """Return what a bag holds, the planner's settings, and whether its time was simulated.
+    """Return a bag's recording, the planner's settings, and whether its time was simulated.
 
     The settings come from the given file or, by default, from the recorder's notes in the bag.
     """

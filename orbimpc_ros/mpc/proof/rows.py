@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Multipliers of constraints between steps: sides of bodies, turns, a glide slope, an arrival.
 
-Each adds a term to the cost that is not positive on any trajectory: its value at the tangent point,
-and forces, which are its gradient. In either arithmetic.
+Each adds a term to the cost that is not positive on any feasible trajectory, as a value at the
+tangent point and forces, which are its gradient. In either arithmetic.
 
 Mathematics: docs/proofs.md.
 """
