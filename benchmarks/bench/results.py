@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows of results, their table, and the values of each row in the file of results."""
+"""Rows of results, their table, and their values for the JSON file, written after each row."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ In z_k = R_k e1, k = 1..N, with s_k = s_1 + h z sum_{j<k} R_j e1 (n = 2, orders 
     cost = sum_i |F z_i|^2 + q_i^T z_i + c + l h z sum_{k=1..N-1} |z_k|    (i: coordinates).
 
 A round floor and turns are quadratic and not convex. Each solver has one thread; the model is built
-before the clock runs, with the previous solution, shifted by a step, as a warm start. IPOPT finds a
-local optimum, starting from a constant heading, and proves nothing.
+before the clock runs, with the previous solution, shifted by a step, as a warm start. IPOPT starts
+from the present heading, held constant, finds a local optimum, and proves nothing.
 """
 
 from __future__ import annotations
