@@ -161,7 +161,7 @@ BALL = {'centre': [1.0, 0.0], 'radius': 1.0, 'of': 'end'}
     ('path', 'value', 'word'),
     [
         (('format',), 'another', 'format'),
-        (('format',), 'orbimpc certificate 1', 'read no more'),
+        (('format',), 'orbimpc certificate 1', 'allowed: orbimpc certificate 2'),
         (('goals',), ..., 'goals: missing'),
         (('lower_bound',), True, 'a number'),
         (('lower_bound',), 10**400, 'a number'),

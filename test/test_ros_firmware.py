@@ -124,7 +124,7 @@ def flown(report, seconds=2.0, wind=(4.0, -2.0)):
         measured = Odometry(time, place, np.eye(2), np.array([20.0, 0.0]), np.zeros(1))
         start = loop.start(measured, 0.0, None, report(time))
         loop.history.add(Command(1.0, np.zeros(1), np.eye(2)), time)
-    return start.disturbance
+    return start.state['disturbance']
 
 
 def test_a_reported_wind_is_believed_at_once():

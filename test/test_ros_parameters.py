@@ -144,12 +144,12 @@ BAD_STARTS = [
     ('planner', {'step': '.nan'}, 'step is nan; allowed: a double in [0.001, 1000]'),
     ('planner', {'horizn': 5}, "unknown parameter 'horizn'; did you mean 'horizon' or "),
     ('sim', {'rope.center': '[5, 0]'}, 'rope.center is [5, 0]; allowed: doubles'),
+    ('planner', {'use_sim_time': 1}, 'use_sim_time is 1; allowed: true | false'),
     (
         'planner',
-        {'use_sim_time': 1},
-        "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'",
+        {'qos_overrides./cmd_vel.publisher.depth': 5},
+        'parameter qos_overrides./cmd_vel.publisher.depth: 5 would have no effect; leave it out',
     ),
-    ('sim', {'qos_overrides./odom.publisher.depth': 5}, "unknown parameter 'qos_overrides."),
 ]
 
 

@@ -21,6 +21,8 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import dropwhile, pairwise
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -72,7 +74,12 @@ class Managed(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        Node.__init__(self, name, parameter_overrides=list(parameters))
+        try:
+            Node.__init__(self, name, parameter_overrides=list(parameters))
+        except InvalidParameterTypeException as error:  # a parameter that every node has
+            wrong = next(each for each in self._parameter_overrides if each in str(error))
+            given = self._parameter_overrides[wrong].value
+            raise BadInput(wrong, given, 'true | false') from None
         self.kind = name
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -442,6 +449,7 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv if argv is None else argv)
     leave_at_signals()
     try:
+        _require_files(words)
         with ExitStack() as stack:
             try:
                 stack.enter_context(initialised(words, context=get_default_context()))
@@ -449,12 +457,11 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'
                 raise BadInput.stating('command line', unknown, hint) from None
-            except RuntimeError as error:  # missing or malformed parameter file, or malformed rule
+            except RuntimeError as error:  # malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
             _require_ros_words(words)
             return _live(_begun(make))
-    # The latter concerns parameters that every node has.
-    except (BadInput, InvalidParameterTypeException) as error:
+    except BadInput as error:
         return _ended(error, BAD_INPUT)
     except rclpy_implementation.RCLError as error:  # for example, security is required but missing
         return _ended(f'the node cannot be created: {error}', FAILED)
@@ -470,6 +477,13 @@ def _ended(error: object, code: int) -> int:
         line = f'{line} ({SECURITY}=true needs {needs})'
     print(line, file=sys.stderr)
     return code
+
+
+def _require_files(words: Sequence[str]) -> None:
+    """Reject a missing parameter file in one line; rcl would log its parser's error, too."""
+    for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
+        if flag == '--params-file' and not Path(word).exists():
+            raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
 def _require_ros_words(words: Sequence[str]) -> None:

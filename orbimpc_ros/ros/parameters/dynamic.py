@@ -120,7 +120,11 @@ def _refuse_unknown(node: Node, specs: Sequence[ParameterSpec]) -> None:
         # One file may serve both nodes, so a name is unknown only if neither has it.
         simulator = import_module('orbimpc_ros.sim.parameters')
         known.update(spec.name for spec in (*PLANNER, *simulator.SIM))
-    for name in node._parameter_overrides:
+    for name, given in node._parameter_overrides.items():
+        if name.startswith('qos_overrides.'):
+            problem = f'{given.value!r} would have no effect'
+            hint = 'leave it out: qualities of service are fixed'
+            raise BadInput.stating(f'parameter {name}', problem, hint)
         if name not in known:
             raise BadInput.unknown('parameter', name, sorted(known))
 
