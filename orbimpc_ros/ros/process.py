@@ -218,6 +218,7 @@ class Managed(LifecycleNodeMixin, Node):
 
     def on_cleanup(self, _state: LifecycleState) -> Ended:
         """Destroy all endpoints created since the node was configured."""
+        self.flush()  # a publisher destroyed at once may take its safe command with it
         lasting = self._endpoints() if self._lasting is None else self._lasting
         for kind in ENDPOINTS:
             for each in [*getattr(self, f'{kind}s')]:
@@ -234,6 +235,12 @@ class Managed(LifecycleNodeMixin, Node):
     def on_error(self, state: LifecycleState) -> Ended:
         """Deactivate and clean up after a failed transition."""
         return self.on_shutdown(state)
+
+    def flush(self) -> None:
+        """Wait until the last messages have arrived, but not for long: a subscriber may hang."""
+        end = self.steady_now() + ACKNOWLEDGED
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - self.steady_now())))
 
     @property
     def configured(self) -> bool:
@@ -533,10 +540,7 @@ def _live(node: Managed) -> int:
         node.get_logger().info(f'received {signal.Signals(received[0]).name}, stopping')
     for _ in range(FAREWELLS):
         node.guard(node.safe)(Reason(Cause.SHUTDOWN, 'shutting down'))
-    # The last messages must arrive, but a hanging subscriber must not block the exit.
-    end = node.steady_now() + ACKNOWLEDGED
-    for publisher in node.publishers:
-        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - node.steady_now())))
+    node.flush()
     executor.shutdown()
     node.destroy_node()
     return node.exit_code or DONE
