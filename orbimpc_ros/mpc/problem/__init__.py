@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planning problem: its weights, floor, obstacles and state, and what follows from them."""
+"""The planning problem: weights, floor, obstacles, approach and state."""
 
 from orbimpc_ros.mpc.problem.approach import Approach
 from orbimpc_ros.mpc.problem.floor import Floor

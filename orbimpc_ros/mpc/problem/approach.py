@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The approach: a cone of directions that the last heading of a plan has to be in.
+"""The approach: a cone of directions that contains the last heading of a plan.
 
-It is about where the vehicle points at the end, R_N e1, not about how it moves past what it meets:
-velocities, its own and the goal's, have no part in it. A heading shorter than ``SLOWEST``, or than
-the floor, has no direction to speak of; it is demanded to be as far along as that one would be.
-What is demanded is convex:
+It constrains the direction R_N e1 that the vehicle finally points in, not a velocity, be it its own
+or relative to the goal. Headings shorter than ``least``, the larger of ``SLOWEST`` and the floor,
+have no well-defined direction: they need the same component along d as one of that length. The
+constraint is convex:
 
     R_N e1 . d >= cos(cone) max(|R_N e1|, least).
 
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 WIDEST_APPROACH = 1.4  # [rad] beyond it the cone is nearly a half-space, and ill-conditioned
 SLOWEST = 0.01  # speed fraction below which a heading has no direction
-LEEWAY = 3e-7  # [rad] on the last heading of the plane: for plans that just reach the cone
+LEEWAY = 3e-7  # [rad] tolerance of the cone in the plane, for plans that only just reach it
 
 
 @dataclass(frozen=True)
 class Approach:
-    """The directions in which a goal may be come to.
+    """The cone of directions in which a goal may be approached.
 
     Attributes:
-        cone: largest angle of the last heading from the direction [rad], 0 for any.
-        direction: in the world frame, n numbers, of any length; empty for the first axis of the
-            rotation that the state wants: the goal's own.
+        cone: largest angle between the last heading and the direction [rad]; 0: unconstrained.
+        direction: axis of the cone in the world frame, n numbers, not necessarily a unit vector;
+            empty: the first axis of the goal's attitude, ``State.wanted``.
     """
 
     cone: float = 0.0
@@ -46,19 +46,19 @@ class Approach:
 
     @cached_property
     def exists(self) -> bool:
-        """Return whether there is a cone at all."""
+        """Return True if the last heading is constrained."""
         return self.cone > 0.0
 
     @cached_property
     def is_the_goals(self) -> bool:
-        """Return whether the goal's own attitude says the direction."""
+        """Return True if the goal's attitude gives the direction."""
         return self.exists and not self.direction
 
     def validate(self, dimension: int) -> None:
-        """Refuse a cone or a direction that there is not in a dimension.
+        """Check the cone, and the direction for a dimension.
 
         Raises:
-            BadInput: out of range, not n numbers, or no direction at all.
+            BadInput: out of range, not n numbers, or a vector too short or too long.
         """
         number(self.cone, 'approach.cone', 0.0, WIDEST_APPROACH)
         if not self.direction:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A planning problem with its state and goal, from the plain mapping that a file holds."""
+"""Planning problems with state and goals, from the plain mappings of case files."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
 
 class Case(NamedTuple):
-    """One problem to solve once.
+    """A problem with a state and goals, to be solved once.
 
     Attributes:
-        problem: what stays from tick to tick.
-        state: where the vehicle is.
+        problem: model, weights and constraints.
+        state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
     """
 
@@ -50,16 +50,16 @@ def case_of(mapping: Any) -> Case:
     """Return the case that a mapping describes.
 
     Required are ``dimension``, ``rotation_order``, ``translation_order``, ``horizon``, ``step``,
-    ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
-    that is absent is 0: what a case does not state does not enter its objective; ``scaling`` among
-    them says what they mean, by default the paper's sums. Without ``terminal``, ``floor``,
+    ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for each step. Weights
+    default to 0 and their ``scaling`` to ``paper``
+    (:func:`~orbimpc_ros.mpc.problem.scaling.weighed`), ``terminal`` to ``penalty``,
+    ``discretisation`` to ``euler``, and the state's ``disturbance`` to zero; ``floor``,
     ``max_rate``, ``max_acceleration``, ``obstacles``, ``tilt``, ``glide_slope`` and ``approach``
-    (``cone``, and a ``direction`` unless it is the goal's) there is a penalty and no limit;
-    without ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is
-    none. Of ``hazards``, bodies like those among ``obstacles``, each has a ``velocity``, or a track
-    of ``times`` and ``shifts`` (:class:`~orbimpc_ros.mpc.problem.MovingObstacle`), its time
-    beginning with the plan. A weight on ``attitude``, or an approach along the goal's own axis,
-    needs ``goal_attitude``, the rotation wanted at the end.
+    (``cone``, and a ``direction`` unless it is the goal's) are optional limits. ``hazards`` are
+    bodies like ``obstacles``, each with a ``velocity``, or with ``shifts`` at ``times`` after the
+    start of the plan (:class:`~orbimpc_ros.mpc.problem.MovingObstacle`). A weight on ``attitude``,
+    or an approach along the goal's own axis, requires ``goal_attitude``, the desired final
+    rotation.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.
@@ -89,7 +89,7 @@ def _problem(known: Mapping[str, Any]) -> Problem:
 
 def _floor(value: Any) -> Floor:
     known = fields_of(value, 'floor', ('shape',), ('faces', 'fraction'))
-    needed = Floor(known['shape']).parameters  # which refuses a shape that there is not
+    needed = Floor(known['shape']).parameters  # raises BadInput for an unknown shape
     return Floor(**fields_of(known, 'floor', ('shape', *needed), tuple(known)))
 
 
@@ -148,7 +148,7 @@ def _state(problem: Problem, value: Any, wanted: Any) -> State:
 
 
 def _goals(problem: Problem, value: Any) -> Array:
-    """Return N goals, from N of them or from one that is held."""
+    """Return g_1..g_N, from a list of N goals or from a single one."""
     n, horizon = problem.dimension, problem.horizon
     numbers_of(value, 'goal')
     if value and isinstance(value[0], list):

@@ -1,12 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The cones of a descent: how far the thrust axis may lean, and the glide slope above the goal.
+"""The cones of a descent: the tilt limit of the thrust axis, and the glide slope above the goal.
 
-Both are demanded of every step of a plan. A state that is outside already, or is bound to leave the
-cone, must not make a problem infeasible: such a vehicle needs a plan the most. What is demanded of
-it is what a *climb* achieves, which thrusts fully and turns upright as fast as the vehicle can, but
-for a lean that brings it above the goal: no step may be farther outside than the climb's. That is
-the cone itself from the step on at which the climb is back inside, and all along for a state whose
-climb never leaves it.
+Both hold at every step of a plan. A state outside of a cone, or one that cannot avoid leaving it,
+must not make the problem infeasible: such a vehicle needs a plan the most. The cones are then
+relaxed by the violations of a *climb*, a rollout at full thrust that turns upright as fast as the
+vehicle can, but for a lean that brings it above the goal: no step may be farther outside than that
+step of the climb. From the step on at which the climb is back inside, the cone itself holds; it is
+not relaxed at all if the climb never leaves it.
 
 Mathematics: docs/mathematics.md, 3.9.
 """
@@ -28,20 +28,20 @@ from orbimpc_ros.mpc.problem.state import State
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.plan import Plan
 
-ROUNDING = 1e-9  # of a climb along a side of a cone
-SPARE = 1e-3  # by so much of a step's length, or of full thrust, more than the climb's is allowed
-NOTHING = 2e-6  # outside by less, as fractions and in lengths of a step, is inside
-SETTLING = 4.0  # steps in which a climb comes above the goal, as far as its lean allows
-LEAN = 0.5  # [rad] of a climb, where the tilt is not limited
+ROUNDING = 1e-9  # smaller violations of a climb are rounding errors
+SPARE = 1e-3  # slack beyond the climb's violation, in units of a step's length or of full thrust
+NOTHING = 2e-6  # smaller violations do not count, in units of full thrust or of a step's length
+SETTLING = 4.0  # time constant of the climb's horizontal motion towards the goal, in steps
+LEAN = 0.5  # [rad] largest lean of a climb if the tilt is not limited
 ONCE = np.ones(1)
 
 
 class Relief(NamedTuple):
-    """How far outside of its cones each step of a plan may be.
+    """The violations of its cones that each step of a plan is allowed.
 
     Attributes:
-        tilt: of R_1 e1..R_N e1, shape (N,), as :func:`leaning` has it.
-        slope: of s_1..s_N, shape (N,), as :func:`strayed` has it [m].
+        tilt: of the tilt limit by R_1 e1..R_N e1, as computed by :func:`leaning`, shape (N,).
+        slope: of the glide slope by s_1..s_N, as computed by :func:`strayed`, shape (N,) [m].
     """
 
     tilt: Array
@@ -49,16 +49,16 @@ class Relief(NamedTuple):
 
 
 def leaning(problem: Problem, headings: Array) -> Array:
-    """Return how far headings, shape (K, 3), lean too much, shape (K,): cos(tilt) |z| - z_3."""
+    """Return the tilt violations cos(tilt) |z| - z_3, shape (K,), of headings z, shape (K, 3)."""
     sizes = np.sqrt(np.einsum('kc,kc->k', headings, headings))
     return np.asarray(math.cos(problem.tilt) * sizes - headings[:, 2])
 
 
 def strayed(problem: Problem, away: Array) -> Array:
-    """Return the distance to the cone above the goal, shape (K,), < 0 inside [m].
+    """Return signed distances from the glide-slope cone, shape (K,), < 0 inside [m].
 
     Args:
-        problem: gives its angle.
+        problem: gives the angle of the cone.
         away: s_k - g_k, shape (K, 3) [m].
     """
     aside = np.hypot(away[:, 0], away[:, 1])
@@ -68,13 +68,13 @@ def strayed(problem: Problem, away: Array) -> Array:
 
 
 def slope_sides(problem: Problem) -> Array:
-    """Return what a glide slope scales x, y and z by: then |(x, y)| <= z, shape (3,)."""
+    """Return scales of x, y and z, shape (3,), in which the glide slope is |(x, y)| <= z."""
     sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
     return np.array([sine, sine, cosine])
 
 
 def relief(problem: Problem, state: State, goals: Array) -> Relief:
-    """Return how far outside of its cones each step may be: as far as the climb's.
+    """Return the violations that each step is allowed: those of the climb, and some slack.
 
     Args:
         problem: with a tilt or a glide slope.
@@ -90,14 +90,14 @@ def relief(problem: Problem, state: State, goals: Array) -> Relief:
 
 
 def _spared(outside: Array) -> Array:
-    """Return what is allowed where a climb is outside by so much, in units of a step."""
+    """Return the violations allowed for those of a climb, both in natural units."""
     return np.where(outside > ROUNDING, outside + SPARE, 0.0)
 
 
 def climb(problem: Problem, state: State, goals: Array) -> Array:
-    """Return R_0 e1..R_N e1, shape (N + 1, 3), of a climb above the goal, as steep as may be.
+    """Return the headings R_0 e1..R_N e1 of the climb, shape (N + 1, 3).
 
-    At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
+    Thrust is full unless the state decides it, or ``max_rate`` limits it without a floor.
     """
     asked = 'climb', problem, goals.tobytes()
     return state.once(asked, lambda: sealed(_climbed(problem, state, goals)))
@@ -119,7 +119,7 @@ def _climbed(problem: Problem, state: State, goals: Array) -> Array:
 
 
 def begun(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Return R_0 e1, and at rotation order 2 R_1 e1, in rows, and what later turns begin at."""
+    """Return R_0 e1 (at rotation order 2 also R_1 e1) in rows, and the heading turns start from."""
     given = state.rotation[None, :, 0]
     if problem.rotation_order == 2:
         given = np.vstack([given, _coasted(problem, state)])
@@ -129,24 +129,24 @@ def begun(problem: Problem, state: State) -> tuple[Array, Array]:
 
 
 def _coasted(problem: Problem, state: State) -> Array:
-    """Return R_1 e1, which a body rate decides but for its length, as long as it may be."""
+    """Return R_1 e1, which the body rate decides except for its length, at the largest length."""
     if state.coasted is None:
         return np.asarray((state.rotation + problem.step * state.rotation_rate)[:, 0])
     unit, heading = state.coasted[:, 0], state.rotation[:, 0]
     if not problem.max_rate or problem.floor.exists:
         return unit
-    along = float(unit @ heading)  # and from there as far as the chord leads
+    along = float(unit @ heading)  # the farthest point along unit that the chord allows
     more = math.sqrt(max(0.0, problem.chord**2 - _size(heading - along * unit) ** 2))
     return np.asarray(min(1.0, along + more) * unit)
 
 
 def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
-    """Return the direction to climb in, shape (3,): up, leaning against what leads aside.
+    """Return the direction of the climb: up, leaning against horizontal offset and velocity, (3,).
 
     Args:
         problem: limits the lean.
-        away: from the goal, shape (3,) [m].
-        velocity: shape (1, 3) [m/s]; (0, 3) without inertia, where nothing leads aside for long.
+        away: offset from the goal, shape (3,) [m].
+        velocity: shape (1, 3) [m/s]; (0, 3) without inertia: the climb is then vertical.
     """
     if not len(velocity):
         return np.array([0.0, 0.0, 1.0])
@@ -157,15 +157,15 @@ def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
 
 
 def turned_towards(problem: Problem, pointing: Array, ways: Array, steps: Array) -> Array:
-    """Return headings that turn evenly towards unit vectors, as fast as may be: (A, K, n).
+    """Return headings that turn towards unit vectors at the largest rate, shape (A, K, n).
 
-    Without a floor along the chord, which limits changes of speed as well.
+    Without a floor they move along the chord, whose length ``max_rate`` limits.
 
     Args:
         problem: gives the limits.
-        pointing: what the turns begin at, shape (n,).
-        ways: unit vectors, shape (A, n).
-        steps: of which the turns have had so many, shape (K,).
+        pointing: heading at the start of the turns, shape (n,).
+        ways: directions to turn to, unit vectors of shape (A, n).
+        steps: times since the start of the turns, in steps, shape (K,).
     """
     if not problem.max_rate:
         return np.repeat(ways[:, None], len(steps), axis=1)
@@ -181,9 +181,9 @@ def turned_towards(problem: Problem, pointing: Array, ways: Array, steps: Array)
 
 
 def _turn(unit: Array, towards: Array) -> tuple[Array, float]:
-    """Return the unit vector across ``unit`` that it turns to on its way, and the angle [rad]."""
+    """Return the unit vector orthogonal to ``unit`` in the plane of a turn, and its angle [rad]."""
     aside = towards - unit * (unit @ towards)
-    if _size(aside) < HEADING_UNDEFINED:  # there, or opposite: about any axis across
+    if _size(aside) < HEADING_UNDEFINED:  # parallel or opposite: any orthogonal vector will do
         other = np.eye(len(unit))[np.argmin(np.abs(unit))]
         aside = other - unit * (unit @ other)
     return aside / _size(aside), 2.0 * math.atan2(_size(towards - unit), _size(towards + unit))
@@ -194,7 +194,7 @@ def _size(vector: Array) -> float:
 
 
 def told(problem: Problem, goals: Array, plan: Plan) -> str:
-    """Return in words how far a plan is outside of the cones, where it has to be; else empty."""
+    """Describe in words by how much a plan violates the cones; empty if it does not."""
     found, small = [], NOTHING * problem.length_unit
     tilt = leaning(problem, plan.rotations[1:, :, 0])
     slope = strayed(problem, plan.positions[1:] - goals)

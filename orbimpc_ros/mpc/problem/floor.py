@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Floors: the least speed of a vehicle, as the set of thrust axes R e1 that it may fly.
+"""Floors: the minimum speed of a vehicle, as the set of allowed thrust axes R e1.
 
-A shape of floor is the normals of the half-spaces whose union is allowed, registered under the word
-that selects it; a round one has none. Methods, the check, safe commands, parameters and pictures
-know a floor by nothing else. Methods that are faster for some shapes say so themselves.
+A shape is a function that returns the normals of half-spaces whose union is allowed, registered
+under the word that selects it; the circular floor has none. Methods, the check, safe commands,
+parameters and drawings use nothing else; methods that are faster for some shapes select them.
 
 Mathematics: docs/mathematics.md, 3.3 and 3.4.
 """
@@ -24,24 +24,24 @@ from orbimpc_ros.mpc.geometry.faces import Cell, Lines, edges, normals, sphere
 SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_FACES = 64
 
-# Of a dimension and a number of faces: unit normals of half-spaces, shape (m, n).
+# Functions of dimension and number of faces that return unit normals, shape (m, n).
 SHAPES: dict[str, Callable[[int, int], Array] | None] = {
     'none': None,
     'polygon': normals,
     'circle': None,
 }
-PARAMETERS = {'none': (), 'polygon': ('faces', 'fraction')}  # of other shapes the fraction alone
+PARAMETERS = {'none': (), 'polygon': ('faces', 'fraction')}  # other shapes: the fraction only
 
 
 @dataclass(frozen=True)
 class Floor:
-    """Minimum speed: which thrust axes v = R_k e1, k = 1..N, are allowed.
+    """Minimum speed: the set of allowed thrust axes v = R_k e1, k = 1..N.
 
     Attributes:
-        shape: ``none``; ``polygon``, the paper's: v beyond one of the faces of a regular polygon
-            (n = 2) or solid (n = 3); ``circle``, the true floor |v| >= fraction; or another word
-            registered in ``SHAPES``: normal . v >= fraction for one of its normals.
-        faces: of the polygon, >= 3, or of the solid, 6, 12 or 20.
+        shape: ``none``; ``polygon``, the paper's: v beyond one of the faces of a regular polygon (n
+            = 2) or solid (n = 3); ``circle``, the true floor |v| >= fraction; or another word
+            registered in ``SHAPES``: normal . v >= fraction for at least one of its normals.
+        faces: number of faces of the polygon (>= 3) or of the solid (6, 12 or 20).
         fraction: of full speed, in (0, 1]. The paper's det R > 0.3 is sqrt(0.3) for n = 2.
     """
 
@@ -72,31 +72,31 @@ class Floor:
 
     @cached_property
     def exists(self) -> bool:
-        """Return whether any speed is forbidden."""
+        """Return True if there is a minimum speed."""
         return self.shape != 'none'
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the names of the fields that the shape has a use for."""
+        """Return the names of the fields that the shape uses."""
         return PARAMETERS.get(self.shape, ('fraction',))
 
     @property
     def radius(self) -> float:
-        """Return the radius of a round floor; 0 for one whose cells are flat, and without one."""
+        """Return the radius of a circular floor; 0 for other shapes and without a floor."""
         return self.fraction if self.shape == 'circle' else 0.0
 
     def normals(self, dimension: int) -> Array | None:
-        """Return the unit normals of the half-spaces, shape (m, n); None of a round floor."""
+        """Return the unit normals of the half-spaces, shape (m, n); None for a circular floor."""
         made = SHAPES[self.shape]
         return made(dimension, self.faces) if made else None
 
     def cells(self, dimension: int) -> tuple[Cell, ...]:
-        """Return the half-spaces whose union is all that is allowed; none of a round floor."""
+        """Return the half-spaces whose union is allowed; empty for a circular floor."""
         outward = self.normals(dimension)
         return () if outward is None else tuple(Cell(each, self.fraction) for each in outward)
 
     def margin(self, axes: Array) -> Array:
-        """Return by how much axes, shape (..., n), clear the floor, shape (...,); < 0 below it."""
+        """Return the margins of axes, shape (..., n), above the floor, shape (...,); < 0 below."""
         if not self.exists:
             return np.full(axes.shape[:-1], np.inf)
         return self._along(axes) - self.fraction
@@ -104,7 +104,7 @@ class Floor:
     def least(self, axes: Array) -> Array:
         """Return the least speed fraction allowed along unit vectors, shape (..., n): (...).
 
-        Full speed where no speed is allowed.
+        It is 1, full speed, along directions in which no speed is allowed.
         """
         if not self.exists or self.radius:
             return np.full(axes.shape[:-1], self.radius)[()]
@@ -112,21 +112,21 @@ class Floor:
         return np.divide(self.fraction, slopes, out=np.ones_like(slopes), where=slopes > 0.0)[()]
 
     def _along(self, axes: Array) -> Array:
-        """Return how far axes are along what the floor demands the fraction of, shape (...,)."""
+        """Return |v| or the largest normal . v of axes v, bounded by the floor, shape (...,)."""
         outward = self.normals(axes.shape[-1])
         return np.linalg.norm(axes, axis=-1) if outward is None else (axes @ outward.T).max(axis=-1)
 
     def circling(self, dimension: int) -> float:
-        """Return a speed fraction that is allowed in every heading: the least, or full speed.
+        """Return a speed fraction that is allowed in every direction: the least one, or full speed.
 
-        Of a polygon it is the distance of the corners, half-way between two faces.
+        For a polygon it is the distance of its corners, half-way between two faces.
         """
         if self.shape == 'polygon':
             return min(1.0, self.fraction / largest_fraction(dimension, self.faces))
         return self.radius or 1.0
 
     def outline(self, dimension: int) -> Lines:
-        """Return lines, shape (K, 3) each, along the boundary of what is forbidden."""
+        """Return polylines, shape (K, 3) each, along the boundary of the forbidden region."""
         return _outline(self, dimension)
 
     def __str__(self) -> str:
@@ -144,8 +144,8 @@ def _outline(floor: Floor, dimension: int) -> Lines:
 def largest_fraction(dimension: int, faces: int) -> float:
     """Return the largest fraction whose polygon or solid still lies inside the unit ball.
 
-    The ratio of inscribed to circumscribed sphere: cos(pi/m) for a polygon of m faces. Above it
-    the faces leave gaps and the union of half-spaces no longer surrounds the forbidden region.
+    It is the ratio of inscribed to circumscribed sphere: cos(pi/m) for a polygon of m faces. Above
+    it the faces leave gaps and the union of half-spaces no longer surrounds the forbidden region.
     """
     if dimension == 2:
         return math.cos(math.pi / faces)

@@ -1,11 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The way out for a vehicle that is inside of what it ought to stay clear of.
+"""Escapes of a vehicle that is inside of a body or of the margin around it.
 
-A vehicle pushed inside of the margin around a body must not be left without a plan: it needs one
-the most; so does one that is bound to enter it by what the state has decided. What is demanded of
-it is what an *escape* achieves, at full thrust away as the vehicle can turn: in no step may a plan
-be farther inside than that. Of all directions the escape takes the one that is out the soonest.
-Where none is out within the horizon nothing is eased: a vehicle shut in has no plan.
+A vehicle that was pushed inside of the margin around a body, or that cannot avoid entering it, must
+not be left without a plan: it needs one the most. Clearances are then relaxed to those of an
+*escape*, a rollout at full thrust that turns to a direction as fast as possible: in no step may a
+plan be farther inside. Of all directions the escape takes the one that leaves the bodies soonest.
+If none does within the horizon, nothing is relaxed: an enclosed vehicle has no plan.
 
 Mathematics: docs/mathematics.md, 3.7.
 """
@@ -25,20 +25,20 @@ from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Traffic
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
-DIRECTIONS = 16  # of the plane
-INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
-SPARE = 1e-3  # of a step's length: what plans may be farther inside than the escape
+DIRECTIONS = 16  # number of escapes in the plane
+INSIDE = 1e-7  # in units of a step's length: a plan that starts deeper than this starts inside
+SPARE = 1e-3  # slack beyond the depth of the escape, in units of a step's length
 
 
 def inside(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return how far inside of bodies each step of a plan may be, shape (J, N) [m].
+    """Return the depths inside of bodies that each step of a plan is allowed, shape (J, N) [m].
 
-    Who is inside only of what a body counts as larger by has to stay outside of the body itself.
+    A plan that starts in the margin of a body only has to stay outside of the body itself.
 
     Args:
         problem: gives the model and its limits.
-        state: from where.
-        traffic: what is met, nothing of it eased.
+        state: where the plan starts.
+        traffic: the bodies, not relaxed yet.
     """
     here, unit = state.position[None], problem.length_unit
     depth = np.array([float(body.depth(here)[0]) for body in traffic.bodies])
@@ -51,7 +51,7 @@ def inside(problem: Problem, state: State, traffic: Traffic) -> Array:
 
 
 def _eased(problem: Problem, state: State, traffic: Traffic, depth: Array) -> Array:
-    """Return how far inside of bodies as large as they count the escape is, shape (J, N) [m]."""
+    """Return the depths inside of the grown bodies that the escape needs, shape (J, N) [m]."""
     allowed, unit = np.zeros_like(traffic.kept), problem.length_unit
     depth = depth + traffic.grown[:, 0]
     held = (depth > INSIDE * unit) | _bound_to_enter(problem, state, traffic, depth)
@@ -66,7 +66,7 @@ def _eased(problem: Problem, state: State, traffic: Traffic, depth: Array) -> Ar
 
 
 def _bound_to_enter(problem: Problem, state: State, traffic: Traffic, depth: Array) -> np.ndarray:
-    """Return which bodies no plan stays clear of, in the steps that the state decides, (J,)."""
+    """Return which bodies every plan enters in the steps that the state decides, shape (J,)."""
     known, unit = problem.decided_steps, problem.length_unit
     if not known:
         return np.zeros(len(depth), dtype=bool)
@@ -75,16 +75,16 @@ def _bound_to_enter(problem: Problem, state: State, traffic: Traffic, depth: Arr
     near = depth + ways + known * unit + reached > 0.0
     if not near.any():
         return np.asarray(near)
-    (depths,) = _depths(problem, state, traffic, directions(problem.dimension)[:1])  # any way
+    (depths,) = _depths(problem, state, traffic, directions(problem.dimension)[:1])  # any of them
     return np.asarray(near & (depths[:, :known] > INSIDE * unit).any(axis=1))
 
 
 def _depths(
     problem: Problem, state: State, traffic: Traffic, ways: Array, *, ends: bool = False
 ) -> Array:
-    """Return how far inside escapes along ways, shape (A, n), are, shape (A, J, N); 0 outside.
+    """Return depths inside of bodies, (A, J, N), of escapes in directions, (A, n); 0 outside.
 
-    Of all of each step, or only of where it ends.
+    They are those of whole steps or, with ``ends``, of the ends of steps.
     """
     headings = escapes(problem, state, ways)[:, None]
     points = coasting_controls(problem, state) + control_maps(problem) @ headings + state.position
@@ -98,12 +98,12 @@ def _depths(
 
 
 def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return escapes to all sides, shape (A, N + 1, n), those whose steps end farthest out first.
+    """Return escapes in all directions, shape (A, N + 1, n), in order of depth at ends of steps.
 
     Args:
         problem: gives the model and its limits.
-        state: from where.
-        traffic: what is met.
+        state: where the plan starts.
+        traffic: the bodies to stay clear of.
     """
     ways = directions(problem.dimension)
     met = _depths(problem, state, traffic, ways, ends=True).sum(axis=(1, 2))
@@ -111,9 +111,9 @@ def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
 
 
 def escapes(problem: Problem, state: State, ways: Array) -> Array:
-    """Return R_0 e1..R_N e1 at full thrust along unit vectors, shape (A, n): (A, N + 1, n).
+    """Return R_0 e1..R_N e1 of escapes in directions, shape (A, n): shape (A, N + 1, n).
 
-    But for what the state decides they turn there as :func:`turned_towards` has it.
+    Headings that the state does not decide turn there as by :func:`turned_towards`.
     """
     given, pointing = begun(problem, state)
     found = np.empty((len(ways), problem.horizon + 1, problem.dimension))
@@ -124,7 +124,7 @@ def escapes(problem: Problem, state: State, ways: Array) -> Array:
 
 
 def _outside(body: Box | Ball, points: Array) -> Array:
-    """Return how far beyond a plane or face the points of steps, (..., m, n), are, shape (...,)."""
+    """Return how far control points of steps, (..., m, n), are beyond one plane, shape (...,)."""
     if isinstance(body, Ball):
         return np.asarray(separation(points - body.centre)[1] - body.radius)
     beyond = body.clearances(points.reshape(-1, points.shape[-1]))
@@ -132,13 +132,13 @@ def _outside(body: Box | Ball, points: Array) -> Array:
 
 
 def _price(depths: Array, held: np.ndarray) -> tuple[float, int, float]:
-    """Return what speaks against an escape: what it meets, how late it is out, how deep it gets."""
+    """Return the sort key of an escape: depth in other bodies, number of steps inside, depth."""
     steps = int((depths[held] > 0.0).any(axis=0).sum())
     return float(depths[~held].sum()), steps, float(depths[held].sum())
 
 
 def directions(n: int) -> Array:
-    """Return unit vectors all around, shape (A, n)."""
+    """Return unit vectors in all directions, shape (A, n)."""
     if n == 2:
         angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
         return np.column_stack([np.cos(angles), np.sin(angles)])

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Obstacles: sets of positions to stay outside of.
+"""Obstacles: boxes, balls and moving bodies that positions stay outside of.
 
 Mathematics: docs/mathematics.md, 3.7.
 """
@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 
 MAX_HAZARDS = 64
-RESERVE_STEPS = 4  # by then all of a reserve counts, and what was seen once is seen again
+RESERVE_STEPS = 4  # until a reserve applies in full and an obstacle seen only once is seen again
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +92,14 @@ class MovingObstacle(ByContent):
     """An obstacle that moves: other traffic, or another vehicle that flies its plan.
 
     Attributes:
-        body: what it is and where, when the plan starts.
-        times: from the start of the plan, increasing from 0, shape (K,), K >= 2 [s].
-        shifts: how far it will have moved by then, shape (K, n), the first zero [m]. In between it
-            moves evenly, and after the last as between the last two.
-        reserve: by how much it counts as larger later on [m]: from not at all in the first step of
-            a plan to all of it after ``RESERVE_STEPS``.
-        unsure: how much faster than its track says it may be [m/s]: in the first ``RESERVE_STEPS``
-            it counts as larger by what that comes to since the start of the plan.
+        body: its shape and its place at the start of the plan.
+        times: after the start of the plan, increasing from 0, shape (K,), K >= 2 [s].
+        shifts: displacements at these times, shape (K, n), the first zero [m]; interpolated
+            linearly, and extrapolated with the last velocity.
+        reserve: margin around it [m], which grows linearly from zero in the first step of a plan to
+            its full value after ``RESERVE_STEPS``.
+        unsure: largest error of its velocity [m/s]: in the first ``RESERVE_STEPS`` its margin grows
+            by this times the time since the start of the plan.
     """
 
     body: Box | Ball
@@ -123,7 +123,7 @@ class MovingObstacle(ByContent):
 
     @classmethod
     def drifting(cls, body: Box | Ball, velocity: Array) -> MovingObstacle:
-        """Return a body that keeps a velocity, shape (n,) [m/s]."""
+        """Return a body that moves at a constant velocity, shape (n,) [m/s]."""
         still = np.zeros(body.dimension)
         return cls(body, np.array([0.0, 1.0]), np.array([still, velocity]))
 
@@ -133,7 +133,7 @@ class MovingObstacle(ByContent):
         return self.body.dimension
 
     def scaled(self, length: float, time: float) -> MovingObstacle:
-        """Return it in units in which lengths and times are so many times as large."""
+        """Return it in units in which lengths and times are larger by these factors."""
         return MovingObstacle(
             self.body.scaled(length),
             self.times * time,
@@ -143,7 +143,7 @@ class MovingObstacle(ByContent):
         )
 
     def moved(self, times: Array) -> Array:
-        """Return how far it will have moved at times >= 0, shape (M,) [s], shape (M, n) [m]."""
+        """Return the displacements, shape (M, n) [m], at times >= 0, shape (M,) [s]."""
         at = np.searchsorted(self.turns, times, side='right')
         share = (times - self.times[at]) / (self.times[at + 1] - self.times[at])
         begin = self.shifts[at]
@@ -151,20 +151,20 @@ class MovingObstacle(ByContent):
 
     @property
     def turns(self) -> Array:
-        """Return the times at which it may change its velocity, shape (K - 2,) [s]."""
+        """Return the times at which its velocity may change, shape (K - 2,) [s]."""
         return self.times[1:-1]
 
 
 class Traffic(NamedTuple):
-    """Bodies that plans stay clear of at the ends of steps and in between.
+    """Balls and moving obstacles, which plans stay clear of throughout every step.
 
     Attributes:
-        names: of J bodies: ``obstacle 0`` (its number among obstacles), ``hazard 0``.
-        bodies: when the plan starts.
-        shifts: how far each has moved by the ends of steps 0..N, shape (J, N + 1, n) [m].
-        strays: by how much each strays from even motion in each step, shape (J, N) [m].
-        kept: by how much each is kept away from as if it were larger, shape (J, N) [m].
-        eased: how far inside of each a plan may be in each step, shape (J, N) [m].
+        names: of the J bodies: ``obstacle 0`` (its index among the obstacles), ``hazard 0``.
+        bodies: shapes and places at the start of the plan.
+        shifts: displacement of each at times 0, h, .., N h, shape (J, N + 1, n) [m].
+        strays: largest deviation of each from uniform motion in each step, shape (J, N) [m].
+        kept: margin around each in each step, shape (J, N) [m].
+        eased: depth inside of each that a plan is allowed in each step, shape (J, N) [m].
     """
 
     names: tuple[str, ...]
@@ -176,12 +176,12 @@ class Traffic(NamedTuple):
 
     @property
     def grown(self) -> Array:
-        """Return how much larger each counts in each step, shape (J, N) [m]."""
+        """Return the total by which each body is enlarged in each step, shape (J, N) [m]."""
         return self.strays + self.kept - self.eased
 
 
 def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Array:
-    """Return by how much hazards count as larger in each step [s], shape (J, N) [m]."""
+    """Return the margins around hazards in each step of length ``step`` [s], shape (J, N) [m]."""
     begun = np.arange(horizon)
     shares = np.minimum(begun / RESERVE_STEPS, 1.0)
     strayed = np.where(begun < RESERVE_STEPS, step * begun, 0.0)
@@ -191,7 +191,7 @@ def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Ar
 
 
 def tracked(hazards: tuple[MovingObstacle, ...], dimension: int) -> tuple[MovingObstacle, ...]:
-    """Return hazards that plans of a dimension can take.
+    """Return the hazards after checking them for plans of a dimension.
 
     Raises:
         BadInput: more than ``MAX_HAZARDS``, or one of another dimension or kind.

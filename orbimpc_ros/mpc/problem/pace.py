@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Changes of speed where they are limited: from which speed on, and how far they get.
+"""Limited changes of speed: the initial speed, and the speeds within reach.
 
 Mathematics: docs/mathematics.md, 3.10.
 """
@@ -11,14 +11,14 @@ import math
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
-WITHIN = 1.0 - 1e-9  # of the largest change, which rounding is not to exceed
+WITHIN = 1.0 - 1e-9  # share of the largest change, so that rounding does not exceed it
 
 
 def entry_speed(problem: Problem, state: State) -> float:
-    """Return the share of full speed that the first change counts from, in [0, 1].
+    """Return the share of full speed that the first change starts from, in [0, 1].
 
-    What was commanded last, or else |R_0 e1|. A vehicle below its floor counts as at it: it is told
-    to be at its least speed at once, for that is what keeps it in the air.
+    That is the last command, or |R_0 e1| without one, and at least the floor: a vehicle below its
+    floor is commanded the least speed at once, since that keeps it in the air.
     """
     before = state.commanded
     if before is None:
@@ -28,18 +28,18 @@ def entry_speed(problem: Problem, state: State) -> float:
 
 
 def first_change_is_decided(problem: Problem, state: State) -> bool:
-    """Return whether the state decides |R_1 e1|, as at rotation order 2 without ``coasted``."""
+    """Return True if the state decides |R_1 e1|: at rotation order 2 without ``coasted``."""
     return problem.rotation_order == 2 and state.coasted is None
 
 
 def moved_towards(problem: Problem, before: float, wanted: float, steps: float = 1.0) -> float:
-    """Return the share of full speed nearest to a wanted one that a vehicle gets to from another.
+    """Return the share of full speed nearest to a wanted one among those within reach.
 
     Args:
         problem: gives the limit.
-        before: share of full speed that it sets out from.
+        before: initial share of full speed.
         wanted: share of full speed.
-        steps: time that it has, in steps.
+        steps: time available, in steps.
     """
     most = steps * problem.speed_change
     return max(before - most, min(before + most, wanted))

@@ -34,9 +34,9 @@ from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 
 TERMINALS = ('penalty', 'constraint')
 MAX_HORIZON = 500
-LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones vanish in floats
+LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones underflow
 MAX_OBSTACLES = 64
-STEEPEST_GLIDE = 1.5  # [rad]: 14 m up for a metre aside
+STEEPEST_GLIDE = 1.5  # [rad]: 14 m up per horizontal metre
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
 RANGES: dict[str, tuple[float, float]] = {
     'dimension': (2, 3),
@@ -60,8 +60,8 @@ class Weights:
         input: r, on the squared Frobenius norm of the inputs [s^2 or s^4].
         length: l, on the distance flown (order 1) or the thrust spent (order 2) [1/m].
         terminal: m, on the squared distance at the last step [1/m^2].
-        attitude: a, on the squared Frobenius distance of the last rotation from the one that is
-            wanted there, which the state then has to tell.
+        attitude: a, on the squared Frobenius distance between the last rotation and R_g, which the
+            state then has to give.
     """
 
     position: float = 1.0
@@ -77,38 +77,38 @@ class Weights:
 
 @dataclass(frozen=True)
 class Problem:
-    """A planning problem without its state and goal: the part that stays from tick to tick.
+    """A planning problem without its state and goal: the part that is the same at every tick.
 
     Attributes:
         dimension: n, 2 or 3.
         rotation_order: 1, inputs are rates of R; 2, inputs are accelerations of R.
         translation_order: 1, R e1 is a velocity; 2, an acceleration; or the number of another
             registered :class:`~orbimpc_ros.mpc.model.translation.Translation`.
-        horizon: N, steps.
+        horizon: N, number of steps.
         step: h [s].
         forward: z, full speed [m/s] (translation order 1) or thrust acceleration [m/s^2] (2).
         weights: of the objective.
         terminal: ``penalty``, or ``constraint``: s_N = g_N (and p_N = 0 at order 2).
         floor: minimum speed fraction.
         max_rate: limit on the body rate [rad/s], 0 for none. Without a floor it bounds the chord
-            |R_{k+1} e1 - R_k e1|. With one it bounds the angle from R_k e1 to R_{k+1} e1, whatever
-            the speeds: see :attr:`turns_are_angles`.
+            |R_{k+1} e1 - R_k e1|. With one it bounds the angle from R_k e1 to R_{k+1} e1, at all
+            speeds: see :attr:`turns_are_angles`.
         max_acceleration: limit on the change of speed at translation order 1 [m/s^2], 0 for none:
-            ||R_{k+1} e1| - |R_k e1|| <= h max_acceleration / z. How it holds from a speed below
-            the floor says :func:`orbimpc_ros.mpc.problem.pace.entry_speed`.
-        obstacles: what to stay outside of: of boxes with every s_k, of balls in between as well.
+            ||R_{k+1} e1| - |R_k e1|| <= h max_acceleration / z. For initial speeds below the floor
+            see :func:`orbimpc_ros.mpc.problem.pace.entry_speed`.
+        obstacles: bodies to stay outside of: boxes at every s_k, balls at all times.
         no_corner_cutting: whether consecutive points must share a free face of every box.
-        arrival_weight: adds this times |s_N - g_N|^2 (and h^2 |p_N|^2 at translation order 2) to
-            the objective: what stands in for an arrival that has become impossible [1/m^2].
+        arrival_weight: weight on |s_N - g_N|^2 (and on h^2 |p_N|^2 at translation order 2), which
+            replaces a terminal constraint that has become infeasible [1/m^2].
         discretisation: ``euler``, the paper's, or ``exact``: the thrust axis moves on the chord
-            from R_k e1 to R_{k+1} e1 during a step, and what it pushes is integrated exactly; or,
-            at translation order 2, ``held``: the thrust of R_{k+1} e1 holds through the step.
+            from R_k e1 to R_{k+1} e1 during a step, and its effect is integrated exactly; or, at
+            translation order 2, ``held``: the thrust R_{k+1} e1 is held throughout the step.
         tilt: largest angle of the thrust axis R_k e1 from the vertical, +z [rad], 0 for none;
             dimension 3, translation order 2.
-        glide_slope: angle of a cone above the goal that s_k stays in, between its side and the
-            horizontal [rad], 0 for none; dimension 3. How both hold from a state that is outside
-            says :mod:`orbimpc_ros.mpc.problem.cones`.
-        approach: cone of directions that the last heading R_N e1 is in.
+        glide_slope: angle between the horizontal and the side of a cone above the goal that
+            contains every s_k [rad], 0 for none; dimension 3. For states outside of the tilt or
+            glide-slope cone see :mod:`orbimpc_ros.mpc.problem.cones`.
+        approach: cone of directions that contains the last heading R_N e1.
     """
 
     dimension: int = 2
@@ -146,7 +146,7 @@ class Problem:
         if self.translation_order not in DISCRETISATIONS[self.discretisation]:
             allowed = f'euler at translation_order {self.translation_order}'
             raise BadInput('discretisation', self.discretisation, allowed)
-        # Beyond half a turn in a step the direction of turning is lost.
+        # Beyond half a turn in a step the direction of turning is ambiguous.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
         self.floor.validate(self.dimension)
         _instance(self.approach, Approach, 'approach').validate(self.dimension)
@@ -161,13 +161,13 @@ class Problem:
                 raise BadInput(f'obstacles.{name}', corner.tolist(), f'{self.dimension} numbers')
 
     def _validate_kind(self) -> None:
-        """Refuse limits that there are not for a vehicle of this kind."""
+        """Refuse limits that do not apply to the dimension or translation order."""
         flat, order = '0 when dimension is 2', f'0 at translation_order {self.translation_order}'
         for name, none, allowed in (
-            ('max_acceleration', self.inertial, order),  # there thrust is one, and limited
+            ('max_acceleration', self.inertial, order),  # thrust is acceleration, and limited
             ('tilt', self.dimension == 2, flat),
             ('glide_slope', self.dimension == 2, flat),
-            ('tilt', not self.inertial, order),  # where it flies to, not what it leans by
+            ('tilt', not self.inertial, order),  # R e1 is then a velocity, not a tilted thrust
         ):
             if none and getattr(self, name):
                 raise BadInput(name, getattr(self, name), allowed)
@@ -179,30 +179,30 @@ class Problem:
 
     @cached_property
     def wants_attitude(self) -> bool:
-        """Return whether a state has to tell which rotation is wanted at the end."""
+        """Return True if the state has to give the desired final rotation."""
         return self.weights.attitude > 0.0 or self.approach.is_the_goals
 
     @cached_property
     def least_speed(self) -> float:
-        """Return the least share of full speed in any allowed direction; 0 without a floor."""
+        """Return the least share of full speed that the floor allows; 0 without a floor."""
         return self.floor.fraction if self.floor.exists else 0.0
 
     @property
     def least_heading(self) -> float:
-        """Return the least |R_N e1| that has a direction, where it matters."""
+        """Return the least length that the cone of approach assumes for R_N e1."""
         return max(SLOWEST, self.least_speed)
 
     @cached_property
     def has_cones(self) -> bool:
-        """Return whether the tilt is limited, or a glide slope set."""
+        """Return True if there is a tilt limit or a glide slope."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
 
     @cached_property
     def turns_are_angles(self) -> bool:
-        """Return whether ``max_rate`` bounds the angle of each turn, at any speeds.
+        """Return True if ``max_rate`` bounds the angle of each turn, at all speeds.
 
-        With a floor it does: the plan is flown as it is planned. Without one, where a heading may
-        vanish, it bounds the chord |R_{k+1} e1 - R_k e1|, which limits changes of speed as well.
+        With a floor it does, so vehicles can follow plans exactly. Without one, R e1 may vanish,
+        and it bounds the chord |R_{k+1} e1 - R_k e1|, which limits changes of speed as well.
         """
         return self.floor.exists and self.max_rate > 0.0
 
@@ -213,10 +213,10 @@ class Problem:
 
     @cached_property
     def chord(self) -> float:
-        """Return how far R e1 moves at most in a step from k >= 1 on; infinity without a limit.
+        """Return the largest |R_{k+1} e1 - R_k e1| for k >= 1; infinity without a limit.
 
-        2 sin(h max_rate / 2), or with a floor f what a turn by h max_rate between the speeds f and
-        1 comes to, if that is more.
+        It is 2 sin(h max_rate / 2), or with a floor f the chord of a turn by h max_rate between the
+        speeds f and 1, if that is longer.
         """
         if not self.max_rate:
             return math.inf
@@ -227,31 +227,31 @@ class Problem:
 
     @cached_property
     def speed_change(self) -> float:
-        """Return by how much |R e1| changes at most in a step; infinity without a limit."""
+        """Return the largest change of |R e1| in a step; infinity without a limit."""
         if not self.max_acceleration:
             return math.inf
         return self.step * self.max_acceleration / self.forward
 
     @cached_property
     def first_turn_is_decided(self) -> bool:
-        """Return whether ``max_rate`` has no say in the first step.
+        """Return True if ``max_rate`` does not apply to the first step.
 
-        At rotation order 2 the body rate it starts with carries the vehicle through it, and what
-        the limit could still do is to brake, which nothing with a floor may be asked to.
+        At rotation order 2 the initial body rate decides that turn; the limit could only reduce the
+        thrust, which must not be required of a vehicle with a floor.
         """
         return self.rotation_order == 2 and self.floor.exists
 
     @cached_property
     def first_turn_is_a_cone(self) -> bool:
-        """Return whether the headings R_1 e1 that ``max_rate`` allows with a floor are convex.
+        """Return True if ``max_rate`` with a floor confines R_1 e1 to a convex cone.
 
-        That is the cone around Q_0 e1, up to a quarter turn.
+        That is the cone about Q_0 e1, convex up to a quarter turn.
         """
         return self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
 
     @cached_property
     def length_unit(self) -> float:
-        """Return what a step moves a vehicle at most, from rest: h z, or with inertia h^2 z [m]."""
+        """Return a step's length, the longest from rest: h z, or with inertia h^2 z [m]."""
         return self.maps.unit
 
     @cached_property
@@ -266,12 +266,12 @@ class Problem:
 
     @cached_property
     def translation(self) -> Translation:
-        """Return the model that says how R e1 moves the vehicle."""
+        """Return the model of how R e1 moves the vehicle."""
         return DISCRETISATIONS[self.discretisation][self.translation_order]
 
     @cached_property
     def inertial(self) -> bool:
-        """Return whether R e1 is a thrust that changes the velocity, instead of the velocity."""
+        """Return True if R e1 is a thrust, which changes the velocity, instead of the velocity."""
         return self.translation.inertial
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The reach of a horizon, and why no plan gets somewhere, as far as that shows at once.
+"""The reach of a horizon, and explanations of infeasibility that are cheap to find.
 
 Mathematics: docs/mathematics.md, 5.2, 7.5.
 """
@@ -17,23 +17,23 @@ from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
-SURE = 1e-12  # by so much more than can be reached is surely out of reach
-BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
+SURE = 1e-12  # relative margin for rounding: farther away is surely out of reach
+BEYOND = 100.0  # times the reach: goals farther away are moved to this distance
 
 
 def reach(problem: Problem, state: State) -> float:
-    """Return a distance that no point within the horizon exceeds [m]."""
+    """Return an upper bound of the distance reached within the horizon [m]."""
     blown = math.sqrt(state.disturbance @ state.disturbance)
     speed = math.sqrt(state.velocity @ state.velocity)
     return farthest(problem, speed, blown, problem.horizon * problem.step)
 
 
 def farthest(problem: Problem, speed: float, blown: float, time: float) -> float:
-    """Return a distance that no point within a time exceeds [m].
+    """Return an upper bound of the distance reached within a time [m].
 
     Args:
-        problem: gives the full speed or thrust, and whether the vehicle coasts.
-        speed: at the start, which counts if it does [m/s].
+        problem: gives the full speed or thrust, and whether the vehicle is inertial.
+        speed: at the start, used for inertial vehicles only [m/s].
         blown: size of the disturbance [m/s] or [m/s^2].
         time: from the start [s].
     """
@@ -44,7 +44,7 @@ def farthest(problem: Problem, speed: float, blown: float, time: float) -> float
 
 
 def clear_of_hazards(problem: Problem, state: State) -> State:
-    """Return a state without its hazards, if the vehicle can meet none of them in the horizon."""
+    """Return the state, without hazards if none of them can be met within the horizon."""
     end, far = problem.step * problem.horizon, reach(problem, state)
     kept = reserves(state.hazards, problem.horizon, problem.step).max(axis=1, initial=0.0)
     for hazard, reserve in zip(state.hazards, kept.tolist(), strict=True):
@@ -56,11 +56,11 @@ def clear_of_hazards(problem: Problem, state: State) -> State:
 
 
 def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:
-    """Return goals no farther away than counts, and what was done about them in words, if anything.
+    """Return goals moved to within ``BEYOND`` times the reach, and a message if any was moved.
 
-    The cost of a goal at distance d is of the order of d^2, and what plans differ by of the order
-    of d: far out every plan would count as proved optimal within a relative gap. A terminal
-    constraint is left alone: it cannot be met, which the solver proves.
+    The cost of a goal at distance d is of the order of d^2, cost differences between plans of the
+    order of d: for distant goals every plan would count as optimal within a relative gap. Goals of
+    a terminal constraint are left alone: the solver proves that it cannot be met.
 
     Args:
         problem: gives the reach.
@@ -79,7 +79,7 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
 
 
 def held_goal(problem: Problem, state: State, goals: Array) -> str:
-    """Return what the goal is inside of throughout the horizon, in words; empty if of nothing.
+    """Return a message naming the bodies that contain the goal at every step; empty if none does.
 
     Args:
         problem: gives the obstacles.
@@ -97,11 +97,11 @@ def held_goal(problem: Problem, state: State, goals: Array) -> str:
 
 
 def reason(problem: Problem, state: State, goals: Array) -> str:
-    """Return why a problem that was proved infeasible is so, as far as can be told cheaply.
+    """Return the reason why a problem is infeasible, as far as it can be found cheaply.
 
     Args:
-        problem: what was to be solved.
-        state: from where.
+        problem: proved infeasible.
+        state: where plans start.
         goals: g_1..g_N, shape (N, n) [m].
     """
     found = [
@@ -115,7 +115,7 @@ def reason(problem: Problem, state: State, goals: Array) -> str:
 
 
 def constraints_in_force(problem: Problem, state: State) -> list[str]:
-    """Return the names of the constraints from a state, beside the dynamics and the orbitope."""
+    """Return the names of the constraints other than the dynamics and the orbitope."""
     floor = problem.floor
     named = {
         'terminal: constraint': problem.terminal == 'constraint',
@@ -132,9 +132,9 @@ def constraints_in_force(problem: Problem, state: State) -> list[str]:
 
 
 def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
-    """Return by how far a goal that is to be arrived at is out of reach [m]; below 0 if it is not.
+    """Return the distance of a terminal constraint beyond reach [m]; < 0 within reach.
 
-    At full thrust all the way, no point is farther from the coasting one than this.
+    The reach is measured from the coasting position, with full thrust in one direction.
     """
     return (
         float(_beyond(problem, state, goals)[-1]) if problem.terminal == 'constraint' else -np.inf
@@ -142,25 +142,25 @@ def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
 
 
 def _beyond(problem: Problem, state: State, goals: Array) -> Array:
-    """Return how much farther goals are than any headings lead, shape (N,) [m] (7.10b)."""
+    """Return the distances of goals beyond the reach of all headings, shape (N,) [m] (7.10b)."""
     off, reach = goals - _decided(problem, state), problem.maps.reach
     return np.asarray(np.sqrt(np.einsum('kc,kc->k', off, off)) - np.abs(reach[:, 1:]).sum(axis=1))
 
 
 def _decided(problem: Problem, state: State) -> Array:
-    """Return where the state alone would have s_1..s_N, shape (N, n): R_1 e1..R_N e1 are free."""
+    """Return s_1..s_N, shape (N, n), for R_1 e1 = .. = R_N e1 = 0: what the state alone decides."""
     coasted = dynamics.drift(problem, state)
     return coasted + np.outer(problem.maps.reach[:, 0], state.rotation[:, 0])
 
 
 def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.ndarray:
-    """Return at the end of which steps no headings lead to within a radius of the goal, (N,).
+    """Return for which k no headings lead s_k to within a radius of the goal, shape (N,).
 
-    Surely, for all that rounding does.
+    True is certain, in spite of rounding.
 
     Args:
-        problem: how the vehicle moves.
-        state: where it starts.
+        problem: gives the model.
+        state: where the vehicle starts.
         goals: g_1..g_N, shape (N, n) [m].
         radius: of a catch [m].
     """
@@ -170,7 +170,7 @@ def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.nd
 
 
 def beyond_turning(problem: Problem, state: State) -> float:
-    """Return by how much no turn meets the cone of approach [rad]; below 0 if one may."""
+    """Return the angle of the cone of approach beyond the largest turn [rad]; < 0 within reach."""
     limited = problem.turns_are_angles and not problem.first_turn_is_decided
     if not (limited and problem.approach.exists):
         return -np.inf
@@ -189,7 +189,7 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
 
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
-    """The state alone decides s_1, and s_2 too of an inertial vehicle; a step leads so far only."""
+    """Yield messages about bodies that contain s_k for all headings."""
     decided, reach = _decided(problem, state), problem.maps.reach
     known, free = problem.decided_steps, reach[:, 1:].sum(axis=1)
     for i, body in enumerate(problem.obstacles):
@@ -210,7 +210,7 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
 
 
 def _way_out(body: Box | Ball, state: State) -> str:
-    """Return what would let a plan begin inside of a body, in words; empty if none does."""
+    """Return a hint about a state inside of a box; empty for other bodies and states."""
     if not isinstance(body, Box) or body.depth(state.position[None])[0] <= 0.0:
         return ''
     return '; a box has no way out for who begins inside, unless it is a hazard'

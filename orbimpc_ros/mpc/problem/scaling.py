@@ -1,14 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""The meaning of a problem's weights: the paper's sums, or integrals without a unit.
+r"""Scalings of the weights: the paper's sums, or integrals with dimensionless weights.
 
-The paper adds up steps, so that the same weights ask for something else at another step or speed.
-As integrals over the horizon, with lengths measured by what the vehicle flies in a unit of time,
+The paper's objective sums over steps, so the same weights give other plans at another step or
+speed. With integrals over the horizon, in units of the distance flown in a unit of time,
 
 .. math::
     q \int \|s - g\|^2 dt + r \int \|R^{(o)}\|_F^2 dt + \ell \int \|R e_1\| dt + m \|s_N - g_N\|^2
     + a \|R_N - R_g\|_F^2,
 
-they ask for the same at any: problems that differ in step and full speed alone are then the same
+their meaning is independent of both: problems that differ only in step and full speed are the same
 problem in natural units, and a finer step only resolves it better.
 
 Mathematics: docs/mathematics.md, 1.6.
@@ -22,18 +22,18 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.problem import Problem, Weights
 
 SCALINGS = ('paper', 'time')
-UNITS = 20  # of time in a horizon: the default weights smooth headings over a fortieth of it
+UNITS = 20  # units of time in a horizon: the default weights smooth headings over a fortieth of it
 
 
 def weighed(problem: Problem, scaling: str) -> Problem:
-    """Return a problem whose weights are sums, as problems have them.
+    """Return a problem with its weights converted to those of the paper's sums.
 
     Args:
-        problem: with the weights as they were given.
-        scaling: ``paper``, they are sums already; ``time``, they are numbers without a unit, on
-            integrals over the horizon: of squared distance, of squared inputs and of the share of
-            full speed or thrust; and on the squared distances at its end. Its twentieth is the unit
-            of time, what the vehicle flies in one, from rest, the unit of length.
+        problem: with the weights to convert.
+        scaling: ``paper``, weights of sums already; ``time``, dimensionless ones on integrals over
+            the horizon of squared distance, squared inputs and share of full speed or thrust, and
+            on squared final distances. The unit of time is a twentieth of the horizon, that of
+            length the distance flown in it from rest.
 
     Raises:
         BadInput: no such scaling.
@@ -50,7 +50,7 @@ def _summed(problem: Problem) -> Weights:
     return Weights(
         position=given.position * share / area,
         input=given.input * share * time ** (2 * problem.rotation_order),
-        length=given.length / (problem.forward * time),  # a step of it is h z |R e1|
+        length=given.length / (problem.forward * time),  # the sum adds h z |R e1| per step
         terminal=given.terminal / area,
         attitude=given.attitude,
     )

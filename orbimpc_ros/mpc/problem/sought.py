@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""In what something is looked for: any trajectory, or one that catches the goal."""
+"""Searches for any feasible trajectory, or for one that catches the goal."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from orbimpc_ros.mpc.problem.state import State
 
 @dataclass(frozen=True, eq=False)
 class Sought(ByContent):
-    """A problem with what is looked for in it.
+    """A problem and the kind of trajectory to find in it.
 
     Attributes:
-        problem: what may be flown, with the cone of approach of a catch.
+        problem: model and constraints, with the cone of approach of a catch.
         state: where plans start.
         goals: g_1..g_N, shape (N, n) [m].
-        radius: within which s_k is of g_k where the goal is caught at step k [m]; 0 where any
-            trajectory is looked for.
+        radius: largest distance |s_k - g_k| at which the goal is caught at step k [m]; 0 to find
+            any feasible trajectory.
     """
 
     problem: Problem

@@ -24,7 +24,7 @@ T = TypeVar('T')
 
 @dataclass(frozen=True, eq=False)
 class State(ByContent):
-    """Where the vehicle is when the plan starts.
+    """The vehicle's state at the start of a plan.
 
     Attributes:
         position: s_0, shape (n,) [m].
@@ -34,13 +34,13 @@ class State(ByContent):
         attitude: Q_0, shape (n, n), the rotation R_0 was scaled from; by default the nearest one.
         coasted: the rotation, shape (n, n), that the present body rate turns the attitude into
             during the first step (rotation order 2). With it R_1 = rho * coasted, the thrust
-            fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, off the manifold.
+            fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which is off the manifold.
         disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
-            world frame [m/s], at order 2 an acceleration, gravity's included [m/s^2].
-        commanded: the share of full speed last commanded, in [0, 1], that limited changes of speed
-            count from; by default |R_0 e1|.
-        hazards: what moves and is to be stayed clear of, from the start of the plan on.
-        wanted: R_g, the rotation wanted at the end, shape (n, n): the goal's; None for any.
+            world frame [m/s], at order 2 an acceleration, gravity included [m/s^2].
+        commanded: the share of full speed last commanded, in [0, 1], from which the first change of
+            speed is limited; by default |R_0 e1|.
+        hazards: moving obstacles to stay clear of, with times from the start of the plan.
+        wanted: R_g, the desired final rotation, shape (n, n); None if it is unconstrained.
     """
 
     position: Array
@@ -69,11 +69,11 @@ class State(ByContent):
         hazards: tuple[MovingObstacle, ...] = (),
         wanted: ArrayLike | None = None,
     ) -> State:
-        """Return the state at a position and rotation, at rest where nothing else is said.
+        """Return the state at a position and rotation, at rest by default.
 
         Raises:
-            BadInput: an array of the wrong shape, not finite, or outside its set; more hazards
-                than there may be, or of another dimension.
+            BadInput: an array of the wrong shape, not finite, or outside its set; too many hazards,
+                or one of another dimension.
         """
         n = np.size(position)
         if n not in (2, 3):
@@ -118,7 +118,7 @@ class State(ByContent):
         return []
 
     def once(self, asked: Any, work_out: Callable[[], T]) -> T:
-        """Return what is asked of this very state, worked out at the first time."""
+        """Return the value cached for this state under a key; compute it at the first call."""
         for known, found in self._known:
             if known == asked:
                 return cast('T', found)
@@ -129,7 +129,7 @@ class State(ByContent):
 
 @lru_cache(maxsize=8)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Return zeros that all states share: to make and check them anew costs microseconds."""
+    """Return zeros shared by all states, since creating and checking arrays costs microseconds."""
     return sealed(np.zeros(shape))
 
 

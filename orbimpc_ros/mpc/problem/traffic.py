@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Balls, and bodies that move, over the steps of a plan.
+"""Balls and moving obstacles over the steps of a plan.
 
-Within a step a body counts as moving evenly from where it is at the beginning to where it is at the
-end, and as larger by as much as its track strays from that.
+Within a step a body is modelled as moving uniformly between its places at both ends, and enlarged
+by the deviation of its track from that.
 
 Mathematics: docs/mathematics.md, 3.7.
 """
@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.problem.state import State
 
 
 def traffic_of(problem: Problem, state: State) -> Traffic | None:
-    """Return what is round or moves; None if nothing does. Of a state it is worked out once."""
+    """Return the balls and moving obstacles, cached per state; None if there are none."""
     return state.once(problem, lambda: _met(problem, state))
 
 
@@ -42,7 +42,7 @@ def _met(problem: Problem, state: State) -> Traffic | None:
 
 
 def _strays(hazard: MovingObstacle, ends: Array) -> Array:
-    """Return by how much a track strays from even motion in each step, shape (N,) [m]."""
+    """Return the largest deviation of a track from uniform motion in each step, shape (N,) [m]."""
     strays, inside = np.zeros(len(ends) - 1), hazard.turns[hazard.turns < ends[-1]]
     if not len(inside):
         return strays

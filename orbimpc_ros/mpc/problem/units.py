@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Natural units: a problem whose step, full speed and costs are all of the order of one.
 
-Lengths are measured by what a step moves the vehicle at most, times by the step, costs by the
-largest curvature of the objective. Rotations have no unit, so a solution of the scaled problem is
-one of the problem itself; only its cost and bounds are of another size. Solvers with absolute
-tolerances then do as well at 1000 m/s as at 1 m/s.
+The unit of length is the longest step from rest, that of time the step, that of cost the largest
+curvature of the objective. Rotations are dimensionless, so a solution of the scaled problem solves
+the original one; only costs and bounds differ in scale. Solvers with absolute tolerances then work
+as well at 1000 m/s as at 1 m/s.
 
 Mathematics: docs/mathematics.md, 1.4.
 """
@@ -62,7 +62,7 @@ class Units:
 
     @property
     def pushing(self) -> float:
-        """Return what a disturbance of one is in these units: a speed's, or an acceleration's."""
+        """Return the factor that converts disturbances (speeds or accelerations) to these units."""
         return self.time ** (2 if self.problem.inertial else 1) / self.length
 
     def lengths(self, values: Array) -> Array:
@@ -70,7 +70,7 @@ class Units:
         return values if self.length == 1.0 else values / self.length
 
     def pulls(self, values: Array) -> Array:
-        """Return multipliers of s_N - g_N, and of p_N, as those of the problem as it was posed.
+        """Convert multipliers of s_N - g_N, and of p_N, to those of the original problem.
 
         Shape (..., m).
         """
@@ -80,7 +80,7 @@ class Units:
 
 
 def _in_units(problem: Problem, length: float, time: float) -> Problem:
-    """Return a problem with lengths and times in other units, for costs that stay the same."""
+    """Return a problem with lengths and times in other units, and with the same costs."""
     w, area = problem.weights, length * length
     weights = Weights(
         position=w.position * area,
@@ -103,6 +103,6 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
 
 
 def _curvature(problem: Problem) -> float:
-    """Return the size of a problem's costs: its largest curvature or slope; 1 if it has none."""
+    """Return the scale of a problem's costs: its largest curvature or slope; 1 if it has none."""
     curved = float(np.abs(np.diag(Condensed(problem).hessian)).max())
     return max(curved, problem.weights.length) or 1.0
