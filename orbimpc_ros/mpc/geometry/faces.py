@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Faces of floors: a polygon in the disk, a Platonic solid in the ball; their outlines.
+"""Faces of floors (polygons in the disk, Platonic solids in the ball) and their outlines.
 
-Also the patches of the sphere that directions are cut into.
+Also patches of the sphere, into which branching divides directions.
 
 Mathematics: docs/mathematics.md, 3.3 and 3.5.
 """
@@ -19,9 +19,9 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 
 _GOLDEN = (1.0 + 5.0**0.5) / 2.0
 TOUCH = 1e-4  # [rad]
-STEEPEST_CAP = 1.0  # [rad]: patches that share a corner are too long for a wider one
-QUARTERS = 4  # triangles about +z, to begin with
-ROUND = 96  # corners of what is drawn for a circle
+STEEPEST_CAP = 1.0  # [rad]: for a wider cap, patches that share a corner would be too long
+QUARTERS = 4  # initial triangles about +z
+ROUND = 96  # corners of the polygon that is drawn for a circle
 CLOSE = 1e-9
 
 Lines = tuple[Array, ...]
@@ -75,8 +75,8 @@ class Cell:
 def cap(tilt: float) -> Array:
     """Return the corners of four triangles that cover a cap of the sphere, shape (4, 3, 3).
 
-    They share the corner +z. Their outer sides touch the circle at an angle ``tilt`` from it [rad];
-    they are a little wider, for rounding.
+    They share the corner +z. Their outer sides touch the circle at an angle ``tilt`` from it [rad],
+    enlarged by a margin for rounding.
     """
     wide = math.atan(math.tan(tilt + TOUCH) / math.cos(math.pi / QUARTERS))
     around = 2.0 * np.pi * np.arange(QUARTERS + 1) / QUARTERS
@@ -92,7 +92,7 @@ def cap(tilt: float) -> Array:
 def icosahedron() -> Array:
     """Return the corners of the icosahedron's faces, shape (20, 3, 3)."""
     vertices = normals(3, 12)  # the dodecahedron's normals are the icosahedron's vertices
-    # Its faces are told by their vertices: ``normals(3, 20)`` belong to one turned against it.
+    # Faces are found by adjacency: ``normals(3, 20)`` belong to an icosahedron in another attitude.
     adjacent = vertices @ vertices.T > 0.0
     triples = itertools.combinations(range(len(vertices)), 3)
     faces = [
@@ -132,7 +132,7 @@ def edges(outward: Array, distances: Array) -> Lines:
 
 
 def _corners(outward: Array, distances: Array) -> Array:
-    """Return where n faces meet and none is passed, shape (K, n), each once."""
+    """Return the vertices: points where n faces meet, inside of all others, once each, (K, n)."""
     count, dimension = outward.shape
     chosen = np.array(list(itertools.combinations(range(count), dimension)), dtype=int)
     chosen = chosen.reshape(-1, dimension)

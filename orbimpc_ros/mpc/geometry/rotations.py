@@ -5,7 +5,7 @@ A tangent vector is an angular velocity times time: shape (1,) [rad] for n = 2, 
 n = 3, expressed in the body frame, so that :math:`Q \exp(h \hat\omega)` turns a body at rate
 :math:`\omega` for :math:`h` seconds.
 
-A matrix R of conv SO(n) is held in the coordinates the programs optimise over:
+A matrix R of conv SO(n) has the coordinates that the programs optimise:
 
 - n = 2: :math:`R = [[a, -b], [b, a]]`, coordinates :math:`(a, b)`, :math:`\|R\|_F^2 = 2(a^2+b^2)`;
 - n = 3: the nine entries column by column.
@@ -24,10 +24,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 
-ROLL_UNDEFINED = 1e-6  # below this length, what the roll is to fit says nothing
-SMALL = 1e-2  # [rad] below it series of means are more exact than the closed forms
-HEADING_UNDEFINED = 1e-9  # below this speed fraction R e1 has no direction worth the name
-MEMBERSHIP_TOLERANCE = 1e-6  # how far outside conv SO(n) a rotation from a file may be rounded
+ROLL_UNDEFINED = 1e-6  # below this length of the fitted vector the roll is undetermined
+SMALL = 1e-2  # [rad] below it series are more accurate than closed forms
+HEADING_UNDEFINED = 1e-9  # below this speed fraction R e1 has no meaningful direction
+MEMBERSHIP_TOLERANCE = 1e-6  # allowance for rounding of matrices from files, outside conv SO(n)
 
 
 def skew(omega: Array) -> Array:
@@ -39,7 +39,7 @@ def skew(omega: Array) -> Array:
 
 
 def exp(phi: Array) -> Array:
-    """Return the rotation, shape (n, n), that the tangent vector ``phi`` [rad] reaches.
+    """Return the rotation, shape (n, n), by the tangent vector ``phi`` [rad].
 
     Rodrigues' formula, in terms that keep full precision near zero.
     """
@@ -54,7 +54,7 @@ def exp(phi: Array) -> Array:
 def log(rotation: Array) -> Array:
     """Return the shortest tangent vector [rad], shape (1,) or (3,), with ``exp(log(Q)) = Q``.
 
-    Through the unit quaternion, which is accurate at every angle including pi.
+    It is found from the unit quaternion, which is accurate at every angle including pi.
     """
     if rotation.shape == (2, 2):
         return np.array([math.atan2(rotation[1, 0], rotation[0, 0])])
@@ -67,7 +67,7 @@ def log(rotation: Array) -> Array:
 
 
 def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
-    r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
+    r"""Return the mean of a vector that turns with the body over an interval, and its double mean.
 
     :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`, with
     :math:`\phi` of shape (1,) or (3,) [rad].
@@ -102,10 +102,10 @@ def nearest(matrix: Array) -> Array:
 def _all_thrust_aligned(matrices: Array, sizes: Array) -> Array:
     """Return the thrust-aligned rotations of matrices, shape (K, 3, 3), with headings of sizes.
 
-    Their first axes are R e1 / |R e1|, so that thrust |R e1| along them moves a vehicle just as the
-    relaxed R does; their rolls fit R best. With first axis a, the best second one maximises
-    b.c2 + (a x b).c3 over unit vectors across a, c2 and c3 being the other columns of R: it is
-    along c2 - (a.c2) a + c3 x a.
+    Their first axes are R e1 / |R e1|, so that thrust |R e1| along them has the same effect as the
+    relaxed R; their rolls fit R best. With first axis a, the best second one maximises b.c2 + (a x
+    b).c3 over unit vectors b orthogonal to a, c2 and c3 being the other columns of R: it is along
+    c2 - (a.c2) a + c3 x a.
     """
     headings, second, third = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
     axes = headings / sizes
@@ -114,7 +114,7 @@ def _all_thrust_aligned(matrices: Array, sizes: Array) -> Array:
     rolled += _cross(_wide(third), around)
     spans = _lengths(rolled)
     weak = spans[:, 0] < ROLL_UNDEFINED
-    if weak.any():  # every roll fits as well: across the axis that a is farthest from
+    if weak.any():  # all rolls fit equally: take one across the coordinate axis farthest from a
         other = np.eye(3)[np.argmin(np.abs(axes[weak]), axis=1)]
         rolled[weak] = _cross(around[weak], _wide(other))
         spans = _lengths(rolled)
@@ -131,21 +131,21 @@ def _lengths(rows: Array) -> Array:
 
 
 def _wide(rows: Array) -> Array:
-    """Return rows x, y, z as x, y, z, x, y: cyclic neighbours are then slices."""
+    """Return rows x, y, z as x, y, z, x, y, whose slices are cyclic neighbours."""
     return rows[:, (0, 1, 2, 0, 1)]
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products, shape (K, 3), of rows made wide."""
+    """Return the cross products, shape (K, 3), of rows extended by :func:`_wide`."""
     return a[:, 1:4] * b[:, 2:5] - a[:, 2:5] * b[:, 1:4]
 
 
 def project_all(matrices: Array, first: Array, how: str) -> tuple[Array, np.ndarray]:
-    """Return the rotations of a sequence of points of conv SO(n), and which had to be held.
+    """Project a sequence of points of conv SO(n) to rotations; return these and which were held.
 
     Args:
         matrices: points in order, shape (K, n, n).
-        first: the rotation before them, to hold where a heading is undefined, shape (n, n).
+        first: the rotation before them, held if the first heading is undefined, shape (n, n).
         how: ``'nearest'`` or ``'thrust_aligned'``.
     """
     sizes = _lengths(matrices[:, :, 0])
@@ -167,11 +167,11 @@ def _projected(matrices: Array, sizes: Array, how: str) -> Array:
 
 
 def turned_onto(rotation: Array, axis: Array) -> Array:
-    """Return the rotation with first column ``axis``, a unit vector, that turns least from one.
+    """Turn a rotation by the least angle that makes the unit vector ``axis`` its first column.
 
     Args:
         rotation: shape (n, n).
-        axis: where its first column goes, shape (n,).
+        axis: the new first column, shape (n,).
     """
     if len(axis) == 2:
         return _from_heading_2(axis)
@@ -181,13 +181,13 @@ def turned_onto(rotation: Array, axis: Array) -> Array:
     if cosine > 0.0:
         hat = skew(across)
         return (np.eye(3) + hat + hat @ hat / (1.0 + cosine)) @ rotation
-    if sine < HEADING_UNDEFINED:  # over: about any axis across, say the second
+    if sine < HEADING_UNDEFINED:  # half a turn about any orthogonal axis, here the second
         return exp(math.pi * rotation[:, 1]) @ rotation
     return exp(math.atan2(sine, cosine) / sine * across) @ rotation
 
 
 def carried(attitude: Array, headings: Array) -> Array:
-    """Return |z_k| Q_k, shape (K, n, n), with Q_k turned from Q_{k-1} onto z_k where there is one.
+    """Return |z_k| Q_k, shape (K, n, n), with Q_k turned from Q_{k-1} onto z_k, unless z_k = 0.
 
     Args:
         attitude: Q_0, shape (n, n).
@@ -209,7 +209,7 @@ def to_quaternion(rotation: Array) -> Array:
         half = 0.5 * math.atan2(rotation[1, 0], rotation[0, 0])
         return np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
     m = rotation
-    # Shepperd's method: divide by the largest component, never by a small one.
+    # Shepperd's method: divide by the largest component.
     squares = np.array(
         [
             1.0 + m[0, 0] + m[1, 1] + m[2, 2],
@@ -233,7 +233,7 @@ def to_quaternion(rotation: Array) -> Array:
 def from_quaternion(quaternion: Array, dimension: int) -> Array:
     """Return the rotation, shape (n, n), of a unit quaternion (w, x, y, z); for n = 2 its yaw.
 
-    The yaw is the heading of the body's x axis seen from above, as REP-103 has it.
+    The yaw is the heading of the body's x axis seen from above, as in REP-103.
     """
     if dimension == 2:
         return _from_heading_2(np.array(heading(quaternion)))
@@ -248,7 +248,7 @@ def from_quaternion(quaternion: Array, dimension: int) -> Array:
 
 
 def heading(quaternion: Array) -> tuple[float, float]:
-    """Return the body's x axis as seen from above, of a unit quaternion (w, x, y, z)."""
+    """Return the horizontal part of the body's x axis, for a unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion.tolist()
     return 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
 
@@ -309,7 +309,7 @@ def lmi_parts() -> tuple[Array, Array]:
 
 
 def margin(rotation: Array) -> Array:
-    """Return by how much matrices of shape (..., n, n) lie inside conv SO(n), negative outside.
+    """Return margins of matrices, shape (..., n, n), inside conv SO(n), negative outside.
 
     n = 2: 1 - |(a, b)|. n = 3: the smallest eigenvalue of the 4x4 matrix, found from signed
     singular values s1 >= s2 >= |s3| alone (Sanyal, Sottile, Sturmfels, *Orbitopes*).

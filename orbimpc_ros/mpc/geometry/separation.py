@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The half-space that keeps points farthest from the origin: what separates their hull from it.
+"""The half-space farthest from the origin that contains points, and so separates their hull.
 
 Mathematics: docs/mathematics.md, 3.7.
 """
@@ -13,15 +13,15 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 
-DEGENERATE = 1e-9  # a distance to the origin, in proportion to that of the points
+DEGENERATE = 1e-9  # distances from the origin that count as zero, relative to an edge's length
 
 
 def separation(points: Array) -> tuple[Array, Array]:
     """Return for each set the unit normal n with the largest least n . P_i, and that value.
 
-    Outside of the hull of the points that is the direction to its point nearest to the origin, and
-    how far away this is. The nearest point is on an edge, or in space on a face, of the hull of two
-    to four points: each of them proposes a normal.
+    If the origin is outside of the hull of the points, n is the direction to the nearest point of
+    the hull, and the value its distance. That point is on an edge or, in space, on a face of the
+    hull of two to four points: each of them proposes a normal.
 
     Args:
         points: P_i of each set, shape (..., m, n), m <= 4.
@@ -53,7 +53,7 @@ def _proposed(points: Array) -> Array:
 
 
 def _units(vectors: Array, ways: Array) -> Array:
-    """Return unit vectors; across the ways where a vector vanishes."""
+    """Return unit vectors, or vectors orthogonal to ``ways`` in place of vanishing ones."""
     sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
     unclear = sizes <= DEGENERATE * np.linalg.norm(ways, axis=-1, keepdims=True)
     if unclear.any():
@@ -63,7 +63,7 @@ def _units(vectors: Array, ways: Array) -> Array:
 
 
 def _across(ways: Array) -> Array:
-    """Return vectors at right angles to others, shape (..., n)."""
+    """Return vectors orthogonal to ``ways``, shape (..., n)."""
     if ways.shape[-1] == 2:
         return np.stack([-ways[..., 1], ways[..., 0]], axis=-1)
     axis = np.eye(3)[np.abs(ways).argmin(axis=-1)]

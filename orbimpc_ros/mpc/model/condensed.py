@@ -1,15 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The quadratic part of the objective as a function of the thrust axes R_1 e1..R_N e1 alone.
 
-With positions eliminated by the dynamics, and for n = 2 (where R e1 is all of R),
+With positions eliminated by the dynamics, and for n = 2 (R e1 then determines R),
 
     cost = 1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + c + (length term),   z_k = R_k e1.
 
-H is the same for every coordinate, so one N x N matrix says it all.
+H is the same for every coordinate, so one N x N matrix suffices.
 
-Where no orbitope is in its way, the minimiser of a coordinate of R_1..R_N is a linear map of the
-same coordinate of what is known: for R e1 of the knowns, for the others of R_0 and R_g; and, at
-rotation order 2, of R_1.
+Unless an orbitope is active, the minimiser of a coordinate of R_1..R_N is a linear map of the same
+coordinate of given quantities: for R e1 of the knowns, for the other columns of R_0 and R_g; at
+rotation order 2 also of R_1.
 
 Mathematics: docs/mathematics.md, 1.3 and 4.7.
 """
@@ -34,23 +34,23 @@ from orbimpc_ros.mpc.problem import Problem, State
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 WORST_CONDITION = 1e9
 TURNED = [0, 3]  # of the knowns, R_0 e1 and R_g e1
-SLIGHT = 1e-10  # share of its diagonal that a singular Hessian is given on top
+SLIGHT = 1e-10  # share of the diagonal added to a singular Hessian
 
 
 class Condensed:
-    """The quadratic of one problem; what varies from tick to tick enters linearly.
+    """The quadratic of one problem, in which the data of a tick enter linearly.
 
-    What varies are the *knowns*, rows of shape (n,): R_0 e1, p_0, the
-    disturbance w, R_g e1 (zero where no rotation is wanted), and g_1 - s_0..g_N - s_0.
+    These data are the *knowns*, rows of shape (n,): R_0 e1, p_0, the disturbance w, R_g e1 (zero if
+    no rotation is desired), and g_1 - s_0..g_N - s_0.
 
     Attributes:
         hessian: H, shape (N, N).
-        turning: its part from the weights on inputs and attitude, shape (N, N): all that
-            coordinates of R_k other than those of R_k e1 are subject to.
-        pulled: q of the knowns, shape (N, N + 4).
-        squared: c of the knowns, a quadratic form, shape (N + 4, N + 4).
-        turned: q of the other coordinates of R_0 and R_g, shape (N, 2).
-        turned_squared: c of them, shape (2, 2).
+        turning: its part from the weights on inputs and attitude, shape (N, N), which is the whole
+            Hessian for the other columns of R_k.
+        pulled: map from the knowns to q, shape (N, N + 4).
+        squared: quadratic form of the knowns that is c, shape (N + 4, N + 4).
+        turned: map from the other columns of R_0 and R_g to their q, shape (N, 2).
+        turned_squared: quadratic form of those that is their c, shape (2, 2).
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -91,7 +91,7 @@ class Condensed:
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
 
-        c includes the length of the first step, which no decision changes.
+        c includes the constant length term of R_0 e1.
         """
         known = knowns(state, goals)
         c = float(np.sum(known * (self.squared @ known)))
@@ -101,7 +101,7 @@ class Condensed:
 
 
 def knowns(state: State, goals: Array) -> Array:
-    """Return what the quadratic depends on, shape (N + 4, n): see :class:`Condensed`."""
+    """Return the knowns of the quadratic, shape (N + 4, n): see :class:`Condensed`."""
     known = np.empty((len(goals) + 4, goals.shape[1]))
     known[0], known[1], known[2] = state.rotation[:, 0], state.velocity, state.disturbance
     known[3] = 0.0 if state.wanted is None else state.wanted[:, 0]
@@ -110,7 +110,7 @@ def knowns(state: State, goals: Array) -> Array:
 
 
 def suits_dense_code(problem: Problem) -> bool:
-    """Return whether a problem is short and well enough conditioned for dense machine code."""
+    """Return True if a problem is short and well enough conditioned for dense machine code."""
     if problem.horizon > LONGEST:
         return False
     decided = slice(problem.rotation_order - 1, None)  # at order 2, R_1 is not free
@@ -121,8 +121,8 @@ def suits_dense_code(problem: Problem) -> bool:
 def regular(hessian: Array) -> tuple[Array, Array, float]:
     """Return H + delta, its inverse, both of shape (N, N), and delta N / 2.
 
-    delta is zero but where H is too close to singular to be inverted, as where nothing weighs the
-    last heading. Within the disks |z_k| <= 1 the larger matrix costs at most delta N / 2 more.
+    delta is zero unless H is too close to singular to be inverted, as without a weight on the last
+    heading. Within the disks |z_k| <= 1 the larger matrix costs at most delta N / 2 more.
     """
     delta, eye = 0.0, np.eye(len(hessian))
     if not np.linalg.cond(hessian) < WORST_CONDITION:
@@ -133,11 +133,11 @@ def regular(hessian: Array) -> tuple[Array, Array, float]:
 
 @dataclass(frozen=True)
 class Unconstrained:
-    """Maps to the minimiser of the quadratic alone from what is known, m rows, R_1 the last.
+    """Maps from given quantities, m rows with R_1 last, to the minimiser of the quadratic alone.
 
     Attributes:
-        inverse: of the Hessian, on the steps decided and the directions that a terminal constraint
-            leaves free, shape (steps decided, steps decided).
+        inverse: of the Hessian over the free steps, projected to the directions that a terminal
+            constraint leaves free, shape (free steps, free steps).
         minimiser: x_1..x_N, shape (N, m).
         bent: H x, shape (N, m).
         least: the cost, as a quadratic form, shape (m, m).
@@ -152,14 +152,14 @@ class Unconstrained:
 
 
 def thrust_axis(problem: Problem, condensed: Condensed) -> Unconstrained:
-    """Return the maps for coordinates of R e1; known are :func:`knowns`, then R_1 e1."""
+    """Return the maps for coordinates of R e1; given :func:`knowns`, then R_1 e1."""
     return _unbounded(
         problem, condensed.hessian, condensed.pulled, condensed.squared, _arrival(problem)
     )
 
 
 def other_axes(problem: Problem, condensed: Condensed) -> Unconstrained:
-    """Return the maps for coordinates of R e2 and R e3; known are those of R_0, R_g and R_1."""
+    """Return the maps for coordinates of R e2 and R e3; given those of R_0, R_g and R_1."""
     reached = np.zeros((0, problem.horizon)), np.zeros((0, 3))
     return _unbounded(
         problem, condensed.turning, condensed.turned, condensed.turned_squared, reached
@@ -167,9 +167,9 @@ def other_axes(problem: Problem, condensed: Condensed) -> Unconstrained:
 
 
 def _arrival(problem: Problem) -> tuple[Array, Array]:
-    """Return the rows over z_1..z_N of a terminal constraint, and what they come to, of knowns.
+    """Return a terminal constraint as rows over z_1..z_N, and the map from knowns to their values.
 
-    s_N = g_N and, at translation order 2, p_N = 0.
+    It is s_N = g_N and, at translation order 2, p_N = 0.
     """
     maps = problem.maps
     rows = maps.arrival
@@ -190,11 +190,11 @@ def _unbounded(
     """Return the maps for a cost 1/2 x.Hx + (q known).x + known.c known, by elimination.
 
     Args:
-        problem: says whether R_1 is known.
+        problem: gives the rotation order, at 2 of which R_1 is given.
         hessian: H, shape (N, N).
-        q: linear terms, of what is known but R_1, shape (N, m - 1).
-        c: constants, of the same, shape (m - 1, m - 1).
-        arrival: rows over x_1..x_N, and what they must come to, of what is known.
+        q: map from the given quantities except R_1 to linear terms, shape (N, m - 1).
+        c: quadratic form of the same for the constant, shape (m - 1, m - 1).
+        arrival: rows over x_1..x_N, and the map from the given quantities to their values.
     """
     known = problem.rotation_order - 1  # R_1 is known at order 2
     q, c = np.pad(q, ((0, 0), (0, 1))), np.pad(c, (0, 1))

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Trajectories of the discrete dynamics and what they cost, term by term.
+r"""Trajectories of the discrete dynamics and their costs, term by term.
 
 Rotations: R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k (explicit
 Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.translation`. Costs:
@@ -9,10 +9,10 @@ Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.t
     + \ell \sum_{k=0}^{N} \lambda_k h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
     + a \|R_N - R_g\|_F^2
 
-with the arrival weight w, and with lambda_k the share of a step that R_k e_1 pushes for: all of it,
-and none for k = N; where thrust moves on a chord, half for the first and the last. All but the
-length is quadratic; ``condensed`` has that part as a function of the thrust axes alone,
-``solve.statement`` the whole as a cone program. The check evaluates the objective by itself.
+with the arrival weight w, and with lambda_k the share of a step for which R_k e_1 acts: 1, and 0
+for k = N; if thrust moves on a chord, 1/2 for the first and the last. All but the length term is
+quadratic; ``condensed`` has that part as a function of the thrust axes alone, ``solve.statement``
+the whole as a cone program. The check evaluates the objective independently.
 
 Mathematics: docs/mathematics.md, 1.1 and 1.2.
 """
@@ -38,7 +38,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 def inputs_of(problem: Problem, rotations: Array) -> Array:
     """Return the inputs u_0..u_{N-1}, shape (N, n, n), that produce rotations R_0..R_N.
 
-    At rotation order 2 the last input moves only W_N, which nothing sees: it is zero.
+    At rotation order 2 the last input changes only W_N, which no cost contains: it is zero.
 
     Args:
         problem: gives the order and the step.
@@ -57,7 +57,7 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Args:
         problem: gives the model, the step and the forward magnitude.
-        state: gives s_0 and, of an inertial model, p_0.
+        state: gives s_0 and, for an inertial model, p_0.
         headings: R_k e1, k = 0..N, shape (N + 1, n).
 
     Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
@@ -68,7 +68,7 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 def _flown(
     problem: Problem, headings: Array, place: Any, velocity: Any, disturbance: Any
 ) -> tuple[Array, Array]:
-    """Return positions and velocities as headings, shape (N + 1, c), and the rest make them."""
+    """Return positions and velocities for headings of shape (N + 1, c) and initial values."""
     maps, positions, velocities = problem.maps, np.empty(headings.shape), np.empty(headings.shape)
     positions[0], velocities[0] = place, velocity
     positions[1:] = maps.reach @ headings + place + maps.blown * disturbance
@@ -87,10 +87,9 @@ def drift(problem: Problem, state: State) -> Array:
 
 
 def adrift(problem: Problem, state: State) -> Array:
-    """Return where what the state decides at once would have it at s_1..s_N, shape (N, n).
+    """Return s_0 moved by the disturbance alone, at s_1..s_N, shape (N, n).
 
-    That is s_0, moved by the disturbance alone: the origin of displacements, in which the dynamics
-    know no disturbance.
+    They are the origins of displacements, whose dynamics contain no disturbance.
     """
     return state.position + problem.maps.blown * state.disturbance
 
@@ -105,7 +104,7 @@ def input_map(problem: Problem) -> Array:
     return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h
 
 
-KINK = 1e-5  # below it |R e1| counts as zero, where the length has no gradient
+KINK = 1e-5  # below it |R e1| counts as zero, where the length term has a kink
 
 
 def position_weights(problem: Problem) -> Array:
@@ -116,7 +115,7 @@ def position_weights(problem: Problem) -> Array:
 
 
 def velocity_weight(problem: Problem) -> float:
-    """Return the weight on |p_N|^2: that of the arrival, of an inertial vehicle."""
+    """Return the weight on |p_N|^2, part of the arrival weight of an inertial vehicle."""
     return problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
 
 
@@ -131,7 +130,7 @@ def attitude_weight(problem: Problem) -> float:
 
 
 def wanted_coordinates(problem: Problem, state: State) -> Array:
-    """Return the coordinates of R_g, shape (d,); zero where no rotation is wanted."""
+    """Return the coordinates of R_g, shape (d,); zero if no rotation is desired."""
     if state.wanted is None:
         return np.zeros(coordinate_count(problem.dimension))
     return coordinates(state.wanted)
@@ -148,7 +147,7 @@ def length_weights(problem: Problem) -> Array:
 
 
 def first_length(problem: Problem, state: State) -> float:
-    """Return the length cost of R_0 e1, which the state alone decides."""
+    """Return the length cost of R_0 e1, a constant given by the state."""
     if problem.weights.length == 0.0:
         return 0.0
     heading = state.rotation[:, 0]
@@ -167,7 +166,7 @@ def value(
 
     Args:
         problem: gives the weights.
-        state: gives the rotation that is wanted.
+        state: gives the desired final rotation.
         goals: g_1..g_N, shape (N, n) [m].
         rotations: R_0..R_N, shape (N + 1, n, n).
         inputs: u_0..u_{N-1}, shape (N, n, n).
@@ -190,7 +189,7 @@ def value(
 
 
 def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Array]:
-    """Return the gradient of each term over the coordinates x of R_1..R_N, shape (N, d) each."""
+    """Return the gradient of each cost term in the coordinates x of R_1..R_N, shape (N, d) each."""
     maps, turn = problem.maps, input_map(problem)[:, 1:]
     flown = trajectory_of(problem, state, goals, x)
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
@@ -210,7 +209,7 @@ def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Ar
 
 
 def on_axes(gradient: Array) -> Array:
-    """Return a gradient over thrust axes, shape (N, n), as one over rotations, shape (N, d)."""
+    """Return a gradient in thrust axes, shape (N, n), as one in rotations, shape (N, d)."""
     steps, n = gradient.shape
     full = np.zeros((steps, coordinate_count(n)))
     full[:, :n] = gradient
@@ -253,9 +252,9 @@ def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Tra
 def controls(degree: int, step: float, positions: Array, velocities: Array) -> Array:
     """Return the control points of each step, shape (N, degree + 1, ...).
 
-    A step of explicit Euler moves along a straight line, one integrated exactly along a curve of
-    degree 2 or 3, which positions and velocities at its ends determine (Bernstein, Bezier). It
-    stays in the hull of its control points (docs/mathematics.md, 3.7).
+    A step of explicit Euler moves along a straight line, one that is integrated exactly along a
+    curve of degree 2 or 3, determined by positions and velocities at its ends (Bernstein, Bezier).
+    It stays in the hull of its control points (docs/mathematics.md, 3.7).
 
     Args:
         degree: of the motion within a step, 1 to 3.
@@ -270,12 +269,12 @@ def controls(degree: int, step: float, positions: Array, velocities: Array) -> A
 
 
 def control_maps(problem: Problem) -> Array:
-    """Return what R_0 e1..R_N e1 add to each control point, shape (N, degree + 1, N + 1)."""
+    """Return each control point's dependence on R_0 e1..R_N e1, shape (N, degree + 1, N + 1)."""
     return _controls(problem, np.eye(problem.horizon + 1), 0.0, 0.0)
 
 
 def coasting_controls(problem: Problem, state: State) -> Array:
-    """Return the control points without any thrust, less s_0, shape (N, degree + 1, n)."""
+    """Return the control points without thrust, relative to s_0, shape (N, degree + 1, n)."""
     still = np.zeros((problem.horizon + 1, problem.dimension))
     return _controls(problem, still, state.velocity, state.disturbance)
 

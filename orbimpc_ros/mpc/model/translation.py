@@ -1,15 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Translation models: what thrust along R e1 does to position and velocity, as maps.
+"""Translation models: linear maps from the thrust along R e1 to position and velocity.
 
-A model is a few numbers, registered under the value of ``translation_order`` that selects it. Along
-every axis of the world it says
+A model is a few numbers, registered under a value of ``translation_order``. It is, along every axis
+of the world,
 
     y_{k+1} = A y_k + b (R_k e1) + c (R_{k+1} e1) + e w,   y = (s) or (s, p),
 
-with A = (1) or (1, h; 0, kept): where a vehicle is has no influence on how it moves. w is the
-disturbance, the same at every step: a wind, or an acceleration, which acts as a steady thrust
-would. Rollouts, maps, the convex programs, the check and natural units follow from A, b, c and e.
-Proofs have them in fractions, too: the models here state no number that a double rounds.
+with A = (1) or (1, h; 0, kept): the motion does not depend on the position. w is the disturbance,
+the same at every step: a wind, or an acceleration, which acts as a constant thrust would. Rollouts,
+maps, the convex programs, the check and natural units follow from A, b, c and e. Proofs compute
+them in fractions, too: no number of these models is rounded to a double.
 
 Mathematics: docs/mathematics.md, 1.1.
 """
@@ -25,17 +25,17 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 
 
 class Translation(NamedTuple):
-    """How a vehicle is pushed along R e1.
+    """The coefficients of a model of the motion due to R e1.
 
-    With a velocity in y it is inertial, and R e1 a thrust: y = (s, p), which full thrust z for all
-    of a step changes by the order of (h^2 z, h z). Otherwise y = (s), which full speed z changes by
-    (h z), and the velocity is z R e1.
+    A model with a velocity in y is inertial, and R e1 a thrust: full thrust z for a step changes y
+    = (s, p) by the order of (h^2 z, h z). Otherwise y = (s), full speed z changes it by (h z), and
+    the velocity is z R e1.
 
     Attributes:
-        push: what that is divided by to make b, for each entry of y; 0 where b is zero.
-        follow: the same for c, which is zero unless the turn within a step is felt in it.
+        push: divisors of that change which give b, for each entry of y; 0 for an entry of 0.
+        follow: the same for c, which is zero unless the turn within a step affects that step.
         degree: of the motion of s within a step, as a polynomial of time.
-        kept: share of the velocity that is left after a step.
+        kept: share of the velocity that remains after a step.
     """
 
     push: tuple[int, ...]
@@ -45,12 +45,12 @@ class Translation(NamedTuple):
 
     @property
     def inertial(self) -> bool:
-        """Return whether the velocity p is part of the state."""
+        """Return True if the velocity p is part of the state."""
         return len(self.push) == 2
 
 
-# Explicit Euler; R e1 on the chord from R_k e1 to R_{k+1} e1 during the step; R_{k+1} e1 attained
-# as the step begins, and held: s then moves along a parabola.
+# Explicit Euler; R e1 on the chord from R_k e1 to R_{k+1} e1 during a step; R_{k+1} e1 attained at
+# the start of the step and held, so that s moves along a parabola.
 TRANSLATIONS = {1: Translation((1,), (0,)), 2: Translation((0, 1), (0, 0))}
 EXACT = {1: Translation((2,), (2,), degree=2), 2: Translation((3, 2), (6, 2), degree=3)}
 HELD = {2: Translation((0, 0), (2, 1), degree=2)}
@@ -73,9 +73,9 @@ class Step(NamedTuple):
     blow: Array
 
 
-@lru_cache(maxsize=256, typed=True)  # in fractions and in floats
+@lru_cache(maxsize=256, typed=True)  # one entry for fractions, one for floats
 def step_of(model: Translation, step: float, forward: float) -> Step:
-    """Return a step of a model; made once."""
+    """Return a step of a model; cached."""
 
     def moved(divisors: tuple[int, ...], full: float) -> Array:
         sizes = (step * step * full, step * full)[-len(divisors) :]
@@ -92,15 +92,15 @@ class Maps:
     """The maps of a model over a horizon, from the state at its start and R_0 e1..R_N e1.
 
     Attributes:
-        reach: what each R_j e1 adds to s_1..s_N, shape (N, N + 1) [m].
-        drift: what p_0 adds to s_1..s_N, shape (N, 1) [s]; zeros for a model without inertia.
-        blown: what w adds to s_1..s_N, shape (N, 1) [s] or [s^2].
-        arrival: what each R_j e1 adds to y_N, shape (m, N + 1).
-        carried: what p_0 adds to p_1..p_N, shape (N, 1).
-        pushed: what each R_j e1 adds to p_1..p_N of an inertial model, shape (N, N + 1) [m/s].
-        hastened: what w adds to p_1..p_N of an inertial model, shape (N, 1) [s].
-        lasting: for how much of a step each R_j e1 pushes, shape (N + 1,).
-        unit: what a step moves the vehicle at most, from rest: h z, or h^2 z with inertia [m].
+        reach: contribution of each R_j e1 to s_1..s_N, shape (N, N + 1) [m].
+        drift: contribution of p_0 to s_1..s_N, shape (N, 1) [s]; zeros for a model without inertia.
+        blown: contribution of w to s_1..s_N, shape (N, 1) [s] or [s^2].
+        arrival: contribution of each R_j e1 to y_N, shape (m, N + 1).
+        carried: contribution of p_0 to p_1..p_N, shape (N, 1).
+        pushed: contribution of each R_j e1 to p_1..p_N, with inertia, shape (N, N + 1) [m/s].
+        hastened: contribution of w to p_1..p_N, with inertia, shape (N, 1) [s].
+        lasting: share of a step for which each R_j e1 acts, shape (N + 1,).
+        unit: a step's length, the longest from rest: h z, or h^2 z with inertia [m].
     """
 
     def __init__(self, model: Translation, horizon: int, step: float, forward: float) -> None:
@@ -124,7 +124,7 @@ class Maps:
 
 
 def _responses(transition: Array, first: Array, horizon: int) -> Array:
-    """Return A^k times the first response, k = 0..N-1, shape (N, ...)."""
+    """Return A^k times the first response for k = 0..N-1, shape (N, ...)."""
     responses = [first]
     for _ in range(horizon - 1):
         responses.append(transition @ responses[-1])
@@ -132,14 +132,14 @@ def _responses(transition: Array, first: Array, horizon: int) -> Array:
 
 
 def _lagged(responses: Array) -> Array:
-    """Return what a push at step j = 0..N adds to y_1..y_N, shape (N, N + 1, m)."""
+    """Return the contributions of a push at step j = 0..N to y_1..y_N, shape (N, N + 1, m)."""
     horizon = len(responses)
     lag = np.arange(horizon)[:, None] - np.arange(horizon + 1)[None, :]
     return np.where(lag[:, :, None] >= 0, responses[np.maximum(lag, 0)], 0.0)
 
 
 def _shares(once: Step, horizon: int) -> Array:
-    """Return for how much of a step each R_j e1 pushes: what it adds to the last entry of y."""
+    """Return the share of a step for which each R_j e1 acts, from the last entries of b and c."""
     late = once.follow[-1] / (once.push[-1] + once.follow[-1])
     shares = np.ones(horizon + 1)
     shares[0], shares[-1] = 1.0 - late, late
@@ -148,5 +148,5 @@ def _shares(once: Step, horizon: int) -> Array:
 
 @lru_cache(maxsize=256)
 def maps_of(model: Translation, horizon: int, step: float, forward: float) -> Maps:
-    """Return the maps of a model; made once."""
+    """Return the maps of a model; cached."""
     return Maps(model, horizon, step, forward)
