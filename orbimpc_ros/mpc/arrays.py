@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Untrusted values: one gate for fields, numbers and arrays; frozen types, equal by content."""
+"""Validation of untrusted fields, numbers and arrays; frozen types that are equal by content."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
 
 
 def sealed(array: Array) -> Array:
-    """Make an array of our own, of any shape, read-only, so that frozen types stay frozen."""
+    """Make a trusted array of any shape read-only, so that frozen types stay frozen."""
     array.setflags(write=False)
     return array
 
@@ -51,13 +51,13 @@ def number(
     Raises:
         BadInput: not a number, not finite or out of range.
     """
-    first = '(' if above or low == -np.inf else '['  # infinity is not allowed itself
+    first = '(' if above or low == -np.inf else '['  # infinity itself is not allowed
     allowed = f'a number in {first}{low:g}, {high:g}{")" if high == np.inf else "]"}'
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise BadInput(culprit, value, allowed)
     try:
         result = float(value)
-    except OverflowError:  # an integer beyond all floats
+    except OverflowError:  # an integer beyond the range of floats
         raise BadInput(culprit, value, allowed) from None
     if not np.isfinite(result) or not low <= result <= high or (above and result == low):
         raise BadInput(culprit, value, allowed)
@@ -80,7 +80,7 @@ def whole(value: object, culprit: str, low: int, high: int) -> int:
 def fields_of(
     value: Any, culprit: str, needed: Iterable[str], optional: Iterable[str] = ()
 ) -> Mapping[str, Any]:
-    """Return ``value`` if it is a mapping that has what is needed and nothing unknown."""
+    """Return ``value`` if it is a mapping with all needed fields and no unknown ones."""
     allowed = (*needed, *optional)
     if not isinstance(value, dict):
         raise BadInput(culprit, value, f'a mapping of {", ".join(allowed)}')
@@ -98,7 +98,7 @@ def _needs(names: tuple[str, ...]) -> str:
 
 
 def numbers_of(value: Any, culprit: str) -> Any:
-    """Return ``value`` if it is a list of numbers, or of lists of them; NumPy would take words."""
+    """Return ``value`` if it is a list of numbers, or of lists of them; NumPy accepts words."""
     leaves: list[Any] = value if isinstance(value, list) else [None]
     while leaves and all(isinstance(leaf, list) for leaf in leaves):
         leaves = [inner for leaf in leaves for inner in leaf]
@@ -108,7 +108,7 @@ def numbers_of(value: Any, culprit: str) -> Any:
 
 
 class ByContent:
-    """Equality and hash of a frozen dataclass with arrays, which have neither: by their numbers."""
+    """Equality and hash by content for frozen dataclasses with arrays, which support neither."""
 
     def _content(self) -> tuple[object, ...]:
         values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
@@ -128,18 +128,18 @@ def _comparable(value: object) -> object:
         return frozenset((key, _comparable(each)) for key, each in value.items())
     if not isinstance(value, np.ndarray):
         return value
-    return value.shape, (value + 0.0).tobytes()  # adding zero makes -0.0 the 0.0 that it equals
+    return value.shape, (value + 0.0).tobytes()  # adding zero turns -0.0 into 0.0, which it equals
 
 
 def within(checked: object, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Check that attributes are numbers in their ranges, integers where both ends are.
+    """Check that attributes are numbers in their ranges, integers if both ends are.
 
     Args:
-        checked: has the attributes.
+        checked: the object with the attributes.
         ranges: least and greatest value allowed, by attribute.
 
     Raises:
-        BadInput: one is not.
+        BadInput: a value of another type or out of range.
     """
     for name, (low, high) in ranges.items():
         if isinstance(low, int) and isinstance(high, int):

@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The independent check that every plan and command passes before it leaves.
+"""The independent check that every plan and command must pass before it is published.
 
-It takes nothing over from how a plan was found: the inputs are rolled out from the measured state,
-objective and constraints are evaluated anew at every step, the proof is held against the cost, and
-rotations and command are held against the plan. Lengths are checked in proportion to what a step
-moves the vehicle at most, everything else as it is.
+It uses no result of the search: the inputs are rolled out from the measured state, objective and
+constraints are evaluated anew at every step, the lower bound is compared with the cost, and
+rotations and command with the plan. The tolerance of lengths is in units of a step's length, all
+others are absolute.
 
 Mathematics: docs/mathematics.md, 6.2.
 """
@@ -29,19 +29,19 @@ from orbimpc_ros.mpc.problem.pace import entry_speed, first_change_is_decided
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.plan import Command, Plan
 
-TOLERANCE = 1e-6  # on what constraints ask, of numbers of the order of one
+TOLERANCE = 1e-6  # of constraints, for numbers of the order of one
 ORTHOGONAL = 1e-9
 RATE_TOLERANCE = 1e-6  # relative
-SUMMING = 1e-9  # relative: two ways to add up the same objective
-ROUNDING = 1e-15  # of the coordinates of places far from the origin
+SUMMING = 1e-9  # relative: between two summations of the same objective
+ROUNDING = 1e-15  # relative: of coordinates far from the origin
 
 
 def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
     """Return why a plan must not be published; empty if it may be.
 
     Args:
-        problem: what was to be solved.
-        state: where the vehicle was measured to be.
+        problem: that the plan solves.
+        state: as it was measured.
         goals: g_1..g_N, shape (N, n) [m].
         plan: to be checked.
     """
@@ -49,12 +49,12 @@ def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list
 
 
 def holds(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
-    """Return whether a plan may be published: whether it has no :func:`violations`."""
+    """Return True if a plan may be published: if it has no :func:`violations`."""
     return next(_flaws(problem, state, goals, plan), None) is None
 
 
 def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
-    """Yield why a plan must not be published, what takes long to find out last."""
+    """Yield the reasons why a plan must not be published; the slowest checks are last."""
     parts = plan.rotations, plan.projected, plan.inputs, plan.positions, plan.velocities
     numbers = np.concatenate([each.ravel() for each in parts])
     if not (math.isfinite(plan.objective) and np.isfinite(numbers).all()):
@@ -81,12 +81,12 @@ def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> Iterator
         tolerances.items(), _rolled_out(problem, state, plan), strict=True
     ):
         error = np.abs(rolled - getattr(plan, name)).max()
-        if not error <= allowed:  # nor is what overflows
+        if not error <= allowed:  # true for NaN, too, after an overflow
             yield f'{name} differ by {error:.2g} from a rollout of the inputs'
 
 
 def _rolled_out(problem: Problem, state: State, plan: Plan) -> tuple[Array, Array, Array]:
-    """Return R_0..R_N, s_0..s_N and p_0..p_N that the inputs of a plan lead to."""
+    """Return R_0..R_N, s_0..s_N and p_0..p_N from a rollout of the inputs of a plan."""
     rates = plan.inputs
     if problem.rotation_order == 2:
         first = state.rotation_rate
@@ -114,7 +114,7 @@ def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterat
 
 
 def _length_tolerance(problem: Problem, state: State) -> float:
-    """Return by how much positions may be off [m]."""
+    """Return the tolerance of positions [m]."""
     farthest = max(map(abs, state.position.tolist()))
     return TOLERANCE * problem.length_unit + ROUNDING * farthest
 
@@ -123,7 +123,7 @@ def _length_tolerance(problem: Problem, state: State) -> float:
 
 
 def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[str, float]:
-    """Return how far inside of each limit a plan stays at its closest, negative outside.
+    """Return the least margin of a plan to each limit, negative outside.
 
     Args:
         problem: gives the limits.
@@ -133,7 +133,7 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
 
     Returns:
         Shares of full speed or thrust for ``hull``, ``floor``, ``max_acceleration`` (in a step),
-        ``approach`` and ``tilt``; for ``max_rate`` the turn of a step [rad] with a floor, and a
+        ``approach`` and ``tilt``; for ``max_rate`` an angle in a step [rad] with a floor, and a
         share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
     """
     return {name: least for name, (least, _) in _limits(problem, state, goals, plan).items()}
@@ -147,7 +147,7 @@ def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
 def _limits(
     problem: Problem, state: State, goals: Array, plan: Plan
 ) -> dict[str, tuple[float, float]]:
-    """Return the least margin to each limit, and by how much it may be missed."""
+    """Return the least margin to each limit, and its tolerance."""
     rotations, length = plan.rotations, _length_tolerance(problem, state)
     shares: dict[str, Any] = {'hull': margin(rotations[1:])}
     lengths: dict[str, Any] = {}
@@ -172,11 +172,11 @@ def _limits(
 
 
 def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
-    """Return how far inside of what is demanded of them R_k e1 and s_k are, shape (N,) each.
+    """Return the margins of R_k e1 and s_k inside of their relaxed cones, shape (N,) each.
 
     Args:
         problem: gives the cones.
-        state: says how far outside they may be, if it is itself.
+        state: determines the relaxation of the cones.
         goals: g_1..g_N, shape (N, 3) [m].
         plan: gives rotations and positions.
     """
@@ -186,18 +186,18 @@ def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tu
 
 
 def approach_margin(problem: Problem, state: State, heading: Array) -> float:
-    """Return how far inside of the cone of approach a last heading R_N e1, shape (n,), is."""
+    """Return the margin of a last heading R_N e1, shape (n,), inside the cone of approach."""
     approach, size = problem.approach, math.sqrt(heading @ heading)
     demanded = math.cos(approach.cone) * max(size, problem.least_heading)
     return float(heading @ approach.axis(state)) - demanded
 
 
 def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
-    """Return how far the turns of R_0..R_N, shape (N + 1, n, n), stay below the limit, shape (N,).
+    """Return the margins of the turns of R_0..R_N, shape (N + 1, n, n), to the limit, shape (N,).
 
-    With a floor as angles [rad]: h omega less that from R_k e1 to R_{k+1} e1, the first one from
-    the measured axis; it counts as zero where the state has decided it. Without a floor as chords:
-    2 sin(h omega / 2) less |R_{k+1} e1 - R_k e1|.
+    With a floor they are angles [rad]: h omega minus the angle from R_k e1 to R_{k+1} e1, the first
+    one from the measured axis; a first turn that the state decides counts as zero. Without a floor
+    they are chords: 2 sin(h omega / 2) - |R_{k+1} e1 - R_k e1|.
     """
     if problem.max_rate == 0.0:
         return np.full(len(rotations) - 1, np.inf)
@@ -214,14 +214,14 @@ def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
 
 
 def speed_margin(problem: Problem, state: State, rotations: Array) -> Array:
-    """Return how far the changes of |R_k e1| stay below the limit, shape (N,).
+    """Return the margins of the changes of |R_k e1| to the limit, shape (N,).
 
-    h max_acceleration / z less ||R_{k+1} e1| - |R_k e1||, the first one from the speed that changes
-    count from; it counts as zero where the state has decided it.
+    They are h max_acceleration / z - ||R_{k+1} e1| - |R_k e1||, the first change being counted from
+    the entry speed; a first change that the state decides counts as zero.
 
     Args:
         problem: gives the limit.
-        state: says what the first change counts from.
+        state: gives the entry speed.
         rotations: R_0..R_N, shape (N + 1, n, n).
     """
     speeds = _sizes(rotations[:, :, 0])
@@ -233,13 +233,13 @@ def speed_margin(problem: Problem, state: State, rotations: Array) -> Array:
 
 
 def obstacle_margin(problem: Problem, positions: Array) -> float:
-    """Return how far s_1..s_N stay outside every box, negative inside [m].
+    """Return the least clearance of s_1..s_N from every box, negative inside [m].
 
     Args:
         problem: gives the boxes.
         positions: s_0..s_N, shape (N + 1, n) [m].
 
-    With ``no_corner_cutting`` also how far consecutive points clear a face that they share.
+    With ``no_corner_cutting`` consecutive points must also be clear of a common face.
     """
     least = np.inf
     for box in problem.boxes:
@@ -266,10 +266,10 @@ def _terminal_violations(problem: Problem, goals: Array, plan: Plan) -> list[str
 
 def _proof_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
     cost = _objective(problem, state, goals, plan)
-    # What is allowed must be finite: an overflow would excuse anything.
+    # The tolerance must be finite: after an overflow it would accept anything.
     if not abs(plan.objective - cost) <= SUMMING * cost < math.inf:
         return [f'the objective is {cost:.6g}, not {plan.objective:.6g}']
-    # What constraints may be missed by can save as much of the cost.
+    # Violations within the tolerance can reduce the cost by as much.
     excess = plan.proof.lower_bound - cost
     if not excess <= TOLERANCE * (cost + plan.proof.cost_unit) < math.inf:
         return [f'the lower bound exceeds the cost of {cost:.6g} by {excess:.2g}']
@@ -277,7 +277,7 @@ def _proof_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
 
 
 def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> float:
-    """Return the cost of a plan, equation by equation: every term is >= 0, so nothing cancels."""
+    """Return the cost of a plan, term by term: every term is >= 0, so nothing cancels."""
     w, h = problem.weights, problem.step
     misses, inputs = plan.positions[1:] - goals, plan.inputs.ravel()
     cost = w.position * np.vdot(misses, misses) + w.input * (inputs @ inputs)
@@ -292,7 +292,7 @@ def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> floa
 
 
 def _flown(problem: Problem, plan: Plan) -> float:
-    """Return the steps' speed fractions, added up: at their begin, or in the middle of a chord."""
+    """Return the sum of the steps' speed fractions: at their start, or for chords at both ends."""
     sizes = _sizes(plan.rotations[:, :, 0])
     _, push, follow, _ = step_of(problem.translation, problem.step, problem.forward)
     late = float(follow[-1] / (push[-1] + follow[-1]))
@@ -322,11 +322,11 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator
 
 
 def _off_projection(plan: Plan, known: int) -> float:
-    """Return how far Q_k, k >= known, are from the projections of R_k that they claim to be.
+    """Return the largest error of Q_k, k >= known, as projections of R_k.
 
-    Where R e1 vanishes, Q is the rotation before it. Else a thrust-aligned Q has its first axis on
-    R e1, and M = Q'R is what no roll about it improves: M_23 = M_32, and M_22 + M_33 >= 0. The
-    nearest Q makes M symmetric, with no two eigenvalues that add up to less than 0 (the optimality
+    If R e1 vanishes, Q is the rotation before it. Otherwise a thrust-aligned Q has its first axis
+    on R e1, and M = Q'R cannot be improved by a roll about it: M_23 = M_32, and M_22 + M_33 >= 0.
+    The nearest Q makes M symmetric, with no two eigenvalues whose sum is negative (the optimality
     conditions of Wahba's problem); in the plane it is thrust-aligned.
     """
     r, q, before = plan.rotations[known:], plan.projected[known:], plan.projected[known - 1 : -1]
@@ -354,15 +354,15 @@ def command_violations(
 ) -> list[str]:
     """Return why a command is not that of a plan's first step; empty if it is.
 
-    The speed must be that of R_1; without a floor, what of it is along the axis commanded, yet no
-    slower than ``max_acceleration`` allows. The rotation must be where the rate leads in a step,
-    and that must be as far on the way to the planned rotation as ``max_rate`` allows.
+    The speed must be that of R_1 or, without a floor, its component along the commanded axis, but
+    no slower than ``max_acceleration`` allows. The rotation must be the one that the rate leads to
+    in a step, and as close to the planned rotation as ``max_rate`` allows.
 
     Args:
         problem: gives the limits.
         plan: whose first step is commanded.
         command: to be checked.
-        entry: share of full speed that changes of speed count from.
+        entry: share of full speed that the first change of speed starts from.
     """
     parts = (command.speed_fraction, command.body_rate, command.rotation)
     if not all(np.isfinite(part).all() for part in parts):
@@ -388,12 +388,12 @@ def command_violations(
 
 
 def _angle_between(a: Array, b: Array) -> float:
-    """Return the angle of the rotation from one to the other [rad], from |a - b|_F."""
+    """Return the angle of the rotation between two others [rad], from |a - b|_F."""
     return 2.0 * math.asin(min(1.0, float(np.linalg.norm(a - b)) / math.sqrt(8.0)))
 
 
 def _rotation_by(turn: Array) -> Array:
-    """Return the rotation by a vector, shape (1,) or (3,) [rad], after Rodrigues."""
+    """Return the rotation by a vector, shape (1,) or (3,) [rad], by Rodrigues' formula."""
     if len(turn) == 1:
         c, s = math.cos(turn[0]), math.sin(turn[0])
         return np.array([[c, -s], [s, c]])
@@ -407,14 +407,14 @@ def _rotation_by(turn: Array) -> Array:
 def flaw(
     problem: Problem, command: Command, *, stopping: bool = False, entry: float | None = None
 ) -> str:
-    """Return why a command must not be sent, whatever it came from; empty if it may be.
+    """Return why a command must not be sent, whatever its origin; empty if it may be.
 
-    The last look before a vehicle gets it: finite, a share of full speed and not below the floor,
-    a rate below the limit (without one, below half a turn in a step), a speed that is not changed
-    faster than it may be, and a rotation.
+    This is the last check before a vehicle gets it. All numbers must be finite; the speed a share
+    of full speed, not below the floor and not changed too fast; the rate below the limit (without
+    one, below half a turn in a step); and the rotation a rotation.
 
-    A stop that was asked for (``stopping``) is forbidden by no floor and no limit of the change of
-    speed, which counts from the ``entry`` share of full speed; None if that is not known.
+    A requested stop (``stopping``) is exempt from the floor and from the limit of the change of
+    speed, which is measured from the ``entry`` share of full speed, None if unknown.
     """
     fraction = command.speed_fraction
     rate, rotation = command.body_rate.tolist(), command.rotation

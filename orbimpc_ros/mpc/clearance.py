@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Distances of a plan from balls and from what moves, at all times: for the check of plans.
+"""Distances of a plan from balls and moving obstacles at all times, for the check of plans.
 
-Nothing of how plans are found enters: the motion within steps is followed along short chords, each
-against the body as its track has it, and the closest approach of the two is worked out; a box is
-passed in each step on the outside of one face.
+They use no result of the search: the motion within a step is divided into short chords, and the
+closest approach of each to the body on its track is computed; a box must be passed on the outside
+of one face in each step.
 
 Mathematics: docs/mathematics.md, 6.2.
 """
@@ -20,15 +20,15 @@ from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 
-PIECES = 16  # of a step that is curved
+PIECES = 16  # chords per curved step
 
 
 def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
-    """Return how far a plan stays outside of every body that is round or moves, < 0 inside [m].
+    """Return a plan's least distances from all balls and moving obstacles, < 0 inside [m].
 
     Args:
         problem: gives the balls among its obstacles.
-        state: gives the hazards, and how far inside of a body it lets a plan begin.
+        state: gives the hazards, and the depth inside of bodies that a plan is allowed.
         plan: gives positions and velocities.
     """
     traffic = traffic_of(problem, state)
@@ -38,14 +38,14 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     tracks = np.zeros((len(traffic.bodies), len(times), problem.dimension))
     for j, hazard in enumerate(state.hazards, start=len(tracks) - len(state.hazards)):
         tracks[j] = hazard.moved(times)
-    # Who is only where a body is taken to stray is outside of it, and has to stay so.
+    # Plans inside of only the allowance for strays are outside of the body, and have to stay so.
     eased = np.maximum(traffic.eased - traffic.strays, 0.0) - traffic.kept
     apart = _apart(problem, plan, traffic, _positions(problem, plan, times) - tracks, times)
     return dict(zip(traffic.names, (apart + eased).min(axis=1).tolist(), strict=True))
 
 
 def _apart(problem: Problem, plan: Plan, traffic: Traffic, away: Array, times: Array) -> Array:
-    """Return how far each step stays clear of bodies it is away from at times, (J, N) [m]."""
+    """Return each step's distances from bodies, (J, N) [m], given offsets from them at times."""
     step = np.minimum((0.5 * (times[1:] + times[:-1]) / problem.step).astype(int), plan.horizon - 1)
     first = np.searchsorted(step, np.arange(plan.horizon))
     apart = np.empty((len(away), plan.horizon))
@@ -60,7 +60,7 @@ def _apart(problem: Problem, plan: Plan, traffic: Traffic, away: Array, times: A
 
 
 def _instants(problem: Problem, state: State, plan: Plan) -> Array:
-    """Return the instants between which all move along chords, shape (M,) [s]."""
+    """Return the times between which vehicle and bodies move along chords, shape (M,) [s]."""
     pieces = 1 if problem.translation.degree == 1 else PIECES
     end = plan.horizon * problem.step
     turns = np.concatenate([[], *(each.turns for each in state.hazards)])
@@ -68,10 +68,10 @@ def _instants(problem: Problem, state: State, plan: Plan) -> Array:
 
 
 def _positions(problem: Problem, plan: Plan, times: Array) -> Array:
-    """Return where the vehicle is at times, shape (M,) [s], shape (M, n) [m].
+    """Return the vehicle's positions, shape (M, n) [m], at times, shape (M,) [s].
 
-    Between the ends of a step that is the polynomial (Hermite's) that meets both, leaves the first
-    with its velocity and, if its degree is 3, arrives at the second with its own.
+    Within a step it moves along the Hermite polynomial through both ends with the velocity at the
+    first and, if the degree is 3, that at the second.
     """
     h = problem.step
     k = np.minimum((times / h).astype(int), plan.horizon - 1)
@@ -87,7 +87,7 @@ def _positions(problem: Problem, plan: Plan, times: Array) -> Array:
 
 
 def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
-    """Return how far chords, (J, M + 1, n) end to end, stay outside of balls, shape (J, M) [m]."""
+    """Return distances from balls, shape (J, M) [m], of polylines, shape (J, M + 1, n)."""
     centres = np.array([each.centre for each in balls])
     begin, way = away[:, :-1] - centres[:, None], np.diff(away, axis=1)
     squared = np.maximum((way * way).sum(axis=-1), np.finfo(float).tiny)
@@ -97,11 +97,11 @@ def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
 
 
 def _beyond_a_face(each: Array, first: np.ndarray) -> Array:
-    """Return how far beyond one and the same face all of each step is, shape (N,) [m].
+    """Return the largest distance beyond a face that holds throughout a step, shape (N,) [m].
 
     Args:
-        each: clearances of all faces at instants, shape (M + 1, 2 n).
-        first: at which instants steps begin, shape (N,).
+        each: distances beyond all faces at the instants, shape (M + 1, 2 n).
+        first: indices of the instants at which steps begin, shape (N,).
     """
     begun = np.minimum.reduceat(each[:-1], first)
     ended = each[np.append(first[1:], len(each) - 1)]

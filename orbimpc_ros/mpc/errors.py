@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The errors of this package: each names a culprit, its value and what is allowed."""
+"""The errors of this package; those of bad input name a culprit, its value and what is allowed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from orbimpc_ros.install import command
 
-LISTED = 20  # names that an error lists at most
+LISTED = 20  # most names listed by an error
 
 
 class OrbimpcError(Exception):
@@ -21,7 +21,7 @@ class BadInput(OrbimpcError, ValueError):
 
     Args:
         culprit: the field, topic or file that carries the value.
-        value: the value as it came.
+        value: the value received.
         allowed: what would have been accepted.
     """
 
@@ -32,7 +32,7 @@ class BadInput(OrbimpcError, ValueError):
 
     @classmethod
     def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
-        """Return the error of a value that is none of a few words, with one that it may mean."""
+        """Return the error of a value that is not one of a few words, with the closest of them."""
         known = tuple(words)
         close = difflib.get_close_matches(str(value), known, n=1)
         meant = f'; did you mean {close[0]!r}?' if close else ''
@@ -40,26 +40,26 @@ class BadInput(OrbimpcError, ValueError):
 
     @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
-        """Return an error where nothing is a value: ``subject: problem; hint``."""
+        """Return an error that is not about a value: ``subject: problem; hint``."""
         error = cls(subject, problem, hint)
         error.args = (f'{subject}: {_in_short(problem)}; {hint}',)
         return error
 
     @classmethod
     def without(cls, package: str) -> BadInput:
-        """Return the error of a problem whose method needs a package that is not installed."""
+        """Return the error of a problem whose method requires a package that is not installed."""
         needed = f'this problem takes a general method, which needs it: {command(package)}'
         return cls.stating(package, 'not installed', needed)
 
     @classmethod
     def unknown(cls, kind: str, name: str, known: Iterable[str], where: str = '') -> BadInput:
-        """Return the error of a name that there is not, with those that it may stand for.
+        """Return the error of an unknown name, with the closest known names.
 
         Args:
-            kind: what it would name, such as ``parameter``.
-            name: as it came.
-            known: names that there are.
-            where: the file or option that has it.
+            kind: the kind of name, such as ``parameter``.
+            name: the name received.
+            known: the names that exist.
+            where: the file or option that contains it.
         """
         names, name = list(dict.fromkeys(known)), ' '.join(name.split())[:80]
         close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
@@ -73,18 +73,18 @@ class BadInput(OrbimpcError, ValueError):
 
 
 def _in_short(text: str) -> str:
-    """Return a text in one line, its middle left out if it is long."""
+    """Return a text on one line, shortened in the middle if it is long."""
     if len(text) > 80:
-        text = f'{text[:37]}...{text[-40:]}'  # of a path the end says which file
+        text = f'{text[:37]}...{text[-40:]}'  # the end of a path names the file
     return ' '.join(text.split())
 
 
 class Infeasible(OrbimpcError):
-    """No trajectory satisfies the constraints; the message names the one to blame.
+    """No trajectory satisfies the constraints; the message names those at fault.
 
     Args:
-        message: in one line.
-        proof: a ``ProofTree`` whose leaves are all empty, where there is one.
+        message: one line.
+        proof: a ``ProofTree`` whose leaves are all infeasible, or None.
     """
 
     def __init__(self, message: str, proof: Any = None) -> None:
@@ -93,4 +93,4 @@ class Infeasible(OrbimpcError):
 
 
 class SolverFailure(OrbimpcError):
-    """The solver stopped without an answer that can be trusted."""
+    """The solver stopped without a result that can be trusted."""

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The words for how a tick ended: enumerations whose values are what the topics say."""
+"""Outcomes of a tick: enumerations whose values are published on topics."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from enum import Enum
 
 
 class Word(str, Enum):
-    """A member is its value: it compares, prints and serialises as that string."""
+    """An enumeration whose members compare, print and serialise as their string values."""
 
     __str__ = str.__str__
 
     def __format__(self, spec: str) -> str:
-        """Format the value, on every version of Python."""
+        """Format the value, in the same way in every version of Python."""
         return format(self.value, spec)
 
 
 class Status(Word):
-    """What a solve proved."""
+    """The result of a solve."""
 
     OPTIMAL = 'optimal'  # a checked plan, within the gap tolerance of the proved bound
     FEASIBLE = 'feasible'  # a checked plan, not proved optimal
@@ -27,7 +27,7 @@ class Status(Word):
 
 
 class Fallback(Word):
-    """What a tick's command follows where the solve gave no plan."""
+    """The source of a tick's command if the solve gave no plan."""
 
     NONE = ''
     SHIFTED_PLAN = 'shifted plan'
@@ -37,30 +37,30 @@ class Fallback(Word):
 
 
 class Cause(Word):
-    """What kept a tick from being planned on fresh inputs."""
+    """The reason why a tick was not planned on fresh inputs."""
 
-    NONE = ''  # it was planned: its status says the rest
+    NONE = ''  # it was planned, with the result in its status
     GOAL = 'goal'  # no goal is fresh
     HORIZON = 'horizon'  # a shrinking horizon has run out
-    COMMAND = 'command'  # the command made of a plan must not be sent
+    COMMAND = 'command'  # the command of a plan failed its check
     ODOMETRY = 'odometry'  # odometry is stale
     SOURCES = 'sources'  # more than one source of odometry
     WAITING = 'waiting'  # an input has not come yet
-    CLOCK = 'clock'  # simulated time stands still
+    CLOCK = 'clock'  # simulated time does not advance
     DISABLED = 'disabled'
-    AFRESH = 'afresh'  # inputs and plan were forgotten, but for a goal sent by hand
-    RESET = 'reset'  # the same on request, and what was estimated
+    AFRESH = 'afresh'  # inputs and plan were discarded, except a goal sent by hand
+    RESET = 'reset'  # the same on request, and estimates were discarded too
     FAILURE = 'failure'  # a callback raised an error
     SHUTDOWN = 'shutdown'
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why no plan is followed.
+    """The reason why no plan is followed.
 
     Attributes:
-        cause: to decide by.
-        words: for people.
+        cause: for programs.
+        words: for people, one line.
     """
 
     cause: Cause

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A plan: the trajectory found, how good it is proved to be, and the command for its first step.
+"""A plan: the trajectory found, its proof of quality, and the command for its first step.
 
 Mathematics: docs/mathematics.md, 6.1, 7.2 and 7.6.
 """
@@ -20,24 +20,24 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.tree import ProofTree
 
-TINY = 1e-12  # a size that has no direction
-WITHIN = 1.0 - 1e-9  # of the widest turn, which rounding is not to exceed
-NEGLIGIBLE = 1e-5  # of the cost unit: what gaps are relative to where objectives are smaller
+TINY = 1e-12  # smaller vectors have no direction
+WITHIN = 1.0 - 1e-9  # share of the widest turn, so that rounding does not exceed it
+NEGLIGIBLE = 1e-5  # of the cost unit: gaps are relative to this if the objective is smaller
 
 
 @dataclass(frozen=True)
 class Proof:
-    """What is known of a plan's distance from the optimum.
+    """What is proved about a plan's distance from the optimum.
 
     Attributes:
-        lower_bound: no trajectory of the problem costs less, as the search has it; -inf where
+        lower_bound: the search's bound on the cost of all trajectories of the problem; -inf if
             nothing was proved.
-        nodes: relaxations solved on the way.
+        nodes: number of relaxations solved.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         cost_unit: the natural size of costs of the problem; 1e-5 of it are negligible.
-        reason: why no more was proved, where there is more to say than the gap.
-        checked: whether the bound is no more than what the verifier makes of the tree.
-        tree: which proves the bound, in the problem's own units; None where there is none.
+        reason: why no more was proved; empty if the gap is the only reason.
+        checked: whether the verifier has proved the bound from the tree.
+        tree: proves the bound, in the problem's own units; None if there is none.
     """
 
     lower_bound: float
@@ -58,15 +58,15 @@ class Plan(ByContent):
 
     Attributes:
         objective: cost of this trajectory, evaluated from its own numbers.
-        proof: what it is held against.
+        proof: its lower bound and how it was found.
         projection: ``nearest`` or ``thrust_aligned``: how ``projected`` was made.
         positions: s_0..s_N, shape (N + 1, n) [m].
         velocities: p_0..p_N, shape (N + 1, n) [m/s].
         rotations: R_0..R_N in conv SO(n), shape (N + 1, n, n).
         inputs: u_0..u_{N-1}, shape (N, n, n).
         projected: rotations made of R_0..R_N, shape (N + 1, n, n).
-        held: for which k R_k e1 = 0 left the heading undefined, so the previous one was held,
-            shape (N + 1,).
+        held: True for each k with R_k e1 = 0, whose heading is undefined: the previous rotation is
+            held, shape (N + 1,).
     """
 
     objective: float
@@ -91,16 +91,16 @@ class Plan(ByContent):
 
     @cached_property
     def lower_bound(self) -> float:
-        """Return a cost that no trajectory of the problem undercuts; -inf if none was looked for.
+        """Return a lower bound on the cost of all trajectories; -inf if none was computed.
 
-        A bound that was not verified is none: no term of the cost is negative.
+        An unverified bound counts as at most 0, which is a bound since no term is negative.
         """
         claimed = self.proof.lower_bound
         return claimed if self.proof.checked else min(0.0, claimed)
 
     @property
     def nodes(self) -> int:
-        """Return how many relaxations were solved."""
+        """Return the number of relaxations solved."""
         return self.proof.nodes
 
     @property
@@ -110,16 +110,16 @@ class Plan(ByContent):
 
     @cached_property
     def status(self) -> Status:
-        """Return whether it is proved optimal, within the gap tolerance, or merely feasible.
+        """Return ``OPTIMAL`` if that is proved within the gap tolerance, ``FEASIBLE`` otherwise.
 
-        A bound that was not verified proves nothing.
+        An unverified bound proves nothing.
         """
         proved = self.is_closed and self.proof.checked
         return Status.OPTIMAL if proved else Status.FEASIBLE
 
     @cached_property
     def is_closed(self) -> bool:
-        """Return whether the bound is within the gap tolerance, verified or not."""
+        """Return True if the bound is within the gap tolerance, verified or not."""
         return bool(self._gap_to(self.proof.lower_bound) <= self.proof.gap_tolerance)
 
     def _gap_to(self, bound: float) -> float:
@@ -153,7 +153,7 @@ def assemble(
     projected[0] = state.attitude
     known = 1
     if problem.rotation_order == 2 and state.coasted is not None:
-        projected[1], known = state.coasted, 2  # whatever the thrust, the body turns there
+        projected[1], known = state.coasted, 2  # the body turns there whatever the thrust
     before = projected[known - 1]
     projected[known:], held[known:] = project_all(rotations[known:], before, projection)
     return Plan(
@@ -170,11 +170,11 @@ def assemble(
 
 
 def later(values: Array, at: Array) -> Array:
-    """Return values between their entries, on the chords, and the last one beyond them.
+    """Return values interpolated linearly between entries; beyond the last one it is held.
 
     Args:
         values: entries 0..M - 1, shape (M, d).
-        at: places among them, counted in entries, at least 0; shape (K,).
+        at: fractional indices >= 0, shape (K,).
     """
     below = np.minimum(at.astype(int), len(values) - 1)
     share = (at - below)[:, None]
@@ -183,19 +183,19 @@ def later(values: Array, at: Array) -> Array:
 
 
 def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = None) -> Array | None:
-    """Return the rest of the previous plan, its last rotation held: coordinates, shape (N, d).
+    """Return the remaining steps of the previous plan, the last rotation held, shape (N, d).
 
-    Between two steps of the previous plan R e1 turns evenly, as its length changes evenly: on the
-    chord a vehicle would slow down. In the plane, what turns by no more than an angle follows it as
-    well as it can, from where it is. None where the shift does not fit: at rotation order 2 the
-    first rotation is given.
+    Between steps of the previous plan |R e1| is interpolated linearly: on the chord a vehicle would
+    slow down. In the plane, where turns are limited as angles, headings follow the shifted ones as
+    closely as the vehicle can turn from its attitude. None if the shift does not fit: at rotation
+    order 2 the first rotation is given.
 
     Args:
-        problem: what is to be solved now.
-        state: from where.
+        problem: to be solved now.
+        state: where the new plan starts.
         plan: the previous one.
-        knots: the ends of the steps of now in steps of the previous plan, shape (N,); by default
-            that is one step old.
+        knots: ends of the new steps as fractional step indices of the previous plan, shape (N,); by
+            default that plan is one step old.
     """
     if problem.rotation_order == 2:
         return None
@@ -208,9 +208,9 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
 
 
 def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:
-    """Return rotations on chords, shape (K, d), with |R e1| as long as in between the ends.
+    """Scale rotations on chords, shape (K, d), to |R e1| interpolated between the ends.
 
-    In space the orbitope leaves no room for that at full speed: there it is kept up to the floor.
+    In space they may then leave the orbitope, so they are only scaled up to the floor's radius.
     """
     n = problem.dimension
     sizes = later(np.linalg.norm(x[:, :n], axis=1, keepdims=True), at)
@@ -221,7 +221,7 @@ def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:
 
 
 def _followed(problem: Problem, state: State, x: Array) -> Array:
-    """Return headings, shape (K, 2), turned no farther than the vehicle turns, and as long."""
+    """Return headings, shape (K, 2), of the same lengths with turns limited to the widest one."""
     widest, followed = WITHIN * problem.widest_turn, np.zeros_like(x)
     angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
     for k, (along, aside) in enumerate(x.tolist()):
@@ -233,7 +233,7 @@ def _followed(problem: Problem, state: State, x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Command(ByContent):
-    """What the vehicle does next: turn at a rate during the step, take over a speed at its end.
+    """The next command: a body rate to turn at during the step, and a speed from its end on.
 
     Attributes:
         speed_fraction: share of full speed (translation order 1) or thrust (order 2), in [0, 1].
@@ -259,21 +259,21 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
     """Return the command for a step of ``plan``, the first by default.
 
     Rotation order 1: body rate log(Q_k^T Q_{k+1})/h. Order 2: the present body rate already carries
-    Q_k to Q_{k+1} in this step, so the rate taken over at its end is log(Q_{k+1}^T Q_{k+2})/h. The
-    rate never exceeds ``max_rate``. In the plane a floor makes sure that plans do not either; where
-    they do (without a floor by a wide angle of a short chord, in space by a roll) the rate is cut,
-    and the commanded rotation is the one then reached. Without a floor the vehicle then gets as
-    much of the planned speed or thrust as is along the axis reached: at full speed it would miss
-    the turn, and could circle its goal for ever. It is not slowed faster than it may be, though.
+    Q_k to Q_{k+1} in this step, so the rate from its end on is log(Q_{k+1}^T Q_{k+2})/h. The rate
+    never exceeds ``max_rate``. In the plane a floor ensures this for plans, too; otherwise (without
+    a floor if a short chord spans a wide angle, in space because of rolls) the rate is cut, and the
+    commanded rotation is the one then reached. Without a floor the speed or thrust is then the
+    planned one's component along that axis: at full speed the vehicle would miss the turn, and
+    could circle its goal for ever. Its change of speed remains limited, though.
 
     Args:
         problem: gives step and limits.
-        state: the state that the plan starts from.
+        state: where the plan starts.
         plan: a checked plan.
         step: k, in 0..N-1.
     """
     floor = problem.least_speed
-    # What rounding leaves a plan short of its floor, no vehicle is told.
+    # Rounding may leave a plan just below its floor; commands must not be.
     fraction = min(1.0, max(floor, float(plan.speed_fraction[step + 1])))
     first = step + problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]

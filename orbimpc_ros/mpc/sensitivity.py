@@ -1,16 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Active constraints of a plan and their shadow prices: the reasons why it is not better.
+r"""Active constraints of a plan and their shadow prices.
 
-At an optimum the gradient of the cost is a combination of the gradients of the slacks that have
-run out (Karush, Kuhn, Tucker),
+At an optimum the gradient of the cost is a combination of the gradients of active slacks (Karush,
+Kuhn, Tucker),
 
 .. math::  \nabla f = \sum_i \lambda_i \nabla c_i, \qquad \lambda_i \ge 0 \text{ where } c_i \ge 0,
 
-as functions of the rotations R_1..R_N, all else eliminated by the dynamics. The multiplier is a
-price: relaxing the constraint by a small eps makes the optimum cheaper by price * eps.
+as functions of the rotations R_1..R_N, with all else eliminated by the dynamics. A multiplier is a
+price: relaxing its constraint by a small eps reduces the optimal cost by price * eps.
 
-A slack is a function c >= 0 that vanishes where its constraint is met with nothing to spare.
-Gradients are over the coordinates of R_1..R_N.
+A slack is a function c >= 0 that is zero where its constraint is active. Gradients are over the
+coordinates of R_1..R_N.
 
 Mathematics: docs/mathematics.md, 6.3.
 """
@@ -38,23 +38,23 @@ from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.request import Request
 
-ROUNDING = 1e-6  # share of the cost's gradient that counts as nothing
+ROUNDING = 1e-6  # share of the cost's gradient that is negligible
 TINY = 1e-12
-ACTIVE = 1e-5  # slack that counts as none: solvers leave less
+ACTIVE = 1e-5  # constraints with less slack count as active: solvers leave less
 AXES = 'xyz'
 UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Slack:
-    """A slack that has run out.
+    """The slack of an active constraint.
 
     Attributes:
         name: of its constraint.
         step: k in 1..N.
         gradient: over the coordinates of R_1..R_N, shape (N, d).
-        unit: makes a price of the multiplier: how far the slack moves per unit of relaxation.
-        signed: whether the multiplier may be negative, as an equality's.
+        unit: change of the slack per unit of relaxation, which turns the multiplier into a price.
+        signed: whether the multiplier may be negative, as that of an equality.
     """
 
     name: str
@@ -65,11 +65,11 @@ class Slack:
 
 
 def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """Yield every slack that has run out at a plan.
+    """Yield the slacks of all active constraints of a plan.
 
     Args:
-        problem: what was solved.
-        state: from where.
+        problem: that was solved.
+        state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
         plan: a plan that meets all constraints.
     """
@@ -90,7 +90,7 @@ def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Itera
 
 
 def _hull(plan: Plan) -> Iterator[Slack]:
-    """1 - |x_k| for n = 2; for n = 3 the eigenvalues of the LMI that have come down to zero."""
+    """Yield 1 - |x_k| for n = 2, and for n = 3 the eigenvalues of the LMI that are zero."""
     for k, x in enumerate(coordinates(plan.rotations[1:]), start=1):
         if len(x) == 2:
             size = math.sqrt(x @ x)
@@ -102,10 +102,10 @@ def _hull(plan: Plan) -> Iterator[Slack]:
 
 
 def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
-    """Gradients of <Y, LMI> for a basis of symmetric Y on the LMI's kernel, shape (4, r).
+    """Yield gradients of <Y, LMI> for a basis of symmetric Y on the LMI's kernel, shape (4, r).
 
-    The multiplier is a positive semidefinite Y; its trace is the price of scaling the hull. More
-    than one dimension leaves Y free here: where multipliers are unique it comes out as it should.
+    The multiplier is a positive semidefinite Y; its trace is the price of scaling the hull. This is
+    not enforced for r > 1: unique multipliers satisfy it.
     """
     _, linear = lmi_parts()
     count = kernel.shape[1]
@@ -117,10 +117,10 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
 
 
 def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """2 sin(h omega / 2) - |(R_k - R_{k-1}) e1|, charged to omega; with a floor of the angle.
+    """Yield slacks of ``max_rate``: of chords |(R_k - R_{k-1}) e1|, or with a floor of angles.
 
-    An angle changes across the headings alone, against the turn at its beginning and with it at
-    its end, by the inverse of their lengths.
+    The gradient of an angle is orthogonal to each heading, of the size of its inverse length, and
+    directed against the turn at its beginning, along it at its end.
     """
     headings = plan.rotations[:, :, 0].copy()
     wider = problem.step * math.cos(0.5 * problem.step * problem.max_rate)
@@ -139,7 +139,7 @@ def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
 
 
 def _changes(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """What is left of h a / z beyond ||R_k e1| - |R_{k-1} e1||, charged to the acceleration a."""
+    """Yield slacks h a / z - ||R_k e1| - |R_{k-1} e1||, priced per unit of the acceleration a."""
     headings, unit = plan.rotations[:, :, 0], problem.step / problem.forward
     speeds = plan.speed_fraction
     for k in 1 + np.flatnonzero(speed_margin(problem, state, plan.rotations) < ACTIVE):
@@ -152,14 +152,14 @@ def _changes(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
 
 
 def _across(heading: Array, other: Array) -> Array:
-    """Return the gradient of the angle to another heading, shape (n,), in the first one."""
+    """Return the gradient in a heading of its angle to another one, shape (n,)."""
     unit = heading / np.linalg.norm(heading)
     across = (other @ unit) * unit - other
     return across / (np.linalg.norm(across) * np.linalg.norm(heading))
 
 
 def _slow(problem: Problem, plan: Plan) -> Iterator[Slack]:
-    """The half-space of a floor that each heading is kept by the most."""
+    """Yield the floor's half-space in which each heading on the floor has the largest margin."""
     floor, headings = problem.floor, plan.rotations[1:, :, 0]
     outward = floor.normals(problem.dimension)
     for k in np.flatnonzero(floor.margin(headings) < ACTIVE).tolist():
@@ -170,7 +170,7 @@ def _slow(problem: Problem, plan: Plan) -> Iterator[Slack]:
 
 
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """The planes between the vehicle and bodies, at the points that touch them."""
+    """Yield the planes between vehicle and bodies, at the control points that touch them."""
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.length_unit
     names = [f'obstacle {i}' for i in range(len(problem.boxes))]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
@@ -182,7 +182,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
         body, step = divmod(choice, count)
         still = body - 2 < len(problem.boxes)
         if still and problem.no_corner_cutting and step == 0 < count - 1:
-            continue  # its end is the beginning of the next one
+            continue  # its end is the beginning of the next step
         for row, _ in held:
             if row.normal @ (row.shares @ headings) - row.offset < nothing:
                 gradient = on_axes(np.outer(row.shares, row.normal))
@@ -191,7 +191,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
 
 
 def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """The tilt of thrust axes, and the distance to the glide slope, charged to their angles."""
+    """Yield slacks of the tilt limit and the glide slope, priced per unit of their angles."""
     tilt, slope = cone_margins(problem, state, goals, plan)
     if problem.tilt:
         for k in 1 + np.flatnonzero(tilt < ACTIVE):
@@ -209,7 +209,7 @@ def _approach(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
 
 
 def _in_cone(name: str, plan: Plan, k: int, angle: float, axis: Array, least: float) -> Slack:
-    """z_k . axis - cos(angle) max(|z_k|, least), charged to the angle."""
+    """Return the slack z_k . axis - cos(angle) max(|z_k|, least), priced per unit of the angle."""
     heading = plan.rotations[k, :, 0]
     size = float(np.linalg.norm(heading))
     gradient = axis - (math.cos(angle) * heading / size if size > least else 0.0)
@@ -217,7 +217,7 @@ def _in_cone(name: str, plan: Plan, k: int, angle: float, axis: Array, least: fl
 
 
 def _gliding(problem: Problem, away: Array, k: int) -> Slack:
-    """The cone has no gradient at its tip: there it is taken as upwards."""
+    """Return the slack of the glide slope; its gradient at the tip, a kink, is taken as upwards."""
     sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
     aside = float(np.hypot(away[0], away[1]))
     outward = away[:2] / max(aside, ACTIVE * problem.length_unit)
@@ -226,7 +226,7 @@ def _gliding(problem: Problem, away: Array, k: int) -> Slack:
 
 
 def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
-    """s_N - g_N and p_N, axis by axis."""
+    """Yield s_N - g_N and p_N, axis by axis."""
     if problem.terminal != 'constraint':
         return
     flown = problem.maps
@@ -240,14 +240,14 @@ def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
 
 
 def _thrust(coasted: Array, plan: Plan) -> Iterator[Slack]:
-    """The fraction rho >= 0 in R_1 = rho * (the rotation that the body rate leads to)."""
+    """Yield the fraction rho >= 0 in R_1 = rho * (the rotation that the body rate leads to)."""
     if plan.speed_fraction[1] < ACTIVE:
         way = coordinates(coasted)
         yield Slack('thrust', 1, _at(plan, 1, way / (way @ way)))
 
 
 def _at(plan: Plan, k: int, gradient: Array) -> Array:
-    """Return a gradient over R_k alone, its first entries given, as one over R_1..R_N."""
+    """Return a gradient in R_k, given its first entries, as one in R_1..R_N."""
     full = np.zeros_like(coordinates(plan.rotations[1:]))
     full[k - 1, : len(gradient)] = gradient
     return full
@@ -255,14 +255,14 @@ def _at(plan: Plan, k: int, gradient: Array) -> Array:
 
 @dataclass(frozen=True)
 class Binding:
-    """A constraint without slack whose relaxation would pay.
+    """An active constraint whose relaxation would reduce the cost.
 
     Attributes:
         name: ``hull``, ``floor``, ``max_rate``, ``max_acceleration``, ``tilt``, ``glide_slope``,
-            ``approach``, ``obstacle 0`` (its number), ``hazard 0``, ``thrust`` (a coasting body's
-            cannot be negative), ``terminal x`` or ``terminal velocity x`` (or y, z).
-        step: k in 1..N: of R_k, of s_k, or of the change from R_{k-1} to R_k.
-        price: what the cost falls by per unit of relaxation: of speed fraction for ``hull``,
+            ``approach``, ``obstacle 0`` (its index), ``hazard 0``, ``thrust`` (that of a coasting
+            body is >= 0), ``terminal x`` or ``terminal velocity x`` (or y, z).
+        step: k in 1..N, for R_k, s_k, or the change from R_{k-1} to R_k.
+        price: decrease of the cost per unit of relaxation: of speed fraction for ``hull``,
             ``floor`` and ``thrust``, of rad/s for ``max_rate``, of m/s^2 for ``max_acceleration``,
             of rad for ``tilt``, ``glide_slope`` and ``approach``, of m or m/s for the others.
     """
@@ -277,12 +277,12 @@ class Binding:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a plan is not better.
+    """The active constraints of a plan with their prices.
 
     Attributes:
-        binding: the constraints that cost something, dearest first.
-        unexplained: share of the cost's gradient that they do not account for. Near zero at an
-            optimum; otherwise the plan could be improved, and the prices say little.
+        binding: the constraints with a positive price, in decreasing order.
+        unexplained: share of the cost's gradient that they do not account for. It is near zero at
+            an optimum; otherwise the plan could be improved, and the prices mean little.
     """
 
     binding: tuple[Binding, ...]
@@ -290,17 +290,17 @@ class Explanation:
 
 
 def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Explanation:
-    """Return the constraints that bind at an optimal plan, with their prices.
+    """Return the binding constraints of an optimal plan with their prices.
 
     Args:
-        problem: what was solved.
-        state: from where.
+        problem: that was solved.
+        state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
         plan: the optimum.
     """
     slacks = list(slacks_of(problem, state, goals, plan))
     terms = gradients_of_cost(problem, state, goals, coordinates(plan.rotations[1:]))
-    nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal all vanish
+    nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal gradients vanish
     scale = max(sum(map(np.linalg.norm, terms)), nothing, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])
     gradients = _movable(problem, state, plan, gradients).reshape(len(gradients), -1)
@@ -319,10 +319,10 @@ def _charged(slacks: Sequence[Slack], multipliers: Array, nothing: float) -> tup
 
 
 def _multipliers(columns: Array, pull: Array, signed: Sequence[bool], nothing: float) -> Array:
-    """Return the multipliers that come nearest to ``pull``, non-negative unless signed.
+    """Return the least-squares multipliers for ``pull``, non-negative unless signed.
 
-    Whose multiplier comes out negative does not hold the plan back: it is left out, the worst
-    first. That is exact wherever constraints do not stand in for each other.
+    Constraints with negative multipliers are dropped, the most negative one first, since they do
+    not hold the plan back. That is exact unless constraints are interchangeable.
     """
     kept = np.ones(len(signed), dtype=bool)
     while kept.any():
@@ -336,10 +336,10 @@ def _multipliers(columns: Array, pull: Array, signed: Sequence[bool], nothing: f
 
 
 def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Array:
-    """Return gradients, shape (..., N, d), without the directions in which no step can be made.
+    """Project gradients, shape (..., N, d), onto the directions in which the plan can change.
 
-    Where R_k e1 = 0 the length term has a kink, which holds R_k e1 in its place. At rotation order
-    2 the state decides R_1, but for the thrust along a coasting body.
+    The kink of the length term at R_k e1 = 0 holds R_k e1 in place. At rotation order 2 the state
+    decides R_1, except for the thrust along a coasting body.
     """
     moved, kinks = gradients.copy(), _kinks(problem, plan)
     moved[..., kinks, : problem.dimension] = 0.0
@@ -353,5 +353,5 @@ def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Ar
 
 
 def _kinks(problem: Problem, plan: Plan) -> np.ndarray:
-    """Return for which of R_1..R_N the length term has no gradient, shape (N,)."""
+    """Return True for those of R_1..R_N at which the length term has no gradient, shape (N,)."""
     return (plan.speed_fraction[1:] < KINK) & (length_weights(problem)[1:] > 0.0)
