@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The search as a method of the solver: a request in, a trajectory and the tree of its proof out.
+"""The search as a method of the solver: from a request to a trajectory and its proof tree.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -36,24 +36,24 @@ from orbimpc_ros.mpc.search.tree import (
 )
 from orbimpc_ros.mpc.solve.request import Found, Request
 
-LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves do not
+LONGEST = 120  # horizon up to which a search proves more in a tick than sparse solves do
 LONGEST_INERTIAL = 58  # without a floor: beyond it interior steps take longer than sparse solves
-ROOM = 1_000_000  # nodes times steps that there is memory for
-SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
-SPACES = 4  # threads whose memory is kept
-NONE: Array = np.zeros((0, 2))  # of guesses
-SETTLED = 90.0  # tolerances at which a search may stop where steps depend on each other
+ROOM = 1_000_000  # memory of the search, in nodes times steps
+SLICE = 3e5  # multiplications between checks of the deadline: less than a millisecond
+SPACES = 4  # number of threads whose memory is kept
+NONE: Array = np.zeros((0, 2))  # no guess
+SETTLED = 90.0  # factor on the tolerance of the search if constraints couple steps
 
 
 class Engine:
-    """Solves problems of the plane by branch and bound over stage sets.
+    """Solver of problems in the plane by branch and bound over stage sets.
 
     Args:
-        problem: what to solve, in natural units.
+        problem: to solve, in natural units.
         tolerance: relative gap at which a plan is good enough to stop.
     """
 
-    trusts_guess = False  # anywhere is good enough to start from
+    trusts_guess = False  # any starting point will do
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self._problem, self._tolerance = problem, tolerance
@@ -64,10 +64,10 @@ class Engine:
         fraction = float(floor.fraction) if floor.exists else 0.0
         self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0
         self._widest = problem.widest_turn if floor.exists else math.pi
-        self.takes_guess = floor.exists  # disks are relaxed from anywhere
+        self.takes_guess = floor.exists  # relaxations over disks need none
         if problem.max_rate or problem.max_acceleration or floor.shape == 'circle':
             self._tolerance *= SETTLED
-        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        # The first call compiles or loads machine code: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
         with suppress(Infeasible):
             goals = np.ones((problem.horizon, 2))
@@ -75,7 +75,7 @@ class Engine:
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether there are stage sets for all limits of a problem, and machine code."""
+        """Return True if stage sets express all limits of a problem, and there is machine code."""
         floor, changes = problem.floor, problem.max_rate > 0.0 or problem.max_acceleration > 0.0
         disks = not (floor.exists or changes or problem.approach.exists)
         straight = (disks or floor.shape == 'polygon') and not problem.weights.length
@@ -97,7 +97,7 @@ class Engine:
         """
         ring, quad = self._ring(request.state), self._quadratic(request)
         tree, room = _working_space(get_ident(), self._problem.horizon)
-        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+        # Copied, since for a read-only or strided array other code would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
         if not begin(quad, ring, tree, guess, room):
             raise Infeasible('no turn meets the cone of approach')
@@ -119,7 +119,7 @@ class Engine:
         return Quadratic(self._hessian, self._inverse, q, self._lengths, constant)
 
     def _ring(self, state: State) -> Ring:
-        """Return the floor, and what limits headings and speeds from a state on."""
+        """Return the floor and the limits of headings and speeds from a state."""
         problem, ahead = self._problem, state.attitude[:, 0]
         entry, change, last, within = 1.0, np.inf, 0.0, math.pi
         if problem.max_acceleration > 0.0:
@@ -133,9 +133,9 @@ class Engine:
 
 @lru_cache(maxsize=2 * LONGEST)
 def _working_space(thread: int, steps: int) -> tuple[Tree, Room]:
-    """Return what a search over N = ``steps`` steps works in.
+    """Return the working memory of a search over N = ``steps`` steps.
 
-    Its nodes take the place of those of the search before it in this thread, which is over.
+    Its nodes overwrite those of the previous search of this thread, which has ended.
     """
     nodes, memory = ROOM // steps, _memory(thread)
     sectors, start, point = (
@@ -156,14 +156,14 @@ def _memory(thread: int) -> Tree:
 def found_of(
     best: Array, numbers: Array, counts: np.ndarray, constant: float, excess: float
 ) -> Found:
-    """Return the best of a search so far, with the bound that it has proved.
+    """Return the incumbent of a search, with the bound proved so far.
 
     Args:
-        best: the best trajectory, shape (N, n).
-        numbers: of its tree, see :mod:`orbimpc_ros.mpc.kernels.best_first`.
-        counts: so.
-        constant: what costs lack.
-        excess: what making H regular added to costs at most.
+        best: the incumbent, shape (N, n).
+        numbers: of the tree, see :mod:`orbimpc_ros.mpc.kernels.best_first`.
+        counts: the same.
+        constant: omitted from costs.
+        excess: largest increase of costs by the regularisation of H.
     """
     value, bound = float(numbers[VALUE]), float(numbers[LEAST])
     found = best.copy() if value < np.inf else None
@@ -176,11 +176,11 @@ def proof_of(
     """Return the tree of a search as the proof of its bound.
 
     Args:
-        nodes: as proofs have them, but that leaves are not numbered, shape (M, 5).
-        at: as proofs have it, shape (M,).
-        point: where the tangent of each node's bound touches, shape (M, N, n).
-        kept: curvatures that steps keep there, shape (M, N).
-        pull: multipliers of the arrival there, shape (M, 1, n), if there is one.
+        nodes: as in proofs, but with leaves not numbered yet, shape (M, 5).
+        at: as in proofs, shape (M,).
+        point: point of tangency of each node's bound, shape (M, N, n).
+        kept: separable curvatures of the steps in that bound, shape (M, N).
+        pull: multipliers of the arrival in that bound, shape (M, 1, n), if there is one.
     """
     nodes, none = nodes.copy(), np.zeros(0, np.int64)
     (leaves,) = np.nonzero((nodes[:, KIND] == LEAF) & (nodes[:, ROW] == 0))

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The relaxation of a node by an interior-point method, for costs that couple steps stiffly.
 
-Where some curvatures of the cost are a million times others, as of a catch that weighs its end and
-next to nothing else, headings that are moved one by one, or taken back to their sets one by one,
-hardly move at all. Here all move at once, through the interior of the sets.
+If curvatures of the cost differ by factors of a million, as for a catch whose weights are almost
+all terminal, methods that move or project headings one by one make hardly any progress. This one
+moves all headings at once, through the interior of the sets.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -18,17 +18,17 @@ from orbimpc_ros.mpc.search.ring import KIND, LX, LY, NARROW, NB, NX, NY, OUTER,
 STEPS = 25
 CENTRED, BLOCKED = 0.1, 0.5  # shares of the gap to aim for, after a long step and a short one
 LONG = 0.9
-INSIDE = 0.99  # of the way to a limit
-THIN = 1e-9  # what a set measures at least, to have an interior
-SHORT = 1e-4  # a heading whose length is rounded off
-HELD = 1e12  # times the curvature, of a heading that has none
+INSIDE = 0.99  # share of the way to a limit that a step may take
+THIN = 1e-9  # least size of a set with an interior
+SHORT = 1e-4  # smoothing of the length of headings near zero
+HELD = 1e12  # factor on the curvature, to hold headings whose sets have no interior
 TINIEST = 1e-300
-LIMITS = 4  # of a set: speed, both edges, chord
+LIMITS = 4  # limits of a set: speed, both edges, chord
 
 
 @compiled
 def _depths(shape, x, y, depths, normals):
-    """Set how deep a point is inside of each limit, and the directions inward; return the count."""
+    """Set a point's depths inside of the limits, and the inward normals; return their number."""
     depths[0] = 0.5 * (shape[OUTER] ** 2 - x * x - y * y)
     normals[0, 0], normals[0, 1] = -x, -y
     if shape[KIND] < NARROW:
@@ -44,7 +44,7 @@ def _depths(shape, x, y, depths, normals):
 
 @compiled
 def set_inside(shapes, z):
-    """Move headings that have sets with an interior into their middle; return how many limits."""
+    """Move headings to the middle of sets that have an interior; return the number of limits."""
     count = 0
     for k in range(len(z)):
         shape, nearest = shapes[k], 0.0
@@ -66,15 +66,15 @@ def set_inside(shapes, z):
 
 @compiled
 def set_system(quad, shapes, z, slope, multipliers, aim, system, right):
-    """Set Newton's system: of the cost, and of depths times multipliers being what is aimed for.
+    """Set Newton's system: stationarity of the cost, and depths times multipliers equal to ``aim``.
 
     Args:
         quad: the cost.
         shapes: outlines, shape (N, 12).
-        z: inside of them, shape (N, 2).
+        z: points inside of them, shape (N, 2).
         slope: H z + q, shape (N, 2).
         multipliers: > 0, shape (N, 4).
-        aim: what depths times multipliers are to be.
+        aim: target of depths times multipliers.
         system: its lower triangle is set, shape (2N, 2N).
         right: shape (2N,), set.
     """
@@ -113,14 +113,14 @@ def set_system(quad, shapes, z, slope, multipliers, aim, system, right):
 
 @compiled
 def move_inside(shapes, z, step, multipliers, aim):
-    """Move headings and multipliers along Newton's step, as far as stays inside of all limits.
+    """Move headings and multipliers along Newton's step, as far as they stay inside all limits.
 
     Args:
         shapes: outlines, shape (N, 12).
         z: shape (N, 2), updated.
         step: shape (2N,).
         multipliers: shape (N, 4), updated.
-        aim: what depths times multipliers are to be.
+        aim: target of depths times multipliers.
 
     Returns:
         The share of the step that was taken.
@@ -142,7 +142,7 @@ def move_inside(shapes, z, step, multipliers, aim):
             if i == 0:
                 a, c = 0.5 * (dx * dx + dy * dy), INSIDE * depths[0]
                 root = np.sqrt(toward * toward + 4.0 * a * c)
-                if root - toward > 0.0:  # of depth + toward t - a t^2
+                if root - toward > 0.0:  # root of depth + toward t - a t^2
                     share = min(share, 2.0 * c / (root - toward))
             elif toward < 0.0:
                 share = min(share, -INSIDE * depths[i] / toward)
@@ -156,7 +156,7 @@ def move_inside(shapes, z, step, multipliers, aim):
 
 @compiled
 def set_multipliers(shapes, z, aim, multipliers):
-    """Set the multipliers that depths times them are what is aimed for."""
+    """Set the multipliers such that their products with the depths are ``aim``."""
     depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
     for k in range(len(z)):
         count = _depths(shapes[k], z[k, 0], z[k, 1], depths, normals)
@@ -166,7 +166,7 @@ def set_multipliers(shapes, z, aim, multipliers):
 
 @compiled
 def gap_inside(shapes, z, multipliers):
-    """Return the sum of depths times multipliers, and how many there are."""
+    """Return the sum of depths times multipliers, and the number of terms."""
     depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
     gap, limits = 0.0, 0
     for k in range(len(z)):

@@ -1,14 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The incumbent heuristic: descent over speeds and turns, every iterate of which is a trajectory.
+"""Primal heuristic: descent over speeds and turns, all iterates of which are trajectories.
 
 In the plane a heading is z_k = m_k (cos theta_k, sin theta_k). With the modulus written as
-m = rho(theta) + t (1 - rho(theta)), rho being the least speed in that direction, and
-theta_k = theta_0 + d_1 + ... + d_k, floor, disk and turn rate are the box 0 <= t_k <= 1,
-|d_k| <= delta. Newton's method with damping descends in it: variables at a bound that the gradient
-pushes against are held, all others move, and steps are projected back into the box.
+m = rho(theta) + t (1 - rho(theta)), where rho is the least speed in that direction, and
+theta_k = theta_0 + d_1 + ... + d_k, floor, disk and turn rate become the box 0 <= t_k <= 1,
+|d_k| <= delta. A damped Newton method descends in it: variables at a bound that the gradient pushes
+against are held, all others move, and steps are projected back into the box.
 
-A limit of the change of speed couples the moduli of neighbours. Its multipliers and a penalty join
-the cost (an augmented Lagrangian), and what they leave is cut off: that, too, ends legal.
+A limit of the change of speed couples the moduli of neighbours. Multipliers and a penalty add it to
+the cost (an augmented Lagrangian); remaining violations are clipped, for a feasible result.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -23,16 +23,16 @@ from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.search.relax import cost_of, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
 
-STEPS = 40  # of Newton's method
+STEPS = 40  # most steps of Newton's method
 SETTLED = 1e-9  # relative decrease of the cost at which it ends
-DAMPED, CALMED, STIFFENED = 1e-6, 0.2, 8.0  # the damping to begin with, and how it changes
+DAMPED, CALMED, STIFFENED = 1e-6, 0.2, 8.0  # initial damping; factor on success; on failure
 STIFFEST = 1e8
 AT_BOUND = 1e-12
-WITHIN = 1.0 - 1e-9  # of the largest turn, which rounding is not to exceed
+WITHIN = 1.0 - 1e-9  # share of the largest turn, so that rounding does not exceed it
 SMALL = 1e-12  # a heading shorter than this has no direction
-ROUNDS = 10  # of multipliers of changes of speed
+ROUNDS = 10  # most updates of the multipliers of changes of speed
 KEPT = 1e-8  # a change too large by less needs no further round
-STIFF, STIFFER = 10.0, 3.0  # times the largest curvature, and how that grows with the rounds
+STIFF, STIFFER = 10.0, 3.0  # penalty in units of the largest curvature, and its growth per round
 
 
 @compiled
@@ -48,7 +48,7 @@ def _floor_along(ring, angle):
 
 @compiled
 def set_headings(ring, speeds, turns, z):
-    """Set headings of speeds and turns.
+    """Set headings from speeds and turns.
 
     Args:
         ring: floor and turn rate.
@@ -66,7 +66,7 @@ def set_headings(ring, speeds, turns, z):
 
 @compiled
 def round_off(ring, x, sector, speeds, turns):
-    """Set speeds and turns of the trajectory next to headings x within sectors.
+    """Set speeds and turns of a trajectory near headings x within sectors.
 
     Args:
         ring: floor and turn rate.
@@ -93,7 +93,7 @@ def round_off(ring, x, sector, speeds, turns):
 
 @compiled
 def is_paced(ring, speeds, turns):
-    """Set the speeds next to others that change within the limit, headings being held.
+    """Set nearby speeds that change within the limit, with headings held.
 
     Args:
         ring: floor and limit.
@@ -101,7 +101,7 @@ def is_paced(ring, speeds, turns):
         turns: d, shape (N,).
 
     Returns:
-        Whether there are any: along a polygon, the least speed may rise too fast.
+        False if there are none: along a polygon, the least speed may rise too fast.
     """
     count, change, angle = len(turns), WITHIN * ring.change, ring.first
     rho, least = np.empty(count), np.empty(count)
@@ -122,7 +122,7 @@ def is_paced(ring, speeds, turns):
 
 @compiled
 def _changes(ring, z, k):
-    """Return by how much the speed rises more than it may into a step, and by how much it falls."""
+    """Return the excess of the rise of speed into a step over the limit, and of the fall."""
     size, before = np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2), ring.entry
     if k > 0:
         before = np.sqrt(z[k - 1, 0] ** 2 + z[k - 1, 1] ** 2)
@@ -131,15 +131,15 @@ def _changes(ring, z, k):
 
 @compiled
 def _rise(quad, ring, chain, stiff, z, there):
-    """Return by how much headings cost more than z, with multipliers of changes of speed.
+    """Return the rise of the augmented cost from z to other headings.
 
     Args:
         quad: the cost.
         ring: gives the limit of the change of speed.
         chain: multipliers of its rise and its fall at each step, shape (N, 2).
-        stiff: of the penalty; 0 for none.
+        stiff: weight of the penalty; 0 for none.
         z: headings, shape (N, 2).
-        there: those that may cost more, shape (N, 2).
+        there: the other headings, shape (N, 2).
     """
     rise = rise_of(quad, z, there)
     if stiff > 0.0:
@@ -153,12 +153,12 @@ def _rise(quad, ring, chain, stiff, z, there):
 
 @compiled
 def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
-    """Add what changes of speed contribute to the model, in speeds and headings.
+    """Add the terms of changes of speed to gradient and Hessian in speeds and headings.
 
-    A polygon's curvature along headings is left out: it only makes steps less exact.
+    A polygon's curvature along headings is left out, which only makes steps less accurate.
     """
     count, angle = len(turns), ring.first
-    by, at = np.zeros(4), np.zeros(4, np.int64)  # of m_k in t_k and theta_k; then of -m_{k-1}
+    by, at = np.zeros(4), np.zeros(4, np.int64)  # derivatives of m_k in t_k, theta_k; of -m_{k-1}
     for k in range(count):
         angle += turns[k]
         rho, slope, _ = _floor_along(ring, angle)
@@ -209,7 +209,7 @@ def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
         curved[count + k, count + k] += turned
     if stiff > 0.0:
         _add_changes(ring, chain, stiff, y[:count], y[count:], z, gradient, curved)
-    # theta_k is the sum of the turns up to k, so turns see the sums from k on.
+    # theta_k is the sum of the turns up to k, so derivatives in turns are sums from k on.
     for k in range(count - 2, -1, -1):
         gradient[count + k] += gradient[count + k + 1]
         for j in range(2 * count):
@@ -221,7 +221,7 @@ def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
 
 @compiled
 def set_step(curved, gradient, y, bounds, damping, room, step):
-    """Set Newton's step of the variables that are free; return how many are, -1 without a step."""
+    """Set Newton's step of the free variables; return their number, -1 if there is no step."""
     free, matrix, right = room
     count = 0
     for i in range(len(y)):
@@ -246,7 +246,7 @@ def set_step(curved, gradient, y, bounds, damping, room, step):
 
 @compiled
 def _descend(quad, ring, chain, stiff, speeds, turns, z):
-    """Descend as :func:`descend` does, at given multipliers of the changes of speed."""
+    """Descend as in :func:`descend`, for given multipliers of the changes of speed."""
     count = len(z)
     size = 2 * count
     y, trial, step, gradient = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
@@ -290,12 +290,12 @@ def descend(quad, ring, speeds, turns, z):
     Args:
         quad: the cost.
         ring: floor and turn rate, and the limit of the change of speed.
-        speeds: t to begin with, shape (N,), updated.
-        turns: d to begin with, shape (N,), updated.
+        speeds: initial t, shape (N,), updated.
+        turns: initial d, shape (N,), updated.
         z: headings, shape (N, 2), set.
 
     Returns:
-        Whether speeds were found that change within the limit.
+        False if no speeds were found that change within the limit.
     """
     chain, curvature, limited = np.zeros((len(z), 2)), 0.0, ring.change < np.inf
     for k in range(len(z)):

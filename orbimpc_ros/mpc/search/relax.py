@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The relaxation of a node: a convex quadratic over the hulls of its stage sets.
 
-Block coordinate descent (each step in turn takes its proximal map) finds the faces, and one Newton
-step moves along all of them at once. Where that does not lead on, an interior-point method does.
-Whatever point that leads to, the tangent of the cost there has its least over the sets themselves
-in closed form: a lower bound.
+Block coordinate descent (by proximal maps of single steps) identifies the active faces, and a
+Newton step moves along all of them at once. If that stalls, an interior-point method takes over. At
+whatever point this ends, the minimum of the cost's tangent over the sets themselves has a closed
+form: a lower bound.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -33,11 +33,11 @@ from orbimpc_ros.mpc.search.interior import (
 )
 from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, prox, support
 
-SOLVED, PRUNED, STALLED, GOING = range(4)  # what becomes of a node
-PATIENCE = 2  # rounds between two looks at whether the bound still rises
-RISES = 0.1  # of the gap, if it does
-LONGEST = 1e7  # multiplications that are done without a look at the time
-ROUNDING = 1e-15  # of numbers that cancel
+SOLVED, PRUNED, STALLED, GOING = range(4)  # outcomes of a relaxation
+PATIENCE = 2  # rounds between checks of whether the bound still rises
+RISES = 0.1  # least rise, as a share of the gap
+LONGEST = 1e7  # most multiplications without a check of the deadline
+ROUNDING = 1e-15  # relative error of terms that cancel
 HALVINGS, SHRINK = 6, 0.4
 
 
@@ -49,7 +49,7 @@ class Quadratic(NamedTuple):
         inverse: of H, shape (N, N).
         q: shape (N, 2).
         lengths: l >= 0, shape (N,).
-        constant: what the cost lacks; it only scales tolerances.
+        constant: omitted from the cost; it only scales tolerances.
     """
 
     hessian: Array
@@ -60,19 +60,19 @@ class Quadratic(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room to work in.
+    """Working memory of a relaxation.
 
     Attributes:
         slope: of the cost, shape (N, 2).
         shapes: outlines of the sets, shape (N, 12).
-        parts: those of a part, shape (N, 12).
-        changed: whether the part's differs, shape (N,).
-        faces: that the point is on, shape (N,).
-        along: their directions, shape (N, 2).
-        trial: a point, shape (N, 2).
+        parts: those of a child, shape (N, 12).
+        changed: whether the child's outline differs, shape (N,).
+        faces: of each heading, the face that contains it, shape (N,).
+        along: directions of these faces, shape (N, 2).
+        trial: a trial point, shape (N, 2).
         other: another, shape (N, 2).
-        steps: which headings may move, shape (2N,).
-        basis: in which directions, shape (2N, 2).
+        steps: index of the heading of each free direction, shape (2N,).
+        basis: the free directions, shape (2N, 2).
         system: shape (2N, 2N).
         right: shape (2N,).
     """
@@ -92,7 +92,7 @@ class Room(NamedTuple):
 
 
 def room_for(steps: int) -> Room:
-    """Return room for N = ``steps`` headings."""
+    """Return working memory for N = ``steps`` headings."""
     size, integers = 2 * steps, np.int64
     return Room(
         np.zeros((steps, 2)),
@@ -112,7 +112,7 @@ def room_for(steps: int) -> Room:
 
 @compiled
 def copy_to(target, source):
-    """Set points, shape (N, 2), to others."""
+    """Copy points, shape (N, 2)."""
     for k in range(len(source)):
         target[k, 0], target[k, 1] = source[k, 0], source[k, 1]
 
@@ -131,12 +131,12 @@ def set_slope(hessian, q, z, slope):
 
 @compiled
 def tangent_bound(quad, shapes, z, slope):
-    """Return the cost at a point and a lower bound on it over the sets: its tangent's least.
+    """Return the cost at a point, and a lower bound on costs: its tangent's minimum over the sets.
 
     Args:
         quad: the cost.
         shapes: outlines, shape (N, 12).
-        z: where the tangent touches, shape (N, 2).
+        z: point of tangency, shape (N, 2).
         slope: H z + q, shape (N, 2).
     """
     cost = least = size = 0.0
@@ -153,7 +153,7 @@ def tangent_bound(quad, shapes, z, slope):
 
 @compiled
 def _sweep(quad, z, room):
-    """Take each heading in turn to its proximal map; the slope follows."""
+    """Move each heading in turn to its proximal map, and update the slope."""
     hessian, slope, count = quad.hessian, room.slope, len(z)
     for k in range(count):
         h, x, y = hessian[k, k], z[k, 0], z[k, 1]
@@ -170,7 +170,7 @@ def _sweep(quad, z, room):
 
 @compiled
 def _set_basis(quad, z, room):
-    """Set the directions along the faces, and what lengths and rims curve; return how many."""
+    """Set directions along faces, with the curvature of lengths and rims; return their number."""
     count, steps, basis, right, system = 0, room.steps, room.basis, room.right, room.system
     for k in range(len(z)):
         face, x, y, length = room.faces[k], z[k, 0], z[k, 1], quad.lengths[k]
@@ -207,7 +207,7 @@ def _set_basis(quad, z, room):
 
 @compiled
 def _newton(quad, z, reached, room):
-    """Take a Newton step along all faces at once; return the cost, lower where there was one."""
+    """Take a Newton step along all faces at once; return the cost, lower if that succeeded."""
     count, steps, basis, system = _set_basis(quad, z, room), room.steps, room.basis, room.system
     for i in range(count):
         k, a, b = steps[i], basis[i, 0], basis[i, 1]
@@ -236,7 +236,7 @@ def _newton(quad, z, reached, room):
 
 @compiled
 def _pull_back(z, room):
-    """Take a trial point back to the hulls."""
+    """Project a trial point back onto the hulls."""
     trial, shapes = room.trial, room.shapes
     for k in range(len(z)):
         face = room.faces[k]
@@ -251,7 +251,7 @@ def _pull_back(z, room):
 
 @compiled
 def cost_at(quad, z, slope):
-    """Return the cost at a point of given slope H z + q, without the constant."""
+    """Return the cost, without the constant, at a point with slope H z + q."""
     cost = 0.0
     for k in range(len(z)):
         x, y = z[k, 0], z[k, 1]
@@ -287,9 +287,9 @@ def cost_of(quad, z):
 
 @compiled
 def rise_of(quad, z, there):
-    """Return by how much one point of any dimension costs more than z.
+    """Return the rise of the cost from z to another point, of any dimension.
 
-    The difference of both costs would be lost in their rounding where they differ little.
+    The difference of two nearly equal costs would be lost in rounding.
     """
     rise, hessian = 0.0, quad.hessian
     for j in range(len(z)):
@@ -305,7 +305,7 @@ def rise_of(quad, z, there):
 
 @compiled
 def _raise(quad, node, room):
-    """Raise a node's bound to what the tangent at its point proves; return the cost there."""
+    """Raise a node's bound to that of the tangent at its point; return the cost there."""
     z, best, key = node
     cost, least = tangent_bound(quad, room.shapes, z, room.slope)
     if least > key[0]:
@@ -316,7 +316,7 @@ def _raise(quad, node, room):
 
 @compiled
 def _pass_through(quad, node, limits, room):
-    """Minimise through the interior of the hulls; return what becomes of the node."""
+    """Minimise through the interior of the hulls; return the outcome."""
     z, _, key = node
     cutoff, gap = limits
     inside = set_inside(room.shapes, z)
@@ -344,18 +344,18 @@ def _pass_through(quad, node, limits, room):
 
 @compiled
 def relax(quad, node, limits, room, work):
-    """Minimise over the hulls, on from a point.
+    """Minimise over the hulls, starting at a point.
 
     Args:
         quad: the cost.
-        node: where to begin, and where it ends, shape (N, 2); the point of its bound, shape (N, 2);
-            that bound, shape (1,); all updated.
-        limits: the bound at which the node is of no use, and the relative gap that is enough.
-        room: with the outlines of the sets.
-        work: multiplications to do, though no less than a few rounds take.
+        node: the point, shape (N, 2); the point of tangency of its bound, shape (N, 2); that bound,
+            shape (1,); all updated.
+        limits: the bound at which the node is pruned, and the relative gap that suffices.
+        room: working memory, with the outlines of the sets.
+        work: multiplications to do; a few rounds are done at least.
 
     Returns:
-        What becomes of the node, and the multiplications left.
+        The outcome, and the remaining multiplications.
     """
     z, _, key = node
     cutoff, gap = limits
@@ -374,7 +374,7 @@ def relax(quad, node, limits, room, work):
                 if turn == 0:
                     _newton(quad, z, cost, room)
             work -= 10.0 * count * count + count**3
-        if not key[0] - before >= RISES * (cost - key[0]):  # as high as rounding lets it be, nearly
+        if not key[0] - before >= RISES * (cost - key[0]):  # nearly at the limit of rounding
             spent = STEPS * 2.0 * count**3
             if spent > LONGEST:
                 return STALLED, work

@@ -1,13 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Stage sets of the plane: the part of a ring within a sector of headings and a range of speeds.
+"""Stage sets in the plane: the part of a ring within a sector of headings and a range of speeds.
 
-A heading z = t (cos a, sin a) belongs to the set where low <= a <= high and
-max(slow, rho(a)) <= t <= fast, rho being the least speed of the floor along a. Without a floor and
-a sector that is the disk. The set answers three questions, and the search needs no other:
+A heading z = t (cos a, sin a) belongs to the set if low <= a <= high and max(slow,
+rho(a)) <= t <= fast, where rho is the least speed of the floor along a. Without a floor and a
+sector the set is the disk. The search needs only three functions of the set:
 
-- ``prox``: where h |z|^2 / 2 + c . z + l |z| is least over its convex hull;
-- ``support``: the least of g . z + l |z| over the set itself;
-- the face of the hull that such a point lies on, along which it may move.
+- ``prox``: the minimiser of h |z|^2 / 2 + c . z + l |z| over its convex hull;
+- ``support``: the minimum of g . z + l |z| over the set itself;
+- the face of the hull that contains such a minimiser, which can move along it.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -21,33 +21,33 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import compiled
 
 TURN, HALF = 2.0 * np.pi, np.pi - 1e-9
-ALL = TURN - 1e-9  # [rad], a sector that leaves nothing out
-FREE, RIM, EDGE, CHORD, POINT = range(5)  # faces: the plane, the fastest arc, a line, none
+ALL = TURN - 1e-9  # [rad], wider sectors are whole circles
+FREE, RIM, EDGE, CHORD, POINT = range(5)  # faces: interior, fastest arc, edge, chord, corner
 # Columns of a sector, and of its outline: its kind; the unit vectors of its edges; the least speeds
 # along them; the least and the greatest speed; the chord n . z >= b between the slowest points.
 LOW, HIGH, SLOW, FAST = range(4)
 KIND, LX, LY, UX, UY, LEAST_L, LEAST_U, INNER, OUTER, NX, NY, NB = range(12)
 SECTOR, OUTLINE = 4, 12
 WHOLE, WIDE, NARROW = 0.0, 1.0, 2.0
-ON = 1e-15  # by which a point may miss a chord that it is on
+ON = 1e-15  # tolerance for points on a chord
 TINY = 1e-300
-MARGIN = 0.15  # of what is cut: no part is narrower
-NEWTON = 4  # steps along a chord where lengths count
+MARGIN = 0.15  # least width of a part, as a share of the sector
+NEWTON = 4  # Newton steps along a chord if lengths have a weight
 
 
 class Ring(NamedTuple):
     """A planar floor and the limits that tie headings to their neighbours.
 
     Attributes:
-        fraction: the least |z|: radius of the circle, or of the circle inside the polygon; 0 where
-            there is no floor.
-        faces: of the polygon, 0 for the circle.
-        widest: the largest turn in a step [rad]; at least pi where nothing limits it.
+        fraction: the least |z|: radius of the circle, or of the circle inside the polygon; 0
+            without a floor.
+        faces: number of faces of the polygon, 0 for the circle.
+        widest: the largest turn in a step [rad]; at least pi if unlimited.
         first: the heading at the start [rad].
-        entry: the speed that the first change counts from.
-        change: the largest change of speed in a step; inf where nothing limits it.
-        last: direction of the last heading [rad].
-        within: angle that it may be off by; pi where it may be any [rad].
+        entry: the speed that the first change starts from.
+        change: the largest change of speed in a step; inf if unlimited.
+        last: desired direction of the last heading [rad].
+        within: largest deviation from it [rad]; pi if unconstrained.
     """
 
     fraction: float
@@ -62,7 +62,7 @@ class Ring(NamedTuple):
 
 @compiled
 def cut_near(angle, low, high):
-    """Return where to cut a sector: as near to an angle as leaves no part narrow."""
+    """Return where to cut a sector: as near to an angle as possible without a narrow part."""
     middle, margin = 0.5 * (low + high), MARGIN * (high - low)
     angle += TURN * np.round((middle - angle) / TURN)
     return min(high - margin, max(low + margin, angle))
@@ -89,8 +89,8 @@ def nearest_speed(fraction, faces, low, high):
 def outline(ring, sector, shape):
     """Set the outline of a sector.
 
-    Where speeds are limited below, a polygon counts only as far as all of it is faster, and else
-    not at all: what is left out vanishes as sectors become narrow.
+    A polygon is used only if all of it within the sector is above the lower limit of speeds, and
+    ignored otherwise: the error vanishes as sectors become narrow.
 
     Args:
         ring: gives the floor.
@@ -127,7 +127,7 @@ def outline(ring, sector, shape):
 
 @compiled
 def is_within(shape, x, y):
-    """Return whether a point's direction is one of the sector's."""
+    """Return True if a point's direction is within the sector."""
     if shape[KIND] == WHOLE:
         return True
     after, before = shape[LX] * y - shape[LY] * x, x * shape[UY] - y * shape[UX]
@@ -138,13 +138,13 @@ def is_within(shape, x, y):
 
 @compiled
 def support(shape, length, gx, gy):
-    """Return the least of g . z + l |z| over the set.
+    """Return the minimum of g . z + l |z| over the set.
 
     Args:
         shape: its outline, shape (12,).
         length: l >= 0; 0 over polygons.
-        gx: of g.
-        gy: of g.
+        gx: first component of g.
+        gy: second component of g.
     """
     inner, outer = shape[INNER], shape[OUTER]
     if is_within(shape, -gx, -gy):
@@ -157,14 +157,14 @@ def support(shape, length, gx, gy):
 
 @compiled
 def prox(shape, h, length, cx, cy):
-    """Return where h |z|^2 / 2 + c . z + l |z| is least over the hull, its face and direction.
+    """Return the minimiser of h |z|^2 / 2 + c . z + l |z| over the hull, its face and direction.
 
     Args:
         shape: the outline, shape (12,).
         h: > 0.
         length: l >= 0.
-        cx: of c.
-        cy: of c.
+        cx: first component of c.
+        cy: second component of c.
     """
     outer, size, face = shape[OUTER], max(TINY, np.sqrt(cx * cx + cy * cy)), FREE
     r = max(0.0, size - length) / h
@@ -194,7 +194,7 @@ def prox(shape, h, length, cx, cy):
     if across > 1e-12:
         ex, ey = ex / across, ey / across
         start, slope = a * (lx * ex + ly * ey), cx * ex + cy * ey
-        t = -slope / h  # from the foot of the perpendicular on
+        t = -slope / h  # measured from the foot of the perpendicular
         if length > 0.0:
             t = _along_chord(h, length, slope, a * a - start * start, t)
         if start < t < start + across:
@@ -208,7 +208,7 @@ def prox(shape, h, length, cx, cy):
 
 @compiled
 def _along_chord(h, length, slope, square, t):
-    """Return where h t^2 / 2 + slope t + l sqrt(square + t^2) is least, by Newton's method."""
+    """Return the minimiser of h t^2 / 2 + slope t + l sqrt(square + t^2), by Newton's method."""
     t *= h / (h + length / np.sqrt(max(TINY, square) + t * t))
     for _ in range(NEWTON):
         size = np.sqrt(max(TINY, square) + t * t)

@@ -1,12 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Round floors where nothing ties headings to each other, but perhaps an arrival.
+"""Circular floors, without constraints that couple headings except an arrival.
 
-The cost has to see R e1 alone. That is all of R in the plane; in space the other columns are then
-free, and are carried along by the shortest turns from one thrust axis to the next.
+The cost may depend on R e1 only. In the plane that determines R; in space the other columns are
+then free, and are carried along by the shortest turns from one thrust axis to the next.
 
-Stationary points prove themselves by their own multipliers, most often; else the best Shor
-multipliers do, or they bound, in the plane, the parts of a best-first search over sectors of
-headings. What is left open in space, the general search settles.
+Mostly a stationary point is proved optimal by its own multipliers; otherwise the best Shor
+multipliers prove it or, in the plane, bound the nodes of a best-first search over sectors of
+headings. In space remaining gaps are left to the general search.
 
 Mathematics: docs/mathematics.md, 4.4 to 4.6.
 """
@@ -76,38 +76,38 @@ from orbimpc_ros.mpc.search.shor import (
 from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
-# In Tree.counts; of starts beside a node, the next and the last; of those that are given, too.
+# In Tree.counts: descents begun; node to start beside; its next side, and the end; next start.
 STARTS, FROM, SIDE, SIDES, FIRST = range(3, 8)
-PARTS = 5  # sectors that all directions of a step are cut into
-NARROWEST = 1e-6  # [rad], a sector that is not cut
-NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough; but
-# at the root, whose point is where to look for the best trajectory
-YOUNG, EVERY = 4, 4  # a descent starts from each of the first nodes; then from some
-MOST, ROOM = 6400, 400_000  # nodes of a search, and times steps
-FRUITLESS = 200  # after which a search ends that has found no trajectory
-SLICE = 3e5  # multiplications between two looks at the time: less than a millisecond
-SPACES = 4  # of so much memory that are kept
-SETTLED = 90.0  # tolerances at which a search may stop
-BRANCHES = 8000  # polls of the general search, where nobody waits for it
-STIFF = 1e4  # of an arrival, in curvatures of the cost
-SAME = 1e-9  # relative: what costs no more than the best by this is as good
-OUT_OF_REACH = 1e-9  # share of the way to an arrival
+PARTS = 5  # sectors that the directions of a step are split into
+NARROWEST = 1e-6  # [rad], narrower sectors are not cut
+NEAR = 0.2  # share of a bound's gap: climbs that cannot gain more than this end early, except
+# at the root, whose point is needed as a start for descents
+YOUNG, EVERY = 4, 4  # descents start from each of the first nodes, then from every 4th
+MOST, ROOM = 6400, 400_000  # most nodes of a search; nodes times steps
+FRUITLESS = 200  # nodes after which a search without a trajectory ends
+SLICE = 3e5  # multiplications between checks of the deadline: less than a millisecond
+SPACES = 4  # number of working memories that are kept
+SETTLED = 90.0  # factor on the tolerance of the search
+BRANCHES = 8000  # most polls of the deadline by the general search, which is then used without one
+STIFF = 1e4  # weight of an arrival, in units of the largest curvature
+SAME = 1e-9  # relative: costs this close to the incumbent's count as equal
+OUT_OF_REACH = 1e-9  # relative margin beyond the reach
 
 
 class Tree(NamedTuple):
-    """A search: its M nodes, and the best trajectory.
+    """A search: its M nodes, and the incumbent.
 
     Attributes:
-        made: of all nodes, each array with M in front of its shape.
-        nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
-            are not numbered, shape (M, 5).
-        at: the first angle between a node's parts [rad], shape (M,).
+        made: data of all nodes, each array with a first axis of length M.
+        nodes: as in proofs (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but with leaves not
+            numbered yet, shape (M, 5).
+        at: the first angle between a node's children [rad], shape (M,).
         keys: bounds of the open nodes, a heap, shape (M,).
-        heap: their numbers, shape (M,).
-        starts: headings to descend from: the guess; those that cost least of any length, shape
-            (2, N, n).
-        descent: from one of them, or from beside a node.
-        best: the best trajectory, shape (N, n).
+        heap: indices of these nodes, shape (M,).
+        starts: headings to descend from: the guess, and the minimiser without bounds on lengths,
+            shape (2, N, n).
+        descent: the current one, from a start or from beside a node.
+        best: the incumbent, shape (N, n).
         counts: see the names of its entries, shape (8,).
         numbers: shape (3,).
     """
@@ -126,7 +126,7 @@ class Tree(NamedTuple):
 
 @lru_cache(maxsize=SPACES)
 def _working_space(thread: int, nodes: int, steps: int, n: int) -> Tree:
-    """Return room for a search, which takes the place of the one before it in this thread."""
+    """Return working memory for a search, which overwrites the previous one of this thread."""
     shapes = (steps, 2), (steps, n), (KINDS, steps), (steps, n), (steps,), (n,), (3,)
     return Tree(
         Node(*(np.empty((nodes, *shape)) for shape in shapes)),
@@ -151,16 +151,16 @@ def _node(tree, i):
 
 @compiled
 def _take(tree, z, cost):
-    """Take a trajectory for the best if it is better."""
+    """Make a trajectory the incumbent if it is better."""
     if cost < tree.numbers[VALUE]:
         tree.numbers[VALUE], tree.best[:] = cost, z
 
 
 @entry_point
 def _begin(posed, tree, first):
-    """Begin a search with its root, after descents from the starts, from the first one on.
+    """Begin a search with its root, and with descents from the starts of indices from ``first`` on.
 
-    Where plans have to arrive, it begins with one that does.
+    With an arrival, a trajectory that satisfies it is the first incumbent.
     """
     tree.counts[:], tree.nodes[0], tree.numbers[:] = 0, 0, np.inf
     tree.counts[MADE], tree.counts[FIRST] = 1, first
@@ -177,9 +177,9 @@ def _begin(posed, tree, first):
 
 @compiled
 def _set_out(posed, tree):
-    """Begin a descent from beside a node, or else from a start; return whether there is one left.
+    """Begin the next descent, from beside a node or else a start; return False if none remains.
 
-    Plans that have to arrive do so from headings of any length only after the root is solved.
+    With an arrival, the start without bounds on lengths is used only after the root is solved.
     """
     counts, descent = tree.counts, tree.descent
     given = 1 if posed.stiff > 0.0 and counts[NODES] == 0 else len(tree.starts)
@@ -198,7 +198,7 @@ def _set_out(posed, tree):
 
 @compiled
 def _descend(posed, tolerance, tree, work):
-    """Descend; where that leads to the best so far, its own multipliers may prove that it is."""
+    """Descend; if that leads to a new incumbent, try to prove it optimal by its own multipliers."""
     counts, numbers, z = tree.counts, tree.numbers, tree.descent.z
     work = descend(posed, tree.descent, work)
     cost = cost_of(posed, z)
@@ -226,7 +226,7 @@ def _descend(posed, tolerance, tree, work):
 
 @compiled
 def _split(tree, node, k, cutoff):
-    """Make the parts of a node, which begin where it has ended, by the directions of a step."""
+    """Create the children of a node by the directions of a step; their climbs begin at its end."""
     counts, whole = tree.counts, _node(tree, node)
     low, high = whole.sector[k, LOW], whole.sector[k, HIGH]
     angle = np.arctan2(whole.z[k, 1], whole.z[k, 0])
@@ -254,9 +254,9 @@ def _split(tree, node, k, cutoff):
 
 @compiled
 def _solve_node(posed, tolerance, tree, node, work):
-    """Climb a node and split it; say where to descend from; return the multiplications left.
+    """Climb a node, split it, and schedule descents; return the remaining multiplications.
 
-    To all sides of the root, then of some nodes, to one after the other.
+    Descents begin on all sides of the root, then on one side, in turn, of some nodes.
     """
     counts, near, solved = tree.counts, NEAR if node > 0 else 0.0, _node(tree, node)
     cutoff = cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
@@ -281,7 +281,7 @@ def _solve_node(posed, tolerance, tree, node, work):
 
 @entry_point
 def _search(posed, tolerance, tree, most, work):
-    """Search best first, on from where the tree is.
+    """Continue a best-first search.
 
     Args:
         posed: the problem.
@@ -291,8 +291,7 @@ def _search(posed, tolerance, tree, most, work):
         work: multiplications to do.
 
     Returns:
-        ``DONE``; ``FULL``, where as many nodes are solved as may be; ``PAUSED``, where the work has
-        run out.
+        ``DONE``; ``FULL`` if the largest number of nodes is solved; ``PAUSED`` if the work is done.
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
     while work > 0.0 and status == PAUSED:
@@ -317,14 +316,14 @@ def _search(posed, tolerance, tree, most, work):
 
 
 class RoundFloor:
-    """Solves problems of rotation order 1 with a round floor and no limits but a terminal one.
+    """Solver of problems of rotation order 1 with a circular floor and no limit but a terminal one.
 
     Args:
-        problem: what to solve, in natural units.
+        problem: to solve, in natural units.
         tolerance: relative gap at which a plan is good enough to stop.
     """
 
-    takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
+    takes_guess, trusts_guess = True, False  # any starting point will do
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self._problem, self._tolerance = problem, SETTLED * tolerance
@@ -338,7 +337,7 @@ class RoundFloor:
         self._arrival = arrival
         self._most = min(MOST, ROOM // steps) if n == 2 else 1
         self._general = General(problem, self._tolerance)
-        # The first calls compile, or load what was compiled before: at start-up, not in a tick.
+        # The first calls compile or load machine code: at start-up, not in a tick.
         known, tree = (self._arrival, np.zeros(n), self._stiff, 0.5, 0.0), self._tree()
         posed = Posed(self._hessian, np.ones((steps, n)), self._lengths, *known)
         _begin(posed, tree, 0)
@@ -346,10 +345,10 @@ class RoundFloor:
 
     @staticmethod
     def solves(problem: Problem) -> bool:
-        """Return whether this method applies to a problem."""
+        """Return True if this method applies to a problem."""
         constrained = problem.terminal == 'constraint'
         arrives = constrained or problem.arrival_weight > 0.0
-        decided = constrained and not problem.maps.reach[-1, 1:].any()  # the state arrives, or not
+        decided = constrained and not problem.maps.reach[-1, 1:].any()  # the state decides it
         return (
             (problem.floor.shape, problem.rotation_order) == ('circle', 1)
             and not (problem.inertial and arrives)
@@ -369,7 +368,7 @@ class RoundFloor:
         n, guess = len(posed.left), request.guess
         if guess is not None:
             tree.starts[0] = guess.x[:, :n]
-        tree.starts[-1] = -(self._inverse @ posed.q)  # headings of any length
+        tree.starts[-1] = -(self._inverse @ posed.q)  # without bounds on lengths
         _begin(posed, tree, 0 if guess is not None else 1)
         while _search(posed, tolerance, tree, self._most, SLICE) == PAUSED:
             if request.late or request.enough.met(self._found(tree, posed)):
@@ -377,7 +376,7 @@ class RoundFloor:
         found = replace(self._found(tree, posed), proof=self._proof(tree))
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
-        # To set the general search up takes longer than those with a deadline can wait.
+        # Setting up the general search takes longer than callers with a deadline can wait.
         if found.gap <= tolerance or n == 2 or request.hurried:
             return found
         return self._by_branches(request, found)
@@ -410,7 +409,7 @@ class RoundFloor:
         return proof_of(*known, tree.made.kept[:made] - spare, pull)
 
     def _by_branches(self, request: Request, found: Found) -> Found:
-        """Return the better of what was found and where the general search leads."""
+        """Return the better of a result and that of the general search, with the higher bound."""
         guess = None if found.x is None else Guess(found.x, found.cost)
         asked = iter(range(BRANCHES))
         other = self._general.solve(

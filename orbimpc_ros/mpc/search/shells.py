@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The incumbent heuristic of round floors: descent over shells, floor <= |z_k| <= 1.
+"""Primal heuristic for circular floors: descent over shells, floor <= |z_k| <= 1.
 
-Of each heading its modulus changes, between its bounds, and its direction, along the tangent plane
-of the sphere. Newton's method with damping descends in these; a modulus on a bound that the
-gradient pushes against is held. An arrival a z = b joins the cost with multipliers and a penalty
-(an augmented Lagrangian); where that takes no long step, steps meet it to first order.
+The variables are the modulus of each heading, between its bounds, and its direction, in the tangent
+plane of the sphere. A damped Newton method descends in these; a modulus on a bound that the
+gradient pushes against is held. Multipliers and a penalty add an arrival a z = b to the cost (an
+augmented Lagrangian); steps satisfy it to first order unless they would be too long.
 
 Mathematics: docs/mathematics.md, 4.4.
 """
@@ -22,17 +22,17 @@ from orbimpc_ros.mpc.kernels.linear import solve_factored, solve_spd
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
 
-SWEEPS, STILL = 50, 1e-4  # of headings in turn; until none moves by more
-SWEEP = 10.0  # sweeps that a round takes, about
-STEPS = 40  # of Newton's method in a round
-LOST = 1e-4  # of a fall that settles: one expected to be no more is lost in rounding
-CALMEST = 1e-14  # damping
-LONGEST = 0.5  # step of a heading, on average
-ROUNDS = 20  # of multipliers of an arrival
-SOFT, STIFFER = 1e-3, 10.0  # of the arrival's weight: to begin with; and where misses are slow
-SLOW = 0.1  # share of a miss that is left
-PROJECTIONS = 1000  # from one to the other
-ARRIVED = 1e-9  # an arrival missed by no more, in steps, is met
+SWEEPS, STILL = 50, 1e-4  # most sweeps over the headings; they end when none moves by more
+SWEEP = 10.0  # typical number of sweeps in a round
+STEPS = 40  # most Newton steps in a round
+LOST = 1e-4  # share of a settled decrease: smaller expected ones are lost in rounding
+CALMEST = 1e-14  # least damping
+LONGEST = 0.5  # longest step of a heading, on average
+ROUNDS = 20  # most updates of the multipliers of an arrival
+SOFT, STIFFER = 1e-3, 10.0  # of the arrival's weight: initially; growth if misses shrink slowly
+SLOW = 0.1  # ratio of successive misses above which they shrink slowly
+PROJECTIONS = 1000  # most alternating projections, onto arrival and shells
+ARRIVED = 1e-9  # in units of a step's length: smaller misses of an arrival do not count
 TINY = 1e-12  # a heading shorter than this has no direction
 
 
@@ -43,10 +43,10 @@ class Descent(NamedTuple):
     """A descent, which may be interrupted.
 
     Attributes:
-        z: where it is, shape (N, n).
+        z: the current headings, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
-        numbers: whether it goes on; damping; weight of the arrival; by how much that was missed;
-            steps in this round of multipliers; rounds; shape (6,).
+        numbers: whether it is active; damping; weight of the arrival; its last miss; steps in this
+            round of multipliers; rounds; shape (6,).
     """
 
     z: Array
@@ -56,7 +56,7 @@ class Descent(NamedTuple):
 
 @compiled
 def missed_by(posed, z, c):
-    """Return by how much headings miss the arrival along an axis."""
+    """Return the miss of the arrival along an axis."""
     missed = -posed.left[c]
     for k in range(len(z)):
         missed += posed.arrival[k] * z[k, c]
@@ -65,7 +65,7 @@ def missed_by(posed, z, c):
 
 @compiled
 def misses(posed, z):
-    """Return by how much headings miss the arrival, along the axis where it is most."""
+    """Return the largest miss of the arrival along an axis."""
     most = 0.0
     for c in range(len(posed.left) if posed.stiff > 0.0 else 0):
         most = max(most, abs(missed_by(posed, z, c)))
@@ -74,7 +74,7 @@ def misses(posed, z):
 
 @compiled
 def _put(posed, z):
-    """Take headings to the shells."""
+    """Project headings onto the shells."""
     for k in range(len(z)):
         size = length_of(z, k)
         if size < TINY:
@@ -87,7 +87,7 @@ def _put(posed, z):
 
 @compiled
 def arrive(posed, z):
-    """Set headings that arrive, to either side of the straight way; return whether they do."""
+    """Set headings that arrive, alternating about the straight path; return False on failure."""
     (count, n), by = z.shape, np.zeros((z.shape[1], z.shape[1]))
     far, way = np.sqrt((posed.left**2).sum()), posed.arrival.sum()
     by[0, 0] = 1.0
@@ -105,7 +105,7 @@ def arrive(posed, z):
 
 @compiled
 def land(posed, z):
-    """Take headings in turn to where they arrive and to the shells; return whether they do both."""
+    """Project headings alternately onto the shells and the arrival; return False on failure."""
     (count, n), square = z.shape, (posed.arrival**2).sum()
     for _ in range(PROJECTIONS):
         _put(posed, z)
@@ -120,7 +120,7 @@ def land(posed, z):
 
 @compiled
 def _sweep(posed, stiff, pull, z):
-    """Take headings in turn to where the cost is least on the shell."""
+    """Move each heading in turn to the minimiser of the cost over its shell."""
     (count, n), slope = z.shape, np.empty(z.shape[1])
     for _ in range(SWEEPS):
         moved = 0.0
@@ -148,7 +148,7 @@ def _sweep(posed, stiff, pull, z):
 
 @compiled
 def _rise(posed, stiff, pull, z, there):
-    """Return by how much headings cost more than z, with what an arrival comes to."""
+    """Return the rise of the augmented cost from z to other headings."""
     rise = rise_of(posed, z, there)
     for c in range(z.shape[1] if stiff > 0.0 else 0):
         before, after = missed_by(posed, z, c), missed_by(posed, there, c)
@@ -158,7 +158,7 @@ def _rise(posed, stiff, pull, z, there):
 
 @compiled
 def set_tangents(by):
-    """Set unit vectors across the first of n, which is one, shape (n, n)."""
+    """Complete the unit vector in the first row to an orthonormal basis, shape (n, n)."""
     if len(by) == 2:
         by[1, 0], by[1, 1] = -by[0, 1], by[0, 0]
         return
@@ -176,14 +176,14 @@ def set_tangents(by):
 
 @compiled
 def _set_model(posed, stiff, pull, z, by, gradient, curved):
-    """Set gradient and Hessian, its lower triangle, in moduli and ways along the tangents.
+    """Set the gradient and the Hessian's lower triangle, in moduli and steps along tangents.
 
     Args:
         posed: the problem.
         stiff: weight of the arrival.
         pull: its multipliers, shape (n,).
         z: headings on the shells, shape (N, n).
-        by: their directions, and tangents as long as they are, shape (N, n, n), set.
+        by: their directions, and tangents of the headings' lengths, shape (N, n, n), set.
         gradient: shape (n N,), set.
         curved: shape (n N, n N), set.
     """
@@ -235,16 +235,16 @@ def _move(posed, z, by, step, there):
 
 @compiled
 def _correct(posed, z, by, size, solved, step, pull):
-    """Correct a step such that headings arrive to first order, and the multipliers of that.
+    """Correct a step to satisfy the arrival to first order, and update its multipliers.
 
-    Where that takes too long a step, nothing is changed.
+    Nothing changes if the corrected step would be too long.
 
     Args:
         posed: the problem.
         z: shape (N, n).
         by: see :func:`_set_model`.
-        size: how many variables are free.
-        solved: which, the factor of their system, and room, as of the step.
+        size: number of free variables.
+        solved: their indices, the factor of their system, and memory, from computing the step.
         step: shape (n N,), updated.
         pull: shape (n,), updated.
     """
@@ -280,10 +280,10 @@ def _correct(posed, z, by, size, solved, step, pull):
 
 @compiled
 def _newton_step(posed, descent, room):
-    """Take one of Newton's steps at given multipliers of the arrival.
+    """Take a Newton step for given multipliers of the arrival.
 
     Returns:
-        Whether the descent has settled, and how many systems were solved.
+        True if the descent has settled, and the number of systems solved.
     """
     by, gradient, curved, step, y, bounds, free, there = room
     z, numbers, pull = descent.z, descent.numbers, descent.pull.copy()
@@ -318,7 +318,7 @@ def _newton_step(posed, descent, room):
 
 @compiled
 def _end_round(posed, descent):
-    """Take the multipliers of the arrival on, and its weight where it is approached slowly."""
+    """Update the multipliers of the arrival, and raise its weight if misses shrink slowly."""
     pull, numbers = descent.pull, descent.numbers
     before, missed = numbers[MISSED], misses(posed, descent.z)
     for c in range(len(pull) if posed.stiff > 0.0 else 0):
@@ -332,12 +332,12 @@ def _end_round(posed, descent):
 
 @compiled
 def set_out(posed, descent, pull):
-    """Begin a descent from where it is, which may be headings of any length.
+    """Begin a descent from its current headings, which may have any length.
 
     Args:
         posed: the problem.
         descent: its headings are set.
-        pull: multipliers of the arrival to begin with, shape (n,).
+        pull: initial multipliers of the arrival, shape (n,).
     """
     numbers = descent.numbers
     _put(posed, descent.z)
@@ -352,11 +352,11 @@ def descend(posed, descent, work):
 
     Args:
         posed: the problem.
-        descent: updated; it is over once it is not active any more.
-        work: multiplications to do, though no less than one Newton step takes.
+        descent: updated; it has ended when it is no longer active.
+        work: multiplications to do; one Newton step is done at least.
 
     Returns:
-        The multiplications left.
+        The remaining multiplications.
     """
     (count, n), numbers = descent.z.shape, descent.numbers
     size = n * count

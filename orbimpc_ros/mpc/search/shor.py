@@ -1,22 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Shor multipliers of round floors: the curvature of the cost that steps keep for themselves.
+"""Shor multipliers for circular floors: bounds from a Lagrangian with separable curvature.
 
-With theta_k on |z_k|^2 / 2, and w >= 0 on what else holds in narrow sectors (:class:`Rows`),
-the dual function is
+With multipliers theta_k of |z_k|^2 / 2, and w >= 0 of constraints in narrow sectors
+(:class:`Rows`), the dual function is
 
     D(theta, w) = min_z (1/2 z.(H + diag(b))z + (q - sum w n).z) - w.o + sum_k h_k(theta_k),
     h_k(theta) = min (l_k t - theta t^2 / 2)  over t = floor and t = 1,
 
-b_k being theta_k and the w of k's rows that curve, and z, where plans have to arrive, subject to
-that. It is concave, and defined where the matrix is positive definite on such z: without rows its
-maximum is the value of the semidefinite relaxation that lifts z_k to second moments (Shor). It is
-climbed by Newton's method with barriers mu log det and mu log w, and h smoothed by the same mu:
-h is -1/2 lambda + 1/2 floor^2 (lambda - theta), up to a shift, for the best lambda >=
-max(0, theta). With z the minimiser and P the inverse, the gradient is |z_k|^2/2 + mu P_kk + h', and
-the negative Hessian (z_j . z_k) P_jk + mu P_jk^2 - h''.
+where b_k is theta_k plus the w of the curved rows of k, and z is subject to the arrival, if any. It
+is concave, and defined if the matrix is positive definite on such z: without rows its maximum is
+the value of the semidefinite relaxation that lifts z_k to second moments (Shor). Newton's method
+maximises it with barriers mu log det and mu log w, and with h smoothed by the same mu: h is -1/2
+lambda + 1/2 floor^2 (lambda - theta), up to a shift, for the best lambda >= max(0, theta). With z
+the minimiser and P the inverse, the gradient is |z_k|^2/2 + mu P_kk + h', and the negative Hessian
+(z_j . z_k) P_jk + mu P_jk^2 - h''.
 
-Whatever multipliers that leads to, a tangent at z proves what it does; so do the multipliers of a
-stationary point, which are most often enough.
+For any resulting multipliers, a tangent at z proves their bound; so it does for the multipliers of
+a stationary point, which mostly suffice.
 
 Mathematics: docs/mathematics.md, 4.4 and 4.5.
 """
@@ -39,36 +39,36 @@ from orbimpc_ros.mpc.kernels.linear import (
 )
 from orbimpc_ros.mpc.search.shells import set_tangents
 
-GOING, CLIMBED, PRUNED = range(3)  # what becomes of a node
-KEY, TAKEN, MU = range(3)  # of a node: its bound; Newton steps; how smooth its dual function is
+GOING, CLIMBED, PRUNED = range(3)  # outcomes of a climb
+KEY, TAKEN, MU = range(3)  # in Node.known: bound; Newton steps; smoothing of the dual function
 LOW, HIGH = range(2)  # of sectors
-MODULUS, ARC, FIRST_EDGE, LAST_EDGE = range(4)  # what multipliers of a step are of
+MODULUS, ARC, FIRST_EDGE, LAST_EDGE = range(4)  # kinds of multipliers of a step
 KINDS = 4
-CLIMBS = 60  # Newton steps
-SMALLEST = 1e-8  # mu, of the forces at work
-SHRINK = 0.2  # of mu, from step to step
+CLIMBS = 60  # most Newton steps of a climb
+SMALLEST = 1e-8  # least mu, relative to the scale of q and H
+SHRINK = 0.2  # factor on mu from step to step
 HALVINGS = 30
-INSIDE = 0.9  # of the way to where a multiplier would vanish
-SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
-AWAY, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
-ON_BOUND = 1e-6  # a heading this close to the rim or the floor sits on it
-SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # of the largest curvature
-MARGIN = 1e-13  # of the largest curvature, for each step, that convexity is verified with
-ROUNDING = 4e-16  # of the terms of a bound, for each step
+INSIDE = 0.9  # share of the way to where a multiplier would become zero
+SMOOTHED = 100.0  # initial mu of a node, relative to the final one of its parent
+AWAY, LEAST = 2.0, 3.0  # in units of mu: added to theta; least initial multiplier of a row
+ON_BOUND = 1e-6  # a heading this close to the rim or the floor counts as on it
+SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # increases of theta, relative to max |H|
+MARGIN = 1e-13  # of verified convexity, in units of the largest curvature, per step
+ROUNDING = 4e-16  # relative, of the terms of a bound, per step
 
 
 class Posed(NamedTuple):
-    """1/2 <z, H z> + q . z + sum_k l_k |z_k| over floor <= |z_k| <= 1, where sum_k a_k z_k = b.
+    """1/2 <z, H z> + q . z + sum_k l_k |z_k| over floor <= |z_k| <= 1, with sum_k a_k z_k = b.
 
     Attributes:
         hessian: H, positive definite, shape (N, N).
         q: shape (N, n).
         lengths: l >= 0, shape (N,).
-        arrival: a, shape (N,); zeros where plans need not arrive.
+        arrival: a, shape (N,); zeros without an arrival.
         left: b, shape (n,).
-        stiff: weight on |a z - b|^2 / 2 that numbers are worked out with; 0 without an arrival.
+        stiff: weight on |a z - b|^2 / 2 in computations; 0 without an arrival.
         floor: the least modulus.
-        constant: what the cost lacks; it only scales tolerances.
+        constant: omitted from the cost; it only scales tolerances.
     """
 
     hessian: Array
@@ -82,10 +82,10 @@ class Posed(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What holds of headings: 1/2 c |z_k|^2 <= n . z_k + o; first the moduli, which h knows.
+    """Constraints 1/2 c |z_k|^2 <= n . z_k + o; first those of moduli, which h covers.
 
     Attributes:
-        steps: which headings, shape (M,).
+        steps: indices of the headings, shape (M,).
         kinds: of their multipliers, shape (M,).
         curved: c, 0 or 1, shape (M,).
         normals: n, shape (M, n).
@@ -103,13 +103,13 @@ class Node(NamedTuple):
     """A node of the search.
 
     Attributes:
-        sector: first and last direction of each heading [rad], a turn apart where nothing is known
-            of it, shape (N, 2).
-        z: where its climb is, shape (N, n).
-        held: multipliers by their kinds, shape (4, N).
-        point: where the tangent that proves its bound touches, shape (N, n).
-        kept: curvatures that steps keep there, shape (N,).
-        pull: multipliers of the arrival there, shape (n,).
+        sector: first and last direction of each heading [rad], a full turn apart if unconstrained,
+            shape (N, 2).
+        z: the current point of its climb, shape (N, n).
+        held: multipliers by kind, shape (4, N).
+        point: point of tangency of its bound, shape (N, n).
+        kept: separable curvatures of the steps in that bound, shape (N,).
+        pull: multipliers of the arrival in that bound, shape (n,).
         known: see the names of its entries, shape (3,).
     """
 
@@ -124,14 +124,14 @@ class Node(NamedTuple):
 
 @compiled
 def rows_of(floor, sector, dimension):
-    """Return the moduli, and what holds of headings in sectors narrower than half a turn.
+    """Return the rows of moduli, and of sectors narrower than half a turn.
 
-    For one of half-width d about the unit vector m, |z|^2 <= (1 + f) m.z / cos d - f, which with
-    both edges describes the convex hull of all (z, |z|^2).
+    In a sector of half-width d about the unit vector m, |z|^2 <= (1 + f) m.z / cos d - f, which
+    with both edges describes the convex hull of all (z, |z|^2).
 
     Args:
         floor: f, the least modulus.
-        sector: shape (N, 2); whole turns but in the plane.
+        sector: shape (N, 2); full turns in space.
         dimension: n.
     """
     steps, most = len(sector), KINDS * len(sector)
@@ -172,7 +172,7 @@ def rows_of(floor, sector, dimension):
 
 @compiled
 def stiffen(posed, matrix, linear):
-    """Add the arrival's weight to a matrix and to linear terms; return what that adds besides."""
+    """Add the arrival's weight to a matrix and to linear terms; return its constant term."""
     constant, a = 0.0, posed.arrival
     if posed.stiff > 0.0:
         for i in range(len(a)):
@@ -190,8 +190,8 @@ def _set_minimiser(posed, rows, weights, inverse, z, pull):
     """Set P, shape (N, N), the Lagrangian's minimiser z, shape (N, n), and the arrival's pull.
 
     Returns:
-        The Lagrangian there without moduli, and log det of the matrix that P inverts, of which
-        either is about z that arrive: -inf, and nothing is set, where it is not positive definite.
+        The Lagrangian there without moduli, and log det of the matrix that P inverts, both for z
+        subject to the arrival; -inf, with nothing set, if that matrix is not positive definite.
     """
     matrix, linear = posed.hessian.copy(), posed.q.copy()
     constant = stiffen(posed, matrix, linear)
@@ -232,7 +232,7 @@ def _set_minimiser(posed, rows, weights, inverse, z, pull):
 
 @compiled
 def _end(floor, length, theta, mu):
-    """Return h smoothed by mu, its derivative and its second one."""
+    """Return h smoothed by mu, and its first two derivatives."""
     if floor == 1.0:
         return length - 0.5 * theta, -0.5, 0.0
     shift = 2.0 * length / (1.0 + floor)
@@ -254,7 +254,7 @@ def _end(floor, length, theta, mu):
 
 @compiled
 def _smoothed(posed, weights, mu, reached):
-    """Return the smoothed dual function, of the Lagrangian's minimum and log det."""
+    """Return the smoothed dual function, given the Lagrangian's minimum and log det."""
     value = reached[0] + mu * reached[1]
     for i in range(len(weights)):
         if i < len(posed.q):
@@ -266,7 +266,7 @@ def _smoothed(posed, weights, mu, reached):
 
 @compiled
 def _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
-    """Set Newton's step up the smoothed dual function, shape (M,); return whether there is one."""
+    """Set Newton's step for the smoothed dual function, shape (M,); return False if singular."""
     (count, n), total = z.shape, len(step)
     pulls = np.empty((total, n))
     for i in range(total):
@@ -294,10 +294,10 @@ def _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
 
 @compiled
 def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
-    """Take the longest share of a step that leads higher, up to what multipliers allow.
+    """Take the longest share of a step that increases the dual function with positive multipliers.
 
     Returns:
-        That share, 0 where none does; how many were tried; the Lagrangian there and log det.
+        That share, 0 if there is none; the number of trials; the Lagrangian there and log det.
     """
     before, share, taken, tried = _smoothed(posed, weights, mu, reached), 1.0, 0.0, 0
     for i in range(len(z), len(weights)):
@@ -319,7 +319,7 @@ def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
 
 @compiled
 def _least_over(posed, k, curvature, slope, sector):
-    """Return the least of g . x + l |x| + b |x|^2 / 2 over a step's part of the shell."""
+    """Return the minimum of g . x + l |x| + b |x|^2 / 2 over a step's sector of the shell."""
     size, low, high, floor = 0.0, sector[LOW], sector[HIGH], posed.floor
     for c in range(len(slope)):
         size += slope[c] * slope[c]
@@ -338,12 +338,12 @@ def _least_over(posed, k, curvature, slope, sector):
 
 @compiled
 def prove(posed, theta, z, pull, node):
-    """Raise a node's bound to what the tangent at a point proves, if that is more.
+    """Raise a node's bound to that of the tangent at a point, if it is higher.
 
     Args:
         posed: the problem.
-        theta: what makes the cost convex, shape (N,).
-        z: where the tangent touches, shape (N, n).
+        theta: curvatures that make the cost convex, shape (N,).
+        z: point of tangency, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
         node: its tangent and its bound are updated.
     """
@@ -373,18 +373,18 @@ def prove(posed, theta, z, pull, node):
 
 @compiled
 def certify(posed, z, pull, node, cutoff):
-    """Raise the root's bound to what the multipliers of a stationary point prove, if they do.
+    """Raise the root's bound to that of the multipliers of a stationary point, if it is higher.
 
-    With mu_k the multiplier of the modulus, theta_k is mu_k and as much of the length's curvature
-    l_k / |z_k| as leaves the step least at |z_k|. On a bound, a larger theta costs next to nothing:
-    it is raised until the cost is convex.
+    With mu_k the multiplier of the modulus, theta_k is mu_k plus as much of the length's curvature
+    l_k / |z_k| as leaves |z_k| the step's minimiser. For a modulus on a bound, a larger theta costs
+    next to nothing: it is raised until the cost is convex.
 
     Args:
         posed: the problem.
         z: the point, on the shells, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
         node: the root.
-        cutoff: the bound that is enough.
+        cutoff: the bound that suffices.
     """
     (count, n), floor = z.shape, posed.floor
     force, theta, right = posed.q.copy(), np.zeros(count), posed.q.copy()
@@ -438,7 +438,7 @@ def certify(posed, z, pull, node, cutoff):
 
 @compiled
 def _begin(posed, held, known, rows, weights):
-    """Set the multipliers to begin with, and mu; return the forces at work."""
+    """Set the initial multipliers and mu; return the scale of q and H."""
     scale = np.abs(posed.q).max() + np.abs(posed.hessian).max() + 1e-300
     going, mu = known[TAKEN] > 0.0, known[MU]
     if not going:
@@ -454,17 +454,17 @@ def _begin(posed, held, known, rows, weights):
 
 @compiled
 def climb(posed, node, near, cutoff, work):
-    """Climb the dual function by Newton's method, its barriers shrinking; interruptible.
+    """Maximise the dual function by Newton's method, with shrinking barriers; interruptible.
 
     Args:
         posed: the problem.
         node: updated.
-        near: share of what the bound lacks; where no more is left to climb, the climb ends.
-        cutoff: the bound at which the node is of no use.
-        work: multiplications to do, though no less than one Newton step takes.
+        near: share of the gap to the cutoff; the climb ends when it can gain no more than that.
+        cutoff: the bound at which the node is pruned.
+        work: multiplications to do; one Newton step is done at least.
 
     Returns:
-        What becomes of the node, and the multiplications left.
+        The outcome, and the remaining multiplications.
     """
     z, held, known = node.z, node.held, node.known
     count, rows = len(z), rows_of(posed.floor, node.sector, z.shape[1])
@@ -490,7 +490,7 @@ def climb(posed, node, near, cutoff, work):
             break
         if lacking < np.inf and mu * (2.0 * count + total) <= near * lacking:
             break
-        if share > 0.3 or share == 0.0:  # as high as rounding lets it be, or nearly
+        if share > 0.3 or share == 0.0:  # nearly maximal, or at the limit of rounding
             known[MU] *= SHRINK
         if work <= 0.0:
             status = GOING
@@ -502,15 +502,15 @@ def climb(posed, node, near, cutoff, work):
 
 @compiled
 def set_spread(posed, node, side, aside):
-    """Set where second moments reach to a side of where a climb has ended.
+    """Set headings on one side of the end of a climb, at the reach of its second moments.
 
-    They are those of z and of 2 mu P on top. Where two ways round cost nearly the same, P is next
-    to singular, and z between the two.
+    These are those of z plus 2 mu P. If two paths around cost nearly the same, the inverse of P is
+    nearly singular, and z lies between the two.
 
     Args:
         posed: the problem.
-        node: that has been climbed.
-        side: which one, 2 (n - 1) in all: there and back along each tangent.
+        node: whose climb has ended.
+        side: index among 2 (n - 1) sides: both directions along each tangent.
         aside: shape (N, n), set.
     """
     z, (count, n) = node.z, node.z.shape
@@ -538,7 +538,7 @@ def set_spread(posed, node, side, aside):
 
 @compiled
 def priced_branching(posed, node, narrowest):
-    """Return the step whose modulus misses most, as its multiplier prices it; -1 for none."""
+    """Return the step whose violation of the modulus is priced highest, or -1 for none."""
     chosen, most, floor, sector = -1, 0.0, posed.floor, node.sector
     for k in range(len(node.z)):
         bent, square = node.held[MODULUS, k] - 2.0 * posed.lengths[k] / (1.0 + floor), 0.0

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Best-first branch and bound over stage sets of the plane.
+"""Best-first branch and bound over stage sets in the plane.
 
-A node holds a sector of every step: headings, unwrapped, and speeds. It is split by the heading or
-the speed of one step; what that leaves of its neighbours follows from turn rate and acceleration.
-Each node keeps the point whose tangent its bound is of, so that the tree is the proof.
+A node holds a sector for every step: a range of unwrapped headings and one of speeds. It is split
+by the heading or the speed of one step; turn rate and acceleration then narrow the sectors of its
+neighbours. Each node keeps the point of tangency of its bound, so that the tree is the proof.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -65,30 +65,30 @@ from orbimpc_ros.mpc.search.ring import (
 
 PROMISES = 3  # in Tree.counts
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
-MOST_ARCS = 5  # that all headings of a step are cut into
-NODE, STEP = 1500.0, 350.0  # what a node costs beside its relaxation, and each step of it
-NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
-SATISFIED = 1e-8  # a floor or a turn missed by less is not branched on
-ACCURATE = 0.02  # of the tolerance: the gap of a node's relaxation
-PULLS = (1.0, 30.0, 1000.0)  # on the last heading, in curvatures of the cost
+MOST_ARCS = 5  # most arcs that the headings of a step are split into
+NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
+NARROWEST = 1e-6  # narrower sectors [rad] and ranges of speeds are not cut
+SATISFIED = 1e-8  # smaller violations of a floor or a turn are not branched on
+ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
+PULLS = (1.0, 30.0, 1000.0)  # weights on the last heading, in units of the largest curvature
 
 
 class Tree(NamedTuple):
-    """A search: its nodes, and the best trajectory.
+    """A search: its M nodes, and the incumbent.
 
     Attributes:
-        sectors: low, high, slow, fast of each step, shape (M, N, 4).
-        start: where a node's relaxation begins, or ended, shape (M, N, 2).
-        point: whose tangent the node's bound is of, shape (M, N, 2).
-        bounds: of each, shape (M, 1).
-        nodes: as proofs have them (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but that leaves
-            are not numbered, shape (M, 5).
-        at: the first angle [rad], or the speed, between a node's parts, shape (M,).
+        sectors: low, high, slow, fast for each step, shape (M, N, 4).
+        start: point where a node's relaxation begins or has ended, shape (M, N, 2).
+        point: point of tangency of a node's bound, shape (M, N, 2).
+        bounds: of all nodes, shape (M, 1).
+        nodes: as in proofs (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but with leaves not
+            numbered yet, shape (M, 5).
+        at: the first angle [rad], or the speed, between a node's children, shape (M,).
         keys: bounds of the open nodes, a heap, shape (M,).
-        heap: their numbers, shape (M,).
-        best: the best trajectory, shape (N, 2).
-        speeds: of a trajectory being made, shape (N,).
-        turns: shape (N,).
+        heap: indices of these nodes, shape (M,).
+        best: the incumbent, shape (N, 2).
+        speeds: of a trajectory under construction, shape (N,).
+        turns: of the same, shape (N,).
         counts: see the names of its entries, shape (4,).
         numbers: shape (3,).
     """
@@ -109,7 +109,7 @@ class Tree(NamedTuple):
 
 
 def tree_for(steps: int, nodes: int) -> Tree:
-    """Return room for a tree over N = ``steps`` steps; memory is used page by page."""
+    """Return memory for a tree over N = ``steps`` steps, allocated page by page."""
     return Tree(
         np.empty((nodes, steps, SECTOR)),
         np.empty((nodes, steps, 2)),
@@ -129,7 +129,7 @@ def tree_for(steps: int, nodes: int) -> Tree:
 
 @compiled
 def _narrow(sector, k, low, high, most):
-    """Carry what is known of one step to all others, a change of so much at a time."""
+    """Narrow the ranges of all steps from that of step k, given the largest change in a step."""
     for j in range(k + 1, len(sector)):
         sector[j, low] = max(sector[j, low], sector[j - 1, low] - most)
         sector[j, high] = min(sector[j, high], sector[j - 1, high] + most)
@@ -140,7 +140,7 @@ def _narrow(sector, k, low, high, most):
 
 @compiled
 def _is_empty(ring, sector):
-    """Return whether there is no heading, or no speed, in one of the sectors."""
+    """Return True if one of the sectors contains no heading or no speed."""
     for k in range(len(sector)):
         low, high, slow, fast = sector[k, LOW], sector[k, HIGH], sector[k, SLOW], sector[k, FAST]
         if low > high or slow > fast:
@@ -153,7 +153,7 @@ def _is_empty(ring, sector):
 
 @compiled
 def set_reachable(ring, sector):
-    """Set the headings and speeds that can be reached; return whether there are any."""
+    """Set the sectors to reachable headings and speeds; return False if there are none."""
     limited, end = ring.widest < HALF, len(sector) - 1
     for k in range(len(sector)):
         reach = (k + 1) * ring.widest if limited else np.pi
@@ -168,10 +168,10 @@ def set_reachable(ring, sector):
 
 @compiled
 def _aim(ring, sector):
-    """Cut the last sector to the approach where there is one way round to it that it meets.
+    """Intersect the last sector with the approach, if only one winding of the approach meets it.
 
     Returns:
-        By how many full turns the first way round is off, and how many there are.
+        The first winding of the approach that meets it, in full turns, and how many there are.
     """
     if ring.within >= HALF:
         return 0.0, 1
@@ -189,7 +189,7 @@ def _aim(ring, sector):
 
 @compiled
 def _set_leaf(tree, node, key):
-    """Set a node that is not split, and its bound."""
+    """Make a node a leaf with a bound."""
     for i in range(5):
         tree.nodes[node, i] = 0
     tree.bounds[node, 0] = key
@@ -197,7 +197,7 @@ def _set_leaf(tree, node, key):
 
 @compiled
 def _cut_at(ring, angle, low, high):
-    """Return where to cut a sector: at a corner of the floor inside it, else near an angle."""
+    """Return where to cut a sector: at a corner of the floor inside it, or else near an angle."""
     angle = cut_near(0.5 * (low + high) if high - low > HALF else angle, low, high)
     if ring.faces > 0:
         share = TURN / ring.faces
@@ -210,7 +210,7 @@ def _cut_at(ring, angle, low, high):
 
 @compiled
 def _heading_parts(ring, angle, low, high):
-    """Return where to cut a sector, and into how many parts."""
+    """Return where to cut a sector, and into how many children."""
     if high - low < ALL or ring.widest < HALF:
         return _cut_at(ring, angle, low, high), 2
     if ring.faces > 0:
@@ -220,12 +220,12 @@ def _heading_parts(ring, angle, low, high):
 
 @compiled
 def _heading_branching(ring, inverse, z, sector):
-    """Return the step whose heading to branch on, -1 for none, at which angle, and the gain.
+    """Return the step whose heading to branch on (-1 for none), the angle, and the gain.
 
-    Where a turn is too wide, the wider of its two sectors is cut such that either part leaves the
-    one heading or the other out. Late turns come first, in proportion to their number: what a late
-    step has to be headed for narrows all before it, whereas an early turn leaves those after it
-    nearly as free as they were.
+    If a turn is too wide, the wider of its two sectors is cut such that each child excludes one of
+    the two headings. Gains of turns are multiplied by their step number: splitting a late step
+    narrows all steps before it, whereas an early one leaves those after it nearly as free as
+    before.
     """
     chosen, at, gain, before, last = -1, 0.0, 0.0, ring.first, 1.0
     for k in range(len(z)):
@@ -256,10 +256,10 @@ def _heading_branching(ring, inverse, z, sector):
 
 @compiled
 def _speed_branching(ring, inverse, z, sector):
-    """Return what :func:`_heading_branching` does, of the ranges of speeds.
+    """Return the same as :func:`_heading_branching`, for the ranges of speeds.
 
-    Where the speed changes too much, the wider of both ranges is cut such that either part leaves
-    the one speed or the other out.
+    If the speed changes too much, the wider of the two ranges is cut such that each child excludes
+    one of the two speeds.
     """
     chosen, cut, gain, last, held = -1, 0.0, 0.0, ring.entry, False
     for k in range(len(z)):
@@ -283,7 +283,7 @@ def _speed_branching(ring, inverse, z, sector):
 
 @compiled
 def _branching(ring, inverse, z, sector):
-    """Return what to split by, -1 for nothing, where, and into how many parts."""
+    """Return the choice to split (-1 for none), where, and into how many children."""
     k, at, gain = _heading_branching(ring, inverse, z, sector)
     if ring.change < np.inf:
         j, speed, more = _speed_branching(ring, inverse, z, sector)
@@ -297,7 +297,7 @@ def _branching(ring, inverse, z, sector):
 
 @compiled
 def _set_part(ring, sector, choice, cut, parts, i):
-    """Set the sectors of a part, on from those of the whole; return whether anything is left."""
+    """Set the sectors of a child, given those of its parent; return False if it is empty."""
     count = len(sector)
     k = choice % count
     low, high, most = LOW, HIGH, ring.widest
@@ -316,7 +316,7 @@ def _set_part(ring, sector, choice, cut, parts, i):
 
 @compiled
 def _moved(quad, shapes, changed, start, z):
-    """Set a point moved onto the set that its heading misses most, all others following freely."""
+    """Move the most violated heading onto its set, the others by least cost; False if none is."""
     count, worst, k, ox, oy = len(z), 0.0, -1, 0.0, 0.0
     for j in range(count):
         if not changed[j]:
@@ -336,7 +336,7 @@ def _moved(quad, shapes, changed, start, z):
 
 @compiled
 def _split(quad, ring, tree, node, choice, cut, parts, cutoff, room):
-    """Make the parts of a node, each with the bound of its parent's point or of one moved."""
+    """Create the children of a node, each with the bound of its parent's point or a moved one."""
     counts = tree.counts
     kind = SPEED if choice >= len(quad.q) else ARCS if parts > 2 else CUT
     tree.nodes[node, KIND], tree.nodes[node, CHOICE], tree.nodes[node, ROW] = kind, choice, -1
@@ -353,7 +353,7 @@ def _split(quad, ring, tree, node, choice, cut, parts, cutoff, room):
         copy_to(tree.point[made], tree.point[node])
         _set_leaf(tree, made, tree.bounds[node, 0])
         if not _set_part(ring, sector, choice, cut, parts, i):
-            tree.nodes[made, ROW], tree.bounds[made, 0] = -1, np.inf  # nothing is left of it
+            tree.nodes[made, ROW], tree.bounds[made, 0] = -1, np.inf  # it is empty
             continue
         for k in range(len(sector)):
             room.changed[k] = False
@@ -374,7 +374,7 @@ def _split(quad, ring, tree, node, choice, cut, parts, cutoff, room):
 
 @compiled
 def _take(quad, tree, z):
-    """Take a trajectory for the best one if it is better."""
+    """Make a trajectory the incumbent if it is better."""
     if tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0:
         tree.numbers[VALUE] = cost_of(quad, z)
         copy_to(tree.best, z)
@@ -382,7 +382,7 @@ def _take(quad, tree, z):
 
 @compiled
 def _way(ring, turns):
-    """Return the last heading of turns, and the way round to the approach nearest to it [rad]."""
+    """Return the last heading of turns, and the nearest winding of the approach [rad]."""
     angle = ring.first
     for k in range(len(turns)):
         angle += turns[k]
@@ -391,17 +391,17 @@ def _way(ring, turns):
 
 @compiled
 def is_promising(quad, ring, tree, z, sector, share, room):
-    """Round headings to a trajectory; return whether that is worth a descent.
+    """Round headings to a trajectory; return True if that is worth a descent.
 
     Args:
         quad: the cost.
         ring: floor and limits.
-        tree: its speeds and turns are set; where a descent may end at nothing legal, its best is
-            replaced by a better one.
+        tree: its speeds and turns are set; where a descent may end infeasible, its incumbent is
+            replaced by a better trajectory.
         z: headings, shape (N, 2).
-        sector: that they are taken to, shape (N, 4).
-        share: of the best cost that the rounded one may be worse by.
-        room: to work in.
+        sector: to which they are clipped, shape (N, 4).
+        share: largest excess of the rounded cost, relative to that of the incumbent.
+        room: working memory.
     """
     value = tree.numbers[VALUE]
     round_off(ring, z, sector, tree.speeds, tree.turns)
@@ -421,7 +421,7 @@ def is_promising(quad, ring, tree, z, sector, share, room):
 
 @compiled
 def improve(quad, ring, tree, room):
-    """Descend from the speeds and turns that were found promising."""
+    """Descend from the speeds and turns of a promising trajectory."""
     hessian, q, z, end = quad.hessian.copy(), quad.q.copy(), room.trial, len(quad.q) - 1
     pulled = Quadratic(hessian, quad.inverse, q, quad.lengths, quad.constant)
     curvature, sector = 0.0, np.empty((end + 1, SECTOR))
@@ -432,7 +432,7 @@ def improve(quad, ring, tree, room):
         angle, way = _way(ring, tree.turns)
         if ring.within >= HALF or abs(angle - way) <= ring.within:
             break
-        # The nearest heading that is allowed pulls the last one, ever harder.
+        # Pull the last heading towards the nearest allowed one, by growing weights.
         edge, size = (
             way + np.copysign(ring.within, angle - way),
             np.sqrt(z[end, 0] ** 2 + z[end, 1] ** 2),
@@ -458,13 +458,13 @@ def improve(quad, ring, tree, room):
 
 @entry_point
 def begin(quad, ring, tree, guess, room):
-    """Begin a search with its root, and with what is near the best known.
+    """Begin a search with its root and an incumbent near the best point known.
 
-    That is the guess, shape (N, 2), or the unconstrained optimum where there is none, shape (0, 2);
-    else to go straight on.
+    That is the guess, shape (N, 2), or the unconstrained optimum if there is none, shape (0, 2). If
+    no trajectory is found near it, the search begins with straight flight.
 
     Returns:
-        Whether there is anything in the root.
+        False if the root is empty.
     """
     counts, numbers, start, ahead = tree.counts, tree.numbers, tree.start[0], room.other
     for i in range(len(counts)):
@@ -481,7 +481,7 @@ def begin(quad, ring, tree, guess, room):
     if not set_reachable(ring, tree.sectors[0]):
         return False
     leave_open(tree, 0, -np.inf, np.inf)
-    if ring.fraction == 0.0:  # of disks the relaxation leads to the optimum by itself
+    if ring.fraction == 0.0:  # over disks the relaxation finds the optimum itself
         return True
     near = guess if len(guess) > 0 else start
     if is_promising(quad, ring, tree, near, tree.sectors[0], np.inf, room):
@@ -497,7 +497,7 @@ def begin(quad, ring, tree, guess, room):
 
 @compiled
 def _choose(quad, ring, tree, node, room):
-    """Use what a relaxation found; return what to split the node by, -1 for nothing more."""
+    """Round the point of a relaxation; return the choice to split (-1 for none), where and how."""
     counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
     choice, cut, parts = _branching(ring, quad.inverse, z, sector)
     if choice < 0 and ring.change == np.inf and ring.within >= HALF:
@@ -510,7 +510,7 @@ def _choose(quad, ring, tree, node, room):
 
 @compiled
 def _solve_node(quad, ring, tree, node, tolerance, room, work):
-    """Relax a node, use what it found, and split it; return the multiplications left."""
+    """Relax a node, round its point, and split it; return the remaining multiplications."""
     counts, numbers = tree.counts, tree.numbers
     first, ways = _aim(ring, tree.sectors[node])
     choice, cut, parts, status = len(quad.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
@@ -539,19 +539,19 @@ def _solve_node(quad, ring, tree, node, tolerance, room, work):
 
 @entry_point
 def search(quad, ring, tolerance, tree, room, work):
-    """Search best first, on from where the tree is.
+    """Continue a best-first search.
 
     Args:
         quad: the cost.
         ring: floor and limits.
         tolerance: relative gap at which to stop.
         tree: begun by :func:`begin`; updated in place.
-        room: to work in.
+        room: working memory.
         work: multiplications to do.
 
     Returns:
-        ``DONE``; ``FULL``, where there is no room for nodes; ``PAUSED``, where the work is done, or
-        where the next call begins with a descent.
+        ``DONE``; ``FULL`` if there is no memory for more nodes; ``PAUSED`` if the work is done, or
+        if the next call begins with a descent.
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
     if counts[PROMISES] > 0:
