@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Machine code for the hottest loops, compiled by numba where that is installed.
+"""Machine code for the hottest loops, compiled by numba if it is installed.
 
-Without numba the functions are ordinary Python: right, and too slow to be used.
+Without numba the functions are ordinary Python: correct, but too slow to be used.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ else:
     class _CodeAlone(CompileResultCacheImpl):
         """Machine code without the environments in which Python would run parts of it.
 
-        There are none, but to read them imports all that numba has them for, SciPy among it.
+        They are not needed, but reading them would import all that numba supports, such as SciPy.
         """
 
         def reduce(self, result: Any) -> tuple:
-            """Return what is kept of a compiled function."""
+            """Return the data of a compiled function to cache."""
             *known, _ = super().reduce(result)
             return *known, ()
 
     class _KeptCode(FunctionCache):
-        """Machine code kept between processes, loaded without setting up the compiler."""
+        """A cache of machine code between processes, loaded without setting up the compiler."""
 
         _impl_class = _CodeAlone
 
         def load_overload(self, signature: Any, context: Any) -> Any:
-            """Return the code for a signature, or None: then it is compiled.
+            """Return the code for a signature, or None if it has to be compiled.
 
-            Of several processes that need it at the same time one compiles it, and the others wait.
-            numba would refresh the context first, with all that it can compile: 0.3 s and 60 MB of
-            every start. What code calls at run time is all that is needed to load it.
+            If several processes need it at the same time, one compiles it and the others wait.
+            numba would first set up its context for compiling: 0.3 s and 60 MB at every start.
+            Loading needs only the runtime functions that the code calls.
             """
             rtsys.initialize(context)
             found = self._kept(signature, context)
@@ -66,7 +66,7 @@ else:
             return found
 
         def save_overload(self, signature: Any, data: Any) -> None:
-            """Keep what has been compiled."""
+            """Cache compiled code."""
             super().save_overload(signature, data)
             self._lock(LOCK_UN)
 
@@ -75,49 +75,49 @@ else:
                 return self._load_overload(signature, context)
 
         def _lock(self, what: int) -> None:
-            """Lock or unlock this function: a byte of a file, while it is being compiled."""
+            """Lock or unlock this function, a byte of a file, during its compilation."""
             byte = crc32(f'{self._py_func.__module__}.{self._py_func.__qualname__}'.encode())
-            with suppress(OSError):  # such as a cache that others alone may write
+            with suppress(OSError):  # such as a cache without write permission
                 lockf(_lock_file(Path(self.cache_path)), what, 1, byte)
 
     class _Part(JITCodeLibrary):
-        """The code of a function that becomes part of what calls it, and is called by no one else.
+        """The code of a function that is linked into its callers, and never called otherwise.
 
-        numba would optimise and translate it on its own, together with all that it calls, and do
-        so again as a part of each of its callers: as long again as all else that compiling takes.
+        numba would optimise and translate it separately, with all its callees, and again as a part
+        of each of its callers, which would double the time of compiling.
         """
 
         def finalize(self) -> None:
-            """Take up what the function calls; callers' code is optimised as a whole."""
+            """Link the function's callees; the code of callers is optimised as a whole."""
             _link_parts(self)
             self._finalized = True
 
         def get_pointer_to_function(self, name: str) -> int:
-            """Return that there is none."""
+            """Return 0, since the function has no address."""
             self._ensure_finalized()
             return 0
 
         @property
         def codegen(self) -> Any:
-            """Return what the environment of running code is set in: nothing runs here."""
+            """Return a stub for setting the environment of running code: nothing runs here."""
             return SimpleNamespace(set_env=lambda name, environment: None)
 
     class _PartCompiler(Compiler):
-        """Compiles a function to a part of what calls it."""
+        """Compiler of functions that are linked into their callers."""
 
         def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
             super().__init__(typing, target, _Part(target.codegen(), 'part'), *rest)
 
     class _Whole(JITCodeLibrary):
-        """The code of a function that Python calls, with all its parts.
+        """The code of a function that Python calls, with all its callees.
 
-        It runs while Python holds its lock and the arrays that were handed over. Where it makes no
-        arrays itself it counts no references, and elsewhere by plain additions: numba's atomic ones
+        It runs while Python holds its lock and the arrays of the arguments. So code that creates no
+        arrays counts no references, and other code counts by plain additions: numba's atomic ones
         took half of its time.
         """
 
         def add_ir_module(self, added: Any) -> None:
-            """Take up a function and all that it calls; or what Python calls it by."""
+            """Link a function and all its callees; or its wrapper for Python."""
             super().add_ir_module(added)
             if any(each.name.startswith(WRAPPER) for each in added.functions):
                 return
@@ -130,13 +130,13 @@ else:
                 own.name, own.linkage = f'own_{name}', 'internal'
 
         def serialize_using_object_code(self) -> tuple:
-            """Return what is kept: the code, and only the names of what others could link."""
+            """Return the data to cache: the code, and only the names of functions to link."""
             name, what, (code, _) = super().serialize_using_object_code()
             names = _idle(*(each.name for each in self.get_defined_functions()))
             return name, what, (code, parse_assembly(str(names)).as_bitcode())
 
     class _WholeCompiler(Compiler):
-        """Compiles a function that Python calls."""
+        """Compiler of functions that Python calls."""
 
         def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
             whole = _Whole(target.codegen(), 'whole')
@@ -144,7 +144,7 @@ else:
             super().__init__(typing, target, whole, *rest)
 
     def _link_parts(library: JITCodeLibrary) -> None:
-        """Take up all that a function calls."""
+        """Link all callees of a function."""
         for part in dict.fromkeys(library._linking_libraries):
             library._final_module.link_in(part._get_module_for_linking(), preserve=True)
         library._linking_libraries.clear()
@@ -153,7 +153,7 @@ else:
     ON_POINTER = ir.FunctionType(ir.VoidType(), [POINTER])
 
     def _counting() -> ir.Module:
-        """Return functions that count references to arrays, and give up what has none."""
+        """Return functions that count references to arrays, and free arrays without any."""
         module = ir.Module()
         give_up = ir.Function(module, ON_POINTER, GIVES_UP)
         for name, more in COUNTS.items():
@@ -177,17 +177,17 @@ else:
         return module
 
     def _begun(module: ir.Module, name: str) -> ir.IRBuilder:
-        """Return what writes a new function of a pointer."""
+        """Return a builder of a new function with a pointer argument."""
         made = ir.Function(module, ON_POINTER, name)
         return ir.IRBuilder(made.append_basic_block())
 
 
-STAMP = 'orbimpc_ros.sha256'  # of the sources that the machine code beside it was compiled from
+STAMP = 'orbimpc_ros.sha256'  # hash of the sources of the machine code next to it
 LOCKS = 'orbimpc_ros.lock'
-WRAPPER = '_ZN7cpython'  # numba's names: of what Python calls a function by,
-MAKES = 'NRT_MemInfo_alloc', 'NRT_Allocate'  # of what makes arrays,
-COUNTS = {'NRT_incref': 1, 'NRT_decref': -1}  # of what counts references to them,
-GIVES_UP = 'NRT_MemInfo_call_dtor'  # and of what gives them up
+WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
+MAKES = 'NRT_MemInfo_alloc', 'NRT_Allocate'  # those that create arrays,
+COUNTS = {'NRT_incref': 1, 'NRT_decref': -1}  # those that count references to them,
+GIVES_UP = 'NRT_MemInfo_call_dtor'  # and that which frees them
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
 
@@ -199,17 +199,17 @@ def _lock_file(folder: Path) -> int:
 
 
 def entry_point(function: Callable) -> Callable:
-    """Compile at its first call from Python, and keep the code for the next process."""
+    """Compile a function at its first call from Python, and cache the code for later processes."""
     return _kept(function) if COMPILED else function
 
 
 def compiled(function: Callable) -> Callable:
-    """Compile to a part of what calls it in machine code; Python does not call it."""
+    """Compile a function that only machine code calls, into which it is linked."""
     return _nested(function) if COMPILED else function
 
 
 def vectorised(function: Callable) -> Callable:
-    """Compile as :func:`compiled` does, and let sums be reordered, as wide arithmetic needs."""
+    """Compile as :func:`compiled` does, but with reordered sums, as SIMD arithmetic requires."""
     return _nested(function, fastmath={'reassoc', 'contract'}) if COMPILED else function
 
 
@@ -222,7 +222,7 @@ def _nested(function: Callable, **options: Any) -> Callable:
 def _kept(function: Callable) -> Callable:
     options: dict[str, Any] = {'pipeline_class': _WholeCompiler, 'no_cfunc_wrapper': True}
     made: Any = njit(cache=True, **options)(function)
-    if made is not function:  # as it is with NUMBA_DISABLE_JIT
+    if made is not function:  # they are the same with NUMBA_DISABLE_JIT
         made._cache = _KeptCode(function)
         folder = Path(function.__code__.co_filename).parent
         _forget_other_sources(folder, Path(made.stats.cache_path))
@@ -231,20 +231,20 @@ def _kept(function: Callable) -> Callable:
 
 @cache
 def _forget_other_sources(folder: Path, kept: Path) -> None:
-    """Delete machine code that was compiled from other sources than those of today.
+    """Delete machine code that was compiled from other versions of the sources.
 
-    numba looks at the file that a function is in alone. What it calls in other files is part of
-    its code, and would stay as it was; and code whose types have other names now cannot be read.
+    numba checks only the file that contains a function. Its callees in other files are part of its
+    code, which would become outdated; and code with types that were renamed cannot be read.
 
     Args:
-        folder: of the sources; they call those of this package.
-        kept: where their code is.
+        folder: of the sources, which may call functions of this package.
+        kept: folder of their machine code.
     """
     found = sha256()
     for source in sorted({*folder.glob('*.py'), *Path(__file__).parent.glob('*.py')}):
         found.update(source.read_bytes())
     stamp = kept / STAMP
-    with suppress(OSError):  # others may be at it, or may alone be allowed to
+    with suppress(OSError):  # other processes may be doing so, or permission may be lacking
         if stamp.exists() and stamp.read_text() == found.hexdigest():
             return
         for code in (*kept.glob('*.nbi'), *kept.glob('*.nbc')):

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
+"""``python -m orbimpc_ros.mpc.kernels``: compile all machine code, so that no start has to wait."""
 
 from concurrent.futures import ProcessPoolExecutor
 
@@ -13,12 +13,12 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 
 def the_search() -> None:
-    """Compile what searches the plane: half of all machine code."""
+    """Compile the search in the plane: half of all machine code."""
     Engine(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
 
 
 def the_rest() -> None:
-    """Compile all else."""
+    """Compile the other half."""
     RoundFloor(Problem(floor=Floor('circle')), 1e-6)
     Verifier(Problem())
     SO3Multipliers(Problem(dimension=3), beside=True)

@@ -1,26 +1,26 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The relaxation over SO(3) by the method of multipliers, its steps by Newton's method.
+"""The relaxation over SO(3) by the method of multipliers, with Newton steps.
 
 With positions eliminated, the problem is a strictly convex quadratic in R_1..R_N (nine coordinates
 each), whose Hessian is the same N x N matrix for every coordinate of R_k e1, and another one for
-every coordinate of the other two columns. To it come
+every coordinate of the other two columns. Its additional terms are
 
 - R_k in conv SO(3): S(R_k) >= 0, with a multiplier matrix L_k >= 0;
 - c_k |R_k e1|, the length: the maximum of w . R_k e1 over |w| <= c_k;
-- rows a . v >= b, with multipliers >= 0, on R_k e1 and on positions, which are linear in all
-  R_j e1 (not where rho is there). Two of them are 0 <= rho <= 1, where the body rate decides R_1 up
-  to its thrust fraction rho. That stands in the place of R_1, as the first of its nine coordinates.
+- rows a . v >= b, with multipliers >= 0, on R_k e1 and on positions, which are linear in all R_j e1
+  (not with rho). If the body rate decides R_1 up to its thrust fraction rho, two of them are
+  0 <= rho <= 1, and rho replaces R_1 as the first of its nine coordinates.
 
-The augmented Lagrangian replaces each of them by its Moreau envelope of parameter 1/sigma (see
-:mod:`terms`). It is convex and once differentiable; its generalised Hessian is the quadratic's plus
-a few columns for each constraint that acts, so that a Newton step solves a system as large as what
-acts (Woodbury), and not as the problem. When the minimiser is near enough, the projections become
-the multipliers, and sigma grows (Rockafellar's method of multipliers; Zhao, Sun and Toh, *A
-Newton-CG augmented Lagrangian method for semidefinite programming*).
+The augmented Lagrangian replaces each by its Moreau envelope of parameter 1/sigma (see
+:mod:`~orbimpc_ros.mpc.kernels.penalty_terms`). It is convex and once differentiable; its
+generalised Hessian is the quadratic's plus a few columns for each active constraint, so a Newton
+step solves a system of the size of these (Woodbury), not of the problem. Near the minimiser the
+projections become the multipliers, and sigma grows (Rockafellar's method of multipliers; Zhao, Sun
+and Toh, *A Newton-CG augmented Lagrangian method for semidefinite programming*).
 
-The multipliers satisfy their constraints at any time, so the dual function at them is a lower bound
-at any time:  L(x, multipliers) - 1/2 r . P r,  where r is the gradient left over and P the inverse
-Hessian on the directions that a terminal constraint leaves free.
+The multipliers are always feasible, so the dual function at them is always a lower bound: L(x,
+multipliers) - 1/2 r . P r, where r is the residual gradient and P the inverse Hessian on the
+directions that a terminal constraint leaves free.
 
 Mathematics: docs/mathematics.md, 4.7.
 """
@@ -43,29 +43,29 @@ from orbimpc_ros.mpc.kernels.penalty_terms import (
     value_of,
 )
 
-SETTLED, STALLED, PAUSED, REFUTED = range(4)  # what a minimisation ends with
+SETTLED, STALLED, PAUSED, REFUTED = range(4)  # outcomes of a minimisation
 SIGMA, BEST, PROMISED = range(3)  # in Iterate.numbers
 STEPS, TAKEN = range(2)  # in Iterate.counts
 
-LIMIT = 200  # Newton steps and updates of the multipliers
-NOTHING = 1e-18  # a minimum is near enough where so little is left
-WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
-ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
+LIMIT = 200  # most Newton steps and updates of the multipliers
+NOTHING = 1e-18  # a minimum is near enough if no more than this can be gained
+WARM = 30.0  # factor on the initial sigma if the initial multipliers are useful
+ENOUGH = 1e-2  # a minimum is near enough at this share of the gain by the multipliers
 HALVINGS = 30
-DESCENT = 1e-4  # share of a Newton step's promise that a step must keep
+DESCENT = 1e-4  # share of a Newton step's predicted decrease that a step must achieve
 ROUNDING = 1e-13
 GROWTH = 3.0
-QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
+QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps up to which sigma grows fast, grows, stays
 
 
 class Iterate(NamedTuple):
     """A minimisation that can be interrupted.
 
     Attributes:
-        x: the point it is at, x_0 - P F, shape (N, 9).
-        held: the force F that the multipliers held exert, shape (N, 9).
-        numbers: sigma, the penalty's parameter; the greatest lower bound; how far the last Newton
-            step promised to bring the merit down, shape (3,).
+        x: the iterate, x_0 - P F, shape (N, 9).
+        held: the force F of the held multipliers, shape (N, 9).
+        numbers: sigma, the penalty's parameter; the greatest lower bound; the decrease of the merit
+            predicted by the last Newton step, shape (3,).
         counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
     """
 
@@ -76,11 +76,11 @@ class Iterate(NamedTuple):
 
 
 def begun(steps: int, sigma: float) -> Iterate:
-    """Return the progress of a minimisation that has not begun.
+    """Return the initial state of a minimisation.
 
     Args:
         steps: N.
-        sigma: the penalty's first parameter.
+        sigma: the penalty's initial parameter.
     """
     numbers = np.array([sigma, -np.inf, np.inf])
     x, held = np.zeros((steps, 9)), np.zeros((steps, 9))
@@ -99,7 +99,7 @@ def inner(a, b):
 
 @compiled
 def apply(terms, force, out):
-    """Set ``out`` to P times a force: the move that the quadratic answers it with.
+    """Set ``out`` to P times a force, the response of the quadratic.
 
     Args:
         terms: give P.
@@ -143,20 +143,20 @@ def _set_gram(inverse, slide, step, column, weight, count, slid, matrix):
 
 @compiled
 def _newton(terms, residual, moved_by, count, work, force):
-    """Set ``force`` to what a Newton step exerts: residual - U (C^-1 + U'P U)^-1 U'P residual.
+    """Set ``force`` to that of a Newton step: residual - U (C^-1 + U'P U)^-1 U'P residual.
 
-    That is Woodbury's identity, for a system as large as what acts.
+    By Woodbury's identity the system has only the size of the active constraints.
 
     Args:
         terms: give P.
-        residual: the gradient left over, shape (n, 9).
+        residual: the residual gradient, shape (n, 9).
         moved_by: P times that, shape (n, 9).
-        count: of the columns U.
+        count: number of columns of U.
         work: holds U, and C in ``weight``.
         force: to be set, shape (n, 9).
 
     Returns:
-        False where the system is singular.
+        False if the system is singular.
     """
     _set_gram(
         terms.inverse, terms.slide, work.step, work.column, work.weight, count, work.slid,
@@ -185,9 +185,9 @@ def _newton(terms, residual, moved_by, count, work, force):
 
 @compiled
 def _begin(terms, start, held, force, x, work):
-    """Set x to the minimiser for the multipliers held; drop them if none at all are better.
+    """Set x to the minimiser for the held multipliers; reset these if zeros are better.
 
-    Returns the dual function there, above the cost of ``start``: a lower bound.
+    Returns the dual function there, relative to the cost of ``start``: a lower bound.
     """
     for k in range(len(x)):
         for i in range(4):
@@ -207,7 +207,7 @@ def _begin(terms, start, held, force, x, work):
 
 @compiled
 def _note(work, lowest, forces, held):
-    """Note what the greatest bound so far rests on."""
+    """Store the point and the multipliers of the greatest bound so far."""
     work.lowest[:], work.forces[:], work.pushes[:] = lowest, forces, held.lengths
     work.rows[: len(held.rows)] = held.rows
     for k in range(len(lowest)):
@@ -218,13 +218,13 @@ def _note(work, lowest, forces, held):
 
 @compiled
 def _keep(new, held):
-    """Hold the multipliers that the last projection gave."""
+    """Hold the multipliers of the last projection."""
     held.orbitopes[:], held.lengths[:], held.rows[:] = new.orbitopes, new.lengths, new.rows
 
 
 @compiled
 def _with_lengths(quadratic, terms, x):
-    """Return the cost of x, above that of the start."""
+    """Return the cost of x, relative to that of the start."""
     cost = quadratic
     for k in range(len(x)):
         if terms.lengths[k] > 0.0:
@@ -234,12 +234,12 @@ def _with_lengths(quadratic, terms, x):
 
 @compiled
 def stiffen(progress, near, largest):
-    """Set the next sigma, when its Newton steps came near a minimum or are given up.
+    """Set the next sigma, after Newton steps came near a minimum or were given up.
 
     Args:
         progress: updated in place.
         near: whether they came near.
-        largest: sigma may be.
+        largest: largest value of sigma.
     """
     sigma, taken = progress.numbers[SIGMA], progress.counts[TAKEN]
     if not near:
@@ -254,35 +254,35 @@ def stiffen(progress, near, largest):
 
 @compiled
 def descends(reached, merit, share, decrease):
-    """Return whether a share of a Newton step brings the merit down far enough (Armijo's rule).
+    """Return True if a share of a Newton step decreases the merit enough (Armijo's rule).
 
     Args:
         reached: the merit there.
         merit: before the step.
         share: of the step, 0..1.
-        decrease: that the whole step promises.
+        decrease: predicted for the whole step.
     """
     return reached <= merit - DESCENT * share * decrease + ROUNDING * (1.0 + abs(merit))
 
 
 @entry_point
 def minimise(terms, start, held, limits, work, progress, budget):
-    """Minimise quadratic and terms, on from where the progress is.
+    """Continue to minimise quadratic and terms, by the method of multipliers.
 
-    By the method of multipliers, each minimum of its augmented Lagrangian sought by Newton's.
+    Each augmented Lagrangian is minimised by Newton's method.
 
     Args:
-        terms: what comes to the quadratic.
+        terms: added to the quadratic.
         start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
         held: the multipliers, updated in place.
-        limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
-            of x_0; what rounding may make of it; the largest sigma.
-        work: room to work in; takes what the greatest bound rests on.
+        limits: largest violation of a constraint; largest gap, relative to the cost; the cost of
+            x_0; its rounding error; the largest sigma.
+        work: working memory; the point and multipliers of the greatest bound are stored in it.
         progress: updated in place.
-        budget: multiplications to do at most, though no less than a Newton step takes.
+        budget: multiplications to do; one Newton step is done at least.
 
     Returns:
-        ``SETTLED``, ``STALLED``, ``PAUSED``, or ``REFUTED`` where there is proved to be nothing.
+        ``SETTLED``, ``STALLED``, ``PAUSED``, or ``REFUTED`` if infeasibility is proved.
     """
     precision, proportion, least, rounding, largest = limits
     x, held_force, numbers, counts = progress
@@ -295,7 +295,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
             numbers[SIGMA] *= WARM
     value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
     while True:
-        # The gradient left over is force - F.
+        # The residual gradient is force - F.
         set_forces(terms, new, force)
         residual[:] = force - held_force
         apply(terms, residual, direction)

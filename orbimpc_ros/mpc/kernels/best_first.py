@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The order of a best-first search: a heap of the bounds of its open nodes.
 
-A tree has ``keys``, the bounds of its open nodes, and ``heap``, the numbers of these, both of shape
+A tree has ``keys``, the bounds of its open nodes, and ``heap``, the indices of these, both of shape
 (M,); and ``counts`` and ``numbers``, the first entries of which are named here.
 
 Mathematics: docs/mathematics.md, 4.3.
@@ -13,19 +13,19 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
 
-DONE, FULL, PAUSED = range(3)  # what a search ends with
-MADE, OPEN, NODES = range(3)  # in counts: nodes that there are; that are open; that were solved
-VALUE, CLOSED, LEAST = range(3)  # in numbers: best cost; least bound given up; of the search
-NEGLIGIBLE = 1e-7  # of the unit of costs: the gap of smaller objectives is relative to it
+DONE, FULL, PAUSED = range(3)  # outcomes of a search
+MADE, OPEN, NODES = range(3)  # in counts: nodes created; nodes open; nodes solved
+VALUE, CLOSED, LEAST = range(3)  # in numbers: incumbent's cost; least bound of closed nodes; bound
+NEGLIGIBLE = 1e-7  # in units of cost: the gap of smaller objectives is relative to it
 
 
 @compiled
 def cutoff_of(value, constant, tolerance):
-    """Return the bound from which on nodes are of no use.
+    """Return the bound from which on nodes are pruned.
 
     Args:
-        value: the one to beat.
-        constant: what values lack; it only scales the tolerance.
+        value: cost of the incumbent.
+        constant: omitted from costs; it only scales the tolerance.
         tolerance: relative gap at which to stop.
     """
     if value == np.inf:
@@ -35,15 +35,15 @@ def cutoff_of(value, constant, tolerance):
 
 @compiled
 def close(tree, key):
-    """Note a bound that is not raised any more."""
+    """Record the bound of a node that is closed."""
     tree.numbers[CLOSED] = min(tree.numbers[CLOSED], key)
 
 
 @compiled
 def leave_open(tree, node, key, cutoff):
-    """Leave a node open, unless its bound says that it is of no use.
+    """Add a node to the heap, or close it if its bound reaches the cutoff.
 
-    Of equal bounds the latest, the deepest, comes first.
+    Among equal bounds the latest node, the deepest one, comes first.
     """
     if key >= cutoff:
         close(tree, key)
@@ -61,7 +61,7 @@ def leave_open(tree, node, key, cutoff):
 
 @compiled
 def take(tree):
-    """Take out the open node of the least bound; see :func:`leave_open`."""
+    """Remove and return the open node of the least bound; see :func:`leave_open`."""
     tree.counts[OPEN] -= 1
     keys, heap, count = tree.keys, tree.heap, tree.counts[OPEN]
     first, key, node, i = heap[0], keys[count], heap[count], 0
@@ -84,6 +84,6 @@ def take(tree):
 
 @compiled
 def least_left(tree):
-    """Return the least bound of the nodes that are open or were given up."""
+    """Return the least bound of the open and closed nodes."""
     closed = tree.numbers[CLOSED]
     return min(closed, tree.keys[0]) if tree.counts[OPEN] > 0 else closed

@@ -7,8 +7,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 
-SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry is taken for zero
-DIAGONAL = 1e-32  # squared share of what is off the diagonal
+SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry counts as zero
+DIAGONAL = 1e-32  # squared relative norm of negligible off-diagonal entries
 SWEEPS = 12
 
 
@@ -32,14 +32,14 @@ def add_product(matrix, x, share, out):
 
 @vectorised
 def _factorise(matrix, count, least):
-    """Set the lower triangle to Cholesky's factor, its diagonal inverted; False if singular.
+    """Factorise the lower triangle by Cholesky, with inverted diagonal; return False if singular.
 
-    Two rows and two columns at a time: every number that is loaded serves two sums.
+    It takes two rows and columns at a time, so that every loaded number serves two sums.
 
     Args:
         matrix: symmetric, its lower triangle given, shape (count, count) at least.
-        count: of the rows that belong to it.
-        least: share of its diagonal entry that a pivot must exceed; what is no number does not.
+        count: number of its rows.
+        least: share of its diagonal entry that a pivot must exceed; NaN does not.
     """
     for i in range(0, count - 1, 2):
         for j in range(0, i, 2):
@@ -73,16 +73,16 @@ def _factorise(matrix, count, least):
 
 @vectorised
 def extend_factor(matrix, factor, first, count, least):
-    """Set the rows of Cholesky's factor from ``first`` on, diagonals inverted; False if singular.
+    """Set the rows of Cholesky's factor from ``first`` on, diagonal inverted; False if singular.
 
-    Rows before it stay: a row that is added costs no more than solving with it.
+    Rows before it are kept: an additional row costs no more than a solve.
 
     Args:
         matrix: symmetric, its lower triangle given, shape (count, count) at least.
         factor: of the same shape; may be the matrix itself.
-        first: of the rows to set.
-        count: of the rows that belong to it.
-        least: share of its diagonal entry that a pivot must exceed; what is no number does not.
+        first: index of the first row to set.
+        count: number of its rows.
+        least: share of its diagonal entry that a pivot must exceed; NaN does not.
     """
     for i in range(first, count):
         for j in range(i):
@@ -106,7 +106,7 @@ def solve_factored(factor, right, count):
     Args:
         factor: its diagonal inverted, shape (count, count) at least.
         right: shape (count,) at least; becomes the solution.
-        count: of the rows that belong to the system.
+        count: number of rows of the system.
     """
     square = 0.0
     for i in range(count):
@@ -131,7 +131,7 @@ def solve_spd(matrix, right, count):
     Args:
         matrix: its lower triangle given, shape (count, count) at least; destroyed.
         right: shape (count,) at least; becomes the solution.
-        count: of the rows that belong to the system.
+        count: number of rows of the system.
     """
     if not _factorise(matrix, count, SINGULAR):
         return False
@@ -143,21 +143,21 @@ def solve_spd(matrix, right, count):
 def invert_spd(matrix, inverse):
     """Set the inverse of a positive definite matrix; return the logarithm of its determinant.
 
-    A linear algebra library shares this among threads, which on a busy machine wait for each
-    other a hundred times as long as the work takes.
+    A linear algebra library would use threads for this, which on a busy machine wait for each other
+    a hundred times as long as the work takes.
 
     Args:
         matrix: its lower triangle given, shape (n, n); destroyed.
         inverse: shape (n, n).
 
     Returns:
-        -inf where the matrix is not positive definite; the inverse is then not set.
+        -inf if the matrix is not positive definite; the inverse is then not set.
     """
     count, size = len(matrix), 0.0
     if not _factorise(matrix, count, SINGULAR):
         return -np.inf
     inverse[:], row = 0.0, np.empty(count)
-    for i in range(count):  # the factor's own inverse, row by row, in the factor's place
+    for i in range(count):  # invert the factor in place, row by row
         pivot = matrix[i, i]
         size -= 2.0 * np.log(pivot)
         row[:i] = 0.0

@@ -1,11 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Penalty terms over SO(3): what the method of multipliers adds to the quadratic.
+"""Penalty terms over SO(3), which the method of multipliers adds to the quadratic.
 
-Each term is a maximum over multipliers, linear in R. Its Moreau envelope of parameter 1/sigma has
-as its gradient the projection of (multipliers + sigma * what they multiply) on the multipliers'
-set: of L_k - sigma S(R_k) on the positive semidefinite matrices, of w + sigma R_k e1 on the ball,
-and so on. The generalised Hessian of the envelopes is a sum of a few rank-one parts for each
-constraint that acts.
+Each term is a maximum over multipliers, linear in R. The gradient of its Moreau envelope of
+parameter 1/sigma is the projection of (multipliers + sigma * their factors) onto the multipliers'
+set: of L_k - sigma S(R_k) onto the positive semidefinite matrices, of w + sigma R_k e1 onto the
+ball, and so on. The generalised Hessian of the envelopes is a sum of a few rank-one parts for each
+active constraint.
 
 The 4x4 matrix S(R) = I + K(R), positive semidefinite over conv SO(3), has K linear onto the
 traceless symmetric matrices; K* is its adjoint for the entrywise inner products. R is given by its
@@ -24,23 +24,23 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, diagonalise, extend_factor
 
-NEGLIGIBLE = 1e-12  # share of sigma at which a part of the Hessian is left out
-REFUTED = 1e-9  # share of what cancels from which on a refutation is one
-ROOM = 13  # parts of the Hessian for a step: ten of the orbitope, three of the length
+NEGLIGIBLE = 1e-12  # share of sigma below which a part of the Hessian is left out
+REFUTED = 1e-9  # least value of a proof of infeasibility, relative to the terms that cancel
+ROOM = 13  # rank-one parts of the Hessian for a step: ten of the orbitope, three of the length
 
 
 class Terms(NamedTuple):
-    """What comes to the quadratic.
+    """Terms added to the quadratic.
 
     Attributes:
         inverse: P, for R_k e1 and for the other columns, shape (2, n + K, n + K); beyond the n
-            steps for the K positions: P S', S P and S P S' with the positions' shares S.
-        slide: P has this times its transpose on top, shape (n + K, 9): where rho takes everything.
+            steps, for K positions with shares S: P S', S P and S P S'.
+        slide: its product with its transpose is added to P, as the effect of rho, shape (n + K, 9).
         lengths: c_k, shape (n,).
-        coasting: whether rho stands in the first place.
-        shares: of R_1 e1..R_n e1 in the places of rows: the identity, and below it what they add to
-            the positions, shape (n + K, n); positions without coasting only.
-        places: of the rows, shape (m,).
+        coasting: whether rho replaces R_1.
+        shares: of R_1 e1..R_n e1 in the vectors that rows constrain: the identity, and below it
+            their shares in the positions, shape (n + K, n); positions without coasting only.
+        places: index of the vector that each row constrains, shape (m,).
         normals: of the rows, shape (m, 3).
         offsets: of the rows, shape (m,).
     """
@@ -70,24 +70,24 @@ class Multipliers(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room to work in, made once; C is how many columns there can be.
+    """Working memory, created once; C is the largest number of columns.
 
     Attributes:
         bases: eigenvectors of the last projections on the cone, shape (n, 4, 4).
         values: their eigenvalues, shape (n, 4).
         sizes: |w + sigma R_k e1| of the last projections on the balls, shape (n,).
-        step: the place of every column of the terms' Hessian, shape (C,).
-        column: itself, shape (C, 9).
-        weight: its weight, shape (C,).
+        step: index of the vector of each column of the terms' Hessian, shape (C,).
+        column: the columns, shape (C, 9).
+        weight: their weights, shape (C,).
         slid: the columns' components along ``Terms.slide``, shape (C,).
         solution: of a Newton system, shape (C,).
         matrix: of a Newton system, shape (C, C).
         small: three matrices, shape (3, 4, 4).
         lowest: the minimiser of the Lagrangian that gives the greatest bound, shape (n, 9).
-        forces: what the multipliers of that exert, shape (n, 9).
-        pushes: those of the lengths, shape (n, 3).
-        tops: the traces of those of the orbitopes, shape (n,).
-        rows: those of the rows; or, where nothing is feasible, what proves it.
+        forces: those of the multipliers of that bound, shape (n, 9).
+        pushes: multipliers of the lengths, shape (n, 3).
+        tops: traces of the multipliers of the orbitopes, shape (n,).
+        rows: multipliers of the rows; or those that prove infeasibility.
     """
 
     bases: Array
@@ -112,18 +112,18 @@ def multipliers(n, m):
     """Return multipliers of zero.
 
     Args:
-        n: how many steps they are for.
-        m: how many rows.
+        n: number of steps.
+        m: number of rows.
     """
     return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(m))
 
 
 def scratch(n: int, m: int) -> Scratch:
-    """Return room to work in.
+    """Return working memory.
 
     Args:
-        n: how many steps it is for.
-        m: how many rows at most.
+        n: number of steps.
+        m: largest number of rows.
     """
     room = ROOM * n + m
     return Scratch(
@@ -191,8 +191,8 @@ def _set_pair(basis, i, j, out):
 
     Args:
         basis: orthonormal columns, shape (4, 4).
-        i: of one column.
-        j: of the other, or i.
+        i: index of one column.
+        j: index of the other, or i.
         out: to be set, shape (9,).
     """
     scale = 1.0 if i == j else np.sqrt(2.0)
@@ -214,7 +214,7 @@ def set_forces(terms, held, force):
     """Set the gradient of the terms for fixed multipliers.
 
     Args:
-        terms: what comes to the quadratic.
+        terms: added to the quadratic.
         held: the multipliers.
         force: to be set, shape (n, 9).
     """
@@ -235,7 +235,7 @@ def set_forces(terms, held, force):
 
 @compiled
 def _short_of_row(terms, i, x):
-    """Return by how much a row is missed."""
+    """Return the violation of a row."""
     short = terms.offsets[i]
     for k in range(len(x)):
         share = terms.shares[terms.places[i], k]
@@ -247,10 +247,10 @@ def _short_of_row(terms, i, x):
 
 @compiled
 def refuted(terms, rows):
-    """Return whether multipliers prove that no headings in their balls meet the rows.
+    """Return True if multipliers prove that no headings in their balls satisfy the rows.
 
-    Whatever the headings z_k are, the rows' shortfalls, weighed by the multipliers, add up to at
-    least what they are at z = 0, less the length of what pulls at each z_k (Farkas).
+    For all headings z_k, the sum of the rows' violations, weighted by the multipliers, is at least
+    its value at z = 0 minus the norms of its gradients in each z_k (Farkas).
 
     Args:
         terms: give the rows.
@@ -274,7 +274,7 @@ def refuted(terms, rows):
 
 @compiled
 def _project_rows(terms, x, held, sigma, new):
-    """Project on what is not negative; return the terms' value, |new - held|^2, the violation."""
+    """Project onto non-negative numbers; return the terms' value, |new - held|^2, the violation."""
     value = moved = worst = 0.0
     for i in range(len(held)):
         missed = _short_of_row(terms, i, x)
@@ -290,13 +290,13 @@ def _project_rows(terms, x, held, sigma, new):
 def _project_orbitope(x, held, sigma, new, basis, values, small):
     """Project L - sigma S(R) on the cone; return -<new, S>, |new - L|^2, the violation.
 
-    ``basis`` brings the eigenvectors of the last projection and takes this one's.
+    ``basis`` holds the eigenvectors of the last projection, and is set to those of this one.
     """
     s, t, u = small[0], small[1], small[2]
     _set_lmi(x, s)
     if held[0, 0] == held[1, 1] == held[2, 2] == held[3, 3] == 0.0:
         t[:] = s
-        if extend_factor(t, t, 0, 4, SINGULAR):  # most steps: the constraint does not act
+        if extend_factor(t, t, 0, 4, SINGULAR):  # as for most steps: the constraint is inactive
             new[:] = 0.0
             values[:] = -1.0
             return 0.0, 0.0, 0.0
@@ -348,12 +348,12 @@ def _project_lengths(x, held, sigma, limits, new, sizes):
 
 @compiled
 def project(terms, x, held, sigma, new, work):
-    """Project multipliers + sigma * what they multiply (Moreau envelopes) for every term.
+    """Project multipliers + sigma * their factors (Moreau envelopes) for every term.
 
     Args:
-        terms: what comes to the quadratic.
+        terms: added to the quadratic.
         x: shape (n, 9).
-        held: the multipliers to set out from.
+        held: the current multipliers.
         sigma: the envelopes' inverse parameter.
         new: set to the projections.
         work: its ``bases``, ``values`` and ``sizes`` are set for :func:`set_columns`.
@@ -377,10 +377,10 @@ def value_of(terms, x, held, s):
     """Return the value of the terms for fixed multipliers.
 
     Args:
-        terms: what comes to the quadratic.
+        terms: added to the quadratic.
         x: shape (n, 9).
         held: the multipliers.
-        s: room to work in, shape (4, 4).
+        s: working memory, shape (4, 4).
     """
     value = 0.0
     for k in range(len(x)):
@@ -402,7 +402,7 @@ def set_columns(terms, x, held, sigma, new, work):
     """Set every rank-one part of the generalised Hessian of the terms' envelopes.
 
     Args:
-        terms: what comes to the quadratic.
+        terms: added to the quadratic.
         x: shape (n, 9).
         held: the multipliers that were projected.
         sigma: the envelopes' inverse parameter.
@@ -410,7 +410,7 @@ def set_columns(terms, x, held, sigma, new, work):
         work: its ``step``, ``column`` and ``weight`` are set.
 
     Returns:
-        How many parts there are.
+        The number of parts.
     """
     step, column, weight = work.step, work.column, work.weight
     first = 1 if terms.coasting else 0
@@ -451,7 +451,7 @@ def _orbitope_columns(first, bases, values, sigma, step, column, weight):
 def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
     """Add the Hessian of the lengths' envelopes: c/|v| (I - d d') where |v| > c, v = w + sigma z.
 
-    Householder's reflection that takes an axis, ``pole``, to d takes the others across d.
+    Householder's reflection that maps an axis, ``pole``, to d maps the others to vectors across d.
     """
     d = np.zeros(3)
     for k in range(len(x)):
