@@ -60,7 +60,7 @@ class Reason:
 
     Attributes:
         cause: for programs.
-        words: for people, one line.
+        words: for people.
     """
 
     cause: Cause

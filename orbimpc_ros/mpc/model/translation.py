@@ -27,9 +27,9 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 class Translation(NamedTuple):
     """The coefficients of a model of the motion due to R e1.
 
-    A model with a velocity in y is inertial, and R e1 a thrust: full thrust z for a step changes y
-    = (s, p) by the order of (h^2 z, h z). Otherwise y = (s), full speed z changes it by (h z), and
-    the velocity is z R e1.
+    A model with a velocity in y is inertial, and R e1 a thrust: full thrust z for a step changes
+    y = (s, p) by the order of (h^2 z, h z). Otherwise y = (s), full speed z changes it by (h z),
+    and the velocity is z R e1.
 
     Attributes:
         push: divisors of that change which give b, for each entry of y; 0 for an entry of 0.
