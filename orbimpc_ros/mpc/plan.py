@@ -64,7 +64,7 @@ class Plan(ByContent):
         velocities: p_0..p_N, shape (N + 1, n) [m/s].
         rotations: R_0..R_N in conv SO(n), shape (N + 1, n, n).
         inputs: u_0..u_{N-1}, shape (N, n, n).
-        projected: rotations made of R_0..R_N, shape (N + 1, n, n).
+        projected: R_0..R_N projected to rotations, shape (N + 1, n, n).
         held: True for each k with R_k e1 = 0, whose heading is undefined: the previous rotation is
             held, shape (N + 1,).
     """

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The half-space farthest from the origin that contains points, and so separates their hull.
+"""The half-space farthest from the origin that contains points, separating their hull from it.
 
 Mathematics: docs/mathematics.md, 3.7.
 """
@@ -17,7 +17,7 @@ DEGENERATE = 1e-9  # distances from the origin that count as zero, relative to a
 
 
 def separation(points: Array) -> tuple[Array, Array]:
-    """Return for each set the unit normal n with the largest least n . P_i, and that value.
+    """Return for each set the unit normal n that maximises min_i n . P_i, and that value.
 
     If the origin is outside of the hull of the points, n is the direction to the nearest point of
     the hull, and the value its distance. That point is on an edge or, in space, on a face of the

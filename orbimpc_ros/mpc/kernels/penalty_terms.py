@@ -171,7 +171,7 @@ def _add_adjoint(m, scale, out):
 
     Args:
         m: symmetric, shape (4, 4).
-        scale: of what is added.
+        scale: the factor.
         out: to be added to, shape (9,).
     """
     out[0] += scale * (m[0, 0] + m[1, 1] - m[2, 2] - m[3, 3])

@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 WORST_CONDITION = 1e9
-TURNED = [0, 3]  # of the knowns, R_0 e1 and R_g e1
+TURNED = [0, 3]  # rows of R_0 e1 and R_g e1 among the knowns
 SLIGHT = 1e-10  # share of the diagonal added to a singular Hessian
 
 

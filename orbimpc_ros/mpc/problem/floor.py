@@ -102,7 +102,7 @@ class Floor:
         return self._along(axes) - self.fraction
 
     def least(self, axes: Array) -> Array:
-        """Return the least speed fraction allowed along unit vectors, shape (..., n): (...).
+        """Return the least speed fraction allowed along unit vectors, shape (..., n): shape (...).
 
         It is 1, full speed, along directions in which no speed is allowed.
         """

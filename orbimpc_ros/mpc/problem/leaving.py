@@ -33,7 +33,7 @@ SPARE = 1e-3  # slack beyond the depth of the escape, in units of a step's lengt
 def inside(problem: Problem, state: State, traffic: Traffic) -> Array:
     """Return the depths inside of bodies that each step of a plan is allowed, shape (J, N) [m].
 
-    A plan that starts in the margin of a body only has to stay outside of the body itself.
+    A vehicle that enters only the margin of a body has to stay outside of the body itself.
 
     Args:
         problem: gives the model and its limits.

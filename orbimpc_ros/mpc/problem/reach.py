@@ -64,7 +64,7 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
 
     Args:
         problem: gives the reach.
-        state: where the vehicle is.
+        state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
     """
     away = goals - state.position

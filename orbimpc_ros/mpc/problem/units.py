@@ -29,7 +29,7 @@ class Units:
         problem: the problem in these units.
         length: [m].
         time: [s].
-        cost: of the objective.
+        cost: in units of the objective.
     """
 
     problem: Problem
@@ -84,7 +84,7 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
     w, area = problem.weights, length * length
     weights = Weights(
         position=w.position * area,
-        # The inputs are first or second derivatives of numbers without a unit.
+        # The inputs are first or second derivatives of dimensionless numbers.
         input=w.input / time ** (2 * problem.rotation_order),
         length=w.length * problem.step * problem.forward,
         terminal=w.terminal * area,

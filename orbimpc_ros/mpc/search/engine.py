@@ -93,7 +93,7 @@ class Engine:
         """Return the best trajectory found, with the tree that proves a bound.
 
         Raises:
-            Infeasible: no turn leads to a last heading that is allowed.
+            Infeasible: no turns lead to an allowed last heading.
         """
         ring, quad = self._ring(request.state), self._quadratic(request)
         tree, room = _working_space(get_ident(), self._problem.horizon)

@@ -63,7 +63,7 @@ class Room(NamedTuple):
     """Working memory of a relaxation.
 
     Attributes:
-        slope: of the cost, shape (N, 2).
+        slope: H z + q, shape (N, 2).
         shapes: outlines of the sets, shape (N, 12).
         parts: those of a child, shape (N, 12).
         changed: whether the child's outline differs, shape (N,).
@@ -73,8 +73,8 @@ class Room(NamedTuple):
         other: another, shape (N, 2).
         steps: index of the heading of each free direction, shape (2N,).
         basis: the free directions, shape (2N, 2).
-        system: shape (2N, 2N).
-        right: shape (2N,).
+        system: matrix of a Newton step, shape (2N, 2N).
+        right: its right-hand side, then the step, shape (2N,).
     """
 
     slope: Array

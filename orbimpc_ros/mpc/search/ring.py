@@ -36,7 +36,7 @@ NEWTON = 4  # Newton steps along a chord if lengths have a weight
 
 
 class Ring(NamedTuple):
-    """A planar floor and the limits that tie headings to their neighbours.
+    """A planar floor and the limits that couple headings to their neighbours.
 
     Attributes:
         fraction: the least |z|: radius of the circle, or of the circle inside the polygon; 0

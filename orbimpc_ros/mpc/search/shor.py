@@ -238,7 +238,7 @@ def _end(floor, length, theta, mu):
     shift = 2.0 * length / (1.0 + floor)
     bent, a = theta - shift, 0.5 * (1.0 - floor * floor)
     root = np.sqrt(a * a * bent * bent + 4.0 * mu * mu)
-    # Both lambda and lambda - bent, without cancelling.
+    # Both lambda and lambda - bent, without cancellation.
     if bent >= 0.0:
         above = (a * bent + 2.0 * mu + root) / (2.0 * a)
         below = mu * above / (a * above - mu)

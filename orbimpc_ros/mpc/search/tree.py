@@ -409,7 +409,7 @@ def is_promising(quad, ring, tree, z, sector, share, room):
         return False
     set_headings(ring, tree.speeds, tree.turns, room.trial)
     rounded = cost_of(quad, room.trial)
-    free = ring.faces > 0 and ring.widest >= HALF  # parts of a polygon need no descent
+    free = ring.faces > 0 and ring.widest >= HALF  # cells of a polygon need no descent
     angle, way = _way(ring, tree.turns)
     aimed = ring.within >= HALF or abs(angle - way) <= ring.within + SATISFIED
     if aimed and (ring.change < np.inf or ring.within < HALF or free):
@@ -503,7 +503,7 @@ def _choose(quad, ring, tree, node, room):
     if choice < 0 and ring.change == np.inf and ring.within >= HALF:
         _take(quad, tree, z)
     elif ring.fraction > 0.0:
-        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # ever less often
+        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # at powers of two
         counts[PROMISES] = is_promising(quad, ring, tree, z, sector, share, room)
     return choice, cut, parts
 
