@@ -178,8 +178,8 @@ def proof_of(
     Args:
         nodes: as in proofs, but with leaves not numbered yet, shape (M, 5).
         at: as in proofs, shape (M,).
-        point: point of tangency of each node's bound, shape (M, N, n).
-        kept: separable curvatures of the steps in that bound, shape (M, N).
+        point: tangent point of each node's bound, shape (M, N, n).
+        kept: curvatures assigned to single steps in that bound, shape (M, N).
         pull: multipliers of the arrival in that bound, shape (M, 1, n), if there is one.
     """
     nodes, none = nodes.copy(), np.zeros(0, np.int64)

@@ -136,7 +136,7 @@ def tangent_bound(quad, shapes, z, slope):
     Args:
         quad: the cost.
         shapes: outlines, shape (N, 12).
-        z: point of tangency, shape (N, 2).
+        z: tangent point, shape (N, 2).
         slope: H z + q, shape (N, 2).
     """
     cost = least = size = 0.0
@@ -348,7 +348,7 @@ def relax(quad, node, limits, room, work):
 
     Args:
         quad: the cost.
-        node: the point, shape (N, 2); the point of tangency of its bound, shape (N, 2); that bound,
+        node: the point, shape (N, 2); the tangent point of its bound, shape (N, 2); that bound,
             shape (1,); all updated.
         limits: the bound at which the node is pruned, and the relative gap that suffices.
         room: working memory, with the outlines of the sets.

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Shor multipliers for circular floors: bounds from a Lagrangian with separable curvature.
+"""Shor multipliers for circular floors: bounds that assign curvature to single steps.
 
 With multipliers theta_k of |z_k|^2 / 2, and w >= 0 of constraints in narrow sectors
 (:class:`Rows`), the dual function is
@@ -107,8 +107,8 @@ class Node(NamedTuple):
             shape (N, 2).
         z: the current point of its climb, shape (N, n).
         held: multipliers by kind, shape (4, N).
-        point: point of tangency of its bound, shape (N, n).
-        kept: separable curvatures of the steps in that bound, shape (N,).
+        point: tangent point of its bound, shape (N, n).
+        kept: curvatures assigned to single steps in that bound, shape (N,).
         pull: multipliers of the arrival in that bound, shape (n,).
         known: see the names of its entries, shape (3,).
     """
@@ -343,7 +343,7 @@ def prove(posed, theta, z, pull, node):
     Args:
         posed: the problem.
         theta: curvatures that make the cost convex, shape (N,).
-        z: point of tangency, shape (N, n).
+        z: tangent point, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
         node: its tangent and its bound are updated.
     """

@@ -3,7 +3,7 @@
 
 A node holds a sector for every step: a range of unwrapped headings and one of speeds. It is split
 by the heading or the speed of one step; turn rate and acceleration then narrow the sectors of its
-neighbours. Each node keeps the point of tangency of its bound, so that the tree is the proof.
+neighbours. Each node keeps the tangent point of its bound, so that the tree is the proof.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -79,7 +79,7 @@ class Tree(NamedTuple):
     Attributes:
         sectors: low, high, slow, fast for each step, shape (M, N, 4).
         start: point where a node's relaxation begins or has ended, shape (M, N, 2).
-        point: point of tangency of a node's bound, shape (M, N, 2).
+        point: tangent point of a node's bound, shape (M, N, 2).
         bounds: of all nodes, shape (M, 1).
         nodes: as in proofs (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but with leaves not
             numbered yet, shape (M, 5).
