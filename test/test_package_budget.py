@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_623,
-    'orbimpc_ros/mpc': 17_089,
+    'orbimpc_ros': 33_621,
+    'orbimpc_ros/mpc': 17_087,
     'orbimpc_ros/loop': 3_911,
     'orbimpc_ros/ros': 4_805,
     'orbimpc_ros/sim': 2_810,
