@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random flights with problems built around them, and random certificates of those problems.
 
-A flight is drawn first: headings, often at the edge of what is allowed. Limits are then set so that
-it keeps them, many by a hair, and the check says that it does. Numbers are dyadic, so that it also
-arrives exactly. Whatever multipliers, points and splits a certificate of such a problem has, the
-part that the flight is in proves no more than the flight costs.
+A flight is drawn first, its headings often at the edge of their limits. The limits are then chosen
+such that the flight satisfies them, many by a tiny margin; the plan checker confirms it. Numbers
+are dyadic, so that terminal constraints hold exactly. With any multipliers, points and splits, the
+lower bound that a certificate proves on the part with the flight must not exceed the flight's cost.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ from orbimpc_ros.mpc.proof.stated import Body, Statement, limits_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import in_fractions, region_of
 
-HAIR = 1e-7  # by which a flight keeps a limit, of what it limits
-FINE = 2.0**-30  # headings are multiples of it
-ROUNDING = 1e-9  # of a cost in floats
+HAIR = 1e-7  # smallest relative margin of a flight to a limit
+FINE = 2.0**-30  # resolution of headings
+ROUNDING = 1e-9  # relative, of costs in floats
 LIMITS = ['floor', 'max_rate', 'max_acceleration', 'approach', 'tilt', 'glide_slope', 'obstacles']
 Rng = np.random.Generator
 
 
 class Flight(NamedTuple):
-    """A flight of a problem, and within which radius of the last goal it ends; 0 of no catch."""
+    """A flight of a problem, and the capture radius around the last goal; 0 without a capture."""
 
     case: Case
     plan: Plan
@@ -60,9 +60,9 @@ class Flight(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What a part proves that a flight is in, what the flight costs there, and the certificate.
+    """Bound proved for the part that contains a flight, the flight's cost, and the certificate.
 
-    The tree of that is of the problem as the verifier reads it.
+    ``tree`` is the certificate's tree; ``posed`` is its problem as the verifier reads it.
     """
 
     proved: float
@@ -73,7 +73,7 @@ class Judged(NamedTuple):
 
     @property
     def is_false(self) -> bool:
-        """Return whether more is proved than there is."""
+        """Return True if the bound exceeds the flight's cost."""
         return self.proved > self.cost * (1.0 + ROUNDING)
 
 
@@ -86,12 +86,12 @@ def _sometimes(rng: Rng, share: float) -> bool:
 
 
 def _loose(rng: Rng) -> float:
-    """Return by how much a limit is looser than the flight needs, often by a hair."""
+    """Return the relative slack of a limit over what the flight needs, often tiny."""
     return HAIR if _sometimes(rng, 0.5) else float(10.0 ** rng.uniform(-3, 0))
 
 
 def flight(rng: Rng) -> Flight | None:
-    """Return a flight that keeps all limits of its problem; None if a draw has none."""
+    """Return a flight that satisfies all limits of its problem; None if the draw has none."""
     n, order = int(rng.integers(2, 4)), 1 + _sometimes(rng, 0.25)
     inertia = 1 + _sometimes(rng, 0.4)
     horizon, step = int(rng.choice([1, 1, 2, 3, 4])), 2.0 ** -int(rng.integers(3))
@@ -108,7 +108,7 @@ def flight(rng: Rng) -> Flight | None:
         'weights': Weights(*(10.0 ** rng.uniform(-2, 1) * _sometimes(rng, 0.5) for _ in range(5))),
     }  # fmt: skip
     rotations = _rotations(rng, n, horizon, level)
-    if _sometimes(rng, 0.2):  # which a cone of approach has no direction for
+    if _sometimes(rng, 0.2):  # too slow to have a direction within an approach cone
         rotations[-1] = _dyadic(10.0 ** rng.uniform(-3, -2) * rotations[-1])
     plain = Problem(**given)
     state: dict[str, Any] = {
@@ -132,7 +132,7 @@ def flight(rng: Rng) -> Flight | None:
         return assemble(problem, State.at(**state), goals, x, projection='nearest', proof=UNPROVED)
 
     if plain.inertial:
-        state['velocity'] = -flown(plain).velocities[-1]  # and arrives at rest
+        state['velocity'] = -flown(plain).velocities[-1]  # so that it arrives at rest
     places = flown(plain).positions[1:]
     goals, given['glide_slope'] = _goals(rng, places, level)
     given |= _limits(rng, plain, rotations[:, :, 0], state['attitude'][:, 0])
@@ -140,7 +140,7 @@ def flight(rng: Rng) -> Flight | None:
         given['terminal'], goals[-1] = 'constraint', places[-1]
     given['obstacles'] = tuple(_body(rng, places, n) for _ in range(int(rng.integers(3))))
     given['no_corner_cutting'] = _sometimes(rng, 0.3)
-    if _sometimes(rng, 0.5):  # one limit alone
+    if _sometimes(rng, 0.5):  # only one limit
         for name in rng.permutation([each for each in LIMITS if given.get(each)])[1:]:
             del given[name]
     radius = 0.0
@@ -161,7 +161,7 @@ def flight(rng: Rng) -> Flight | None:
 
 
 def flights(seed: int, count: int) -> Iterator[tuple[Flight, Rng]]:
-    """Yield flights of so many draws, with what draws certificates of them."""
+    """Yield the flights of ``count`` draws, each with the generator for its certificates."""
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         drawn = flight(rng)
@@ -170,9 +170,9 @@ def flights(seed: int, count: int) -> Iterator[tuple[Flight, Rng]]:
 
 
 def plans(seed: int, count: int) -> Iterator[Flight]:
-    """Yield flights of so many draws that are plans.
+    """Yield the flights of ``count`` draws that are feasible plans.
 
-    Curves that pass a body nearer than their control points are none.
+    Curves that pass a body closer than their control points are not feasible.
     """
     for drawn, _ in flights(seed, count):
         problem, state, _ = drawn.case
@@ -185,7 +185,7 @@ def _strictly(kept: dict[str, float]) -> bool:
 
 
 def _rotations(rng: Rng, n: int, horizon: int, level: bool) -> np.ndarray:
-    """Return R_0..R_N that turn a little or much, at speeds from nearly none to nearly the most."""
+    """Return R_0..R_N with small to large turns, at speeds from nearly zero to nearly full."""
     turn = 10.0 ** rng.uniform(-2, 0.5)
     made, q = np.zeros((horizon + 1, n, n)), problems.rotation(rng, n)
     if level:
@@ -212,7 +212,7 @@ def _about_z(angle: float) -> np.ndarray:
 
 
 def _goals(rng: Rng, places: np.ndarray, level: bool) -> tuple[np.ndarray, float]:
-    """Return goals near places, and a glide slope that these are just above, or 0."""
+    """Return goals near places, and a glide slope just below the places, or 0."""
     away = _dyadic(10.0 ** rng.uniform(-2, 0.5) * rng.normal(size=places.shape), 2.0**-16)
     if places.shape[1] == 2 or _sometimes(rng, 0.5):
         return places - away, 0.0
@@ -225,7 +225,7 @@ def _goals(rng: Rng, places: np.ndarray, level: bool) -> tuple[np.ndarray, float
 
 
 def _limits(rng: Rng, problem: Problem, headings: np.ndarray, ahead: np.ndarray) -> dict[str, Any]:
-    """Return limits that headings R_0 e1..R_N e1 keep, R_0's own direction being another."""
+    """Return limits that headings R_0 e1..R_N e1 satisfy, with ``ahead`` as R_0's direction."""
     n, found = problem.dimension, {}
     speeds = np.linalg.norm(headings, axis=1)
     if _sometimes(rng, 0.4):
@@ -262,7 +262,7 @@ def _limits(rng: Rng, problem: Problem, headings: np.ndarray, ahead: np.ndarray)
 
 
 def _approach(rng: Rng, heading: np.ndarray, floor: float) -> Approach:
-    """Return a cone that a heading is in, often at its edge or its flat end."""
+    """Return an approach cone that contains a heading, often at its edge or its flat end."""
     size = float(np.linalg.norm(heading))
     off = rng.normal(size=len(heading)) * rng.choice([1.0, 0.1])
     axis = heading / max(size, 1e-9) + off
@@ -273,7 +273,7 @@ def _approach(rng: Rng, heading: np.ndarray, floor: float) -> Approach:
 
 
 def _body(rng: Rng, places: np.ndarray, n: int) -> Box | Ball:
-    """Return a body beside a place."""
+    """Return a body next to a random one of the places."""
     place, size = places[int(rng.integers(len(places)))], 10.0 ** rng.uniform(-1, 0.5)
     way = rng.normal(size=n)
     way /= np.linalg.norm(way)
@@ -286,11 +286,11 @@ def _body(rng: Rng, places: np.ndarray, n: int) -> Box | Ball:
 
 # --- certificates
 
-DEEP = 60  # splits at most
+DEEP = 60  # most splits
 
 
 def judged(drawn: Flight, rng: Rng) -> Judged | None:
-    """Return what the part of a random certificate that holds a flight proves; None if refused."""
+    """Return what a random certificate proves of the part with a flight; None if it is unsound."""
     case, count = drawn.case, drawn.case.problem.horizon
     catches, empty = drawn.radius > 0.0, _sometimes(rng, 0.4)
     sought = Sought(*case, radius=drawn.radius)
@@ -315,12 +315,12 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
 
 
 class Part:
-    """The part of random splits that a flight is in, in fractions.
+    """The part of random splits that contains a flight, in fractions.
 
     Args:
         drawn: the flight.
         posed: its problem, as the verifier reads it.
-        rng: of what is random.
+        rng: source of all random choices.
     """
 
     def __init__(self, drawn: Flight, posed: Posed, rng: Rng) -> None:
@@ -341,10 +341,10 @@ class Part:
         assert begun == HELD, 'a flight is left out from the beginning'
 
     def cut(self, kind: int, choice: int, parts: int, at: float, i: int) -> None:
-        """Split the part, if it may be split so, and go on with part i of it.
+        """Split the part, if the split is allowed, and continue with its child i.
 
         Raises:
-            AssertionError: the part that a flight is in is left out.
+            AssertionError: the child with the flight has been pruned.
         """
         if self.depth + 1 == DEEP:
             return
@@ -358,7 +358,7 @@ class Part:
         self.cuts.append((node, at, i))
 
     def focus(self) -> None:
-        """Leave no more than the flight of all steps but one."""
+        """Narrow all steps but one to a small neighbourhood of the flight."""
         free = int(self.rng.integers(self.count))
         for k, heading in enumerate(self.drawn.plan.rotations[1:, :, 0]):
             near, speed = 10.0 ** self.rng.uniform(-9, -4), float(np.linalg.norm(heading))
@@ -368,7 +368,7 @@ class Part:
                     self.cut(trees.SPEED, self.count + k, 2, at, i)
 
     def split(self) -> None:
-        """Split the part somehow, or not."""
+        """Try one random split of the part."""
         rng, k = self.rng, int(self.rng.integers(self.count))
         off = 10.0 ** rng.uniform(-6, 0.5) * rng.choice([-1, 1])
         heading = self.drawn.plan.rotations[k + 1, :, 0]
@@ -389,12 +389,12 @@ class Part:
             self._beside(k, off)
 
     def _turned(self, k: int, below: float, above: float) -> None:
-        """Split a heading in the plane on either side of the flight's."""
+        """Split a heading's direction in the plane on both sides of the flight's."""
         angle = self._lifted()[k]
         self._directed(k, angle, below, above)
 
     def _lifted(self) -> np.ndarray:
-        """Return the directions of R_1 e1..R_N e1 as they are counted where turns are limited."""
+        """Return the directions of R_1 e1..R_N e1; unwrapped if turns are limited [rad]."""
         z, state = self.drawn.plan.rotations[:, :, 0], self.posed.state
         angles = np.arctan2(z[1:, 1], z[1:, 0])
         if self.stated.root.turn < 0:
@@ -406,7 +406,7 @@ class Part:
         return np.asarray(begun + np.cumsum((turns + np.pi) % (2 * np.pi) - np.pi))
 
     def _directed(self, choice: int, angle: float, below: float, above: float) -> None:
-        """Split directions in the plane on either side of one; into arcs if all are allowed."""
+        """Split directions in the plane on both sides of one; into arcs if all are allowed."""
         if self.region.part[self.depth, choice] == WHOLE:
             parts, at = int(self.rng.integers(2, 6)), float(self.rng.normal())
             share = float(self.stated.sets.full) / parts
@@ -421,7 +421,7 @@ class Part:
         self.cut(trees.CUT, choice, 2, float(angle + above), 0)
 
     def _patched(self, choice: int, way: np.ndarray) -> None:
-        """Split directions in space, where one is surely inside of a triangle."""
+        """Split directions in space, if one is strictly inside a triangle."""
         whole = self.region.part[self.depth, choice] == WHOLE
         kind, parts = (trees.PATCHES, 20) if whole else (trees.QUARTERS, 4)
         triangles = self.stated.root.patches[:20]
@@ -435,7 +435,7 @@ class Part:
                 return
 
     def _beside(self, k: int, off: float) -> None:
-        """Split by the sides of a body, where a flight is on one."""
+        """Split by the sides of a body, if the flight is on one of them."""
         j = int(self.rng.integers(len(self.posed.limits.bodies)))
         body, choice = self.posed.limits.bodies[j], (2 + j) * self.count + k
         points = self._points(body, k)
@@ -456,7 +456,7 @@ class Part:
         self._directed(choice, math.atan2(way[1], way[0]), below, above)
 
     def _points(self, body: Body, k: int) -> np.ndarray:
-        """Return the control points of a step that are on one side of a body, as it sees them."""
+        """Return the control points of a step on one side of a body, relative to the body."""
         plan, problem = self.drawn.plan, self.posed.problem
         degree = problem.translation.degree
         (start, end), (out, back) = plan.positions[k : k + 2], plan.velocities[k : k + 2]
@@ -468,7 +468,7 @@ class Part:
         return points[_on_side(body, k, degree)]
 
     def leaf(self, empty: bool) -> ProofTree:
-        """Return a leaf with some multipliers, each of any size."""
+        """Return a leaf with random multipliers of random magnitude."""
         rng, count, n = self.rng, self.count, self.n
         stated, ends = self.stated, self.stated.ends
         point, shor = np.zeros((count, stated.width)), np.zeros(count)
@@ -499,7 +499,7 @@ class Part:
         return leaf._replace(press=press, press_row=rows, press_end=np.array([len(rows)]))
 
     def _rows(self) -> np.ndarray:
-        """Return rows of what is known beside bodies."""
+        """Return rows of constraints that hold next to bodies."""
         found, degree = list[int](), self.posed.problem.translation.degree
         for depth, ((_, choice, *_), _, _) in enumerate(self.cuts, 1):
             j, k = choice // self.count - 2, choice % self.count
@@ -516,10 +516,10 @@ class Part:
         return np.array(found, np.int64)
 
     def _slides(self) -> np.ndarray:
-        """Return vectors that are as steep as a glide slope asks for, or by any factor less so."""
+        """Return vectors as steep as the glide slope requires, or less steep by a random factor."""
         rng, count = self.rng, self.count
         down, way = 10.0 ** rng.uniform(-3, 3, (count, 1)), rng.normal(size=(count, 2))
-        if _sometimes(rng, 0.5):  # to where a flight is from the goal
+        if _sometimes(rng, 0.5):  # along the flight's offset from the goal
             way = (self.drawn.plan.positions[1:] - self.drawn.case.goals)[:count, :2] + 1e-12
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         steep = math.tan(self.drawn.case.problem.glide_slope)
@@ -527,14 +527,14 @@ class Part:
         return np.asarray(down * np.concatenate([steep * way, -np.ones((count, 1))], axis=1))
 
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
-        """Return what a leaf proves of the part, and whether it is sound."""
+        """Return the bound that a leaf proves on the part, and True if it is sound."""
         set_hessian(self.stated.order, self.stated.motion, self.stated.costs, self.work.squares)
         known = self.stated, self.region, self.depth, in_fractions(leaf), 0, empty, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
 
     def tree(self, leaf: ProofTree, empty: bool) -> ProofTree:
-        """Return the tree of the splits, whose every leaf is the same."""
+        """Return the tree of the splits with the same leaf everywhere."""
         kind = trees.EMPTY if empty else trees.LEAF
         nodes, at, place = [[kind, 0, 0, 0, 0]], [0.0], 0
         for (split, choice, _, parts, row), angle, i in self.cuts:
@@ -546,6 +546,6 @@ class Part:
 
 
 def _on_side(body: Body, k: int, degree: int) -> list[int]:
-    """Return which control points of step k are on one side of a body."""
+    """Return the control points of step k that are on one side of a body."""
     every = (control_of(body.of, k, degree, at) for at in range(trees.POINTS))
     return [i for i in every if i >= 0]

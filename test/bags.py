@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The bags of demos and golden ones in tests: read, rewritten, every plan rolled out."""
+"""Helpers for demo and golden bags: reading, rewriting, and synthetic flights."""
 
 from collections import defaultdict
 from contextlib import closing
@@ -27,7 +27,7 @@ def check_pictures(folder, *names):
 
 
 def messages_of(folder):
-    """Return the messages in a bag by topic and stamp [ns]; the first under each."""
+    """Return the messages of a bag by topic and stamp [ns]; the first one of each stamp."""
     found = defaultdict(dict)
     for message in bags.read(folder / 'bag'):
         found[message.topic[1:]].setdefault(message.stamp, message.content)
@@ -35,7 +35,7 @@ def messages_of(folder):
 
 
 def made_up(positions, values, **others):
-    """Return a flight along positions, shape (M, 3), a second apart, its nose along x."""
+    """Return a flight through positions, shape (M, 3), one second apart, its nose along x."""
     count, times = len(positions), 10.0 + np.arange(len(positions))
     known = {
         'attitudes': np.tile(np.eye(3), (count, 1, 1)),
@@ -54,13 +54,13 @@ GOLDEN = Path(__file__).parent / 'golden'
 
 
 def rewritten(source, target, change=lambda each: each):
-    """Copy a bag of ours, each message as ``change`` returns it, or left out for None."""
+    """Copy a bag, with each message replaced by ``change(message)``, or dropped for None."""
     kept = [new for new in map(change, bags.raw(source)) if new is not None]
     return write(target, kept, bags.notes(source))
 
 
 def write(target, messages, notes):
-    """Write messages as they are into a bag of ours."""
+    """Write messages unchanged into a bag in our format."""
     listed = {each.topic: Topic(each.topic, each.type) for each in messages}
     with closing(BagWriter(target, list(listed.values()), notes)) as writer:
         for each in messages:
@@ -69,7 +69,7 @@ def write(target, messages, notes):
 
 
 def ros2_bag(source, target, storage, mode='none', skip=()):
-    """Write a bag's messages as ``ros2 bag record`` does: its storages, no notes of ours."""
+    """Write a bag's messages as ``ros2 bag record`` does: in its storages, without our notes."""
     store = get_typestore(Stores.ROS2_JAZZY)
     writer = Writer(target, version=9, storage_plugin=StoragePlugin[storage.upper()])
     writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
@@ -85,7 +85,7 @@ def ros2_bag(source, target, storage, mode='none', skip=()):
 
 
 def changed(topic, kind, change):
-    """Return a function that changes the messages of a topic."""
+    """Return a function that applies ``change`` to the messages of a topic."""
 
     def apply(each):
         if each.topic != topic:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The fixtures of tests over DDS: a domain of their own, real processes, and an observer."""
+"""Fixtures and hooks: DDS domains, node processes and observers, --quick, a memory limit."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from harness import Observer, launching, new_domain
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-    # A shell has its background jobs ignore SIGINT, and these all that they start; tests send it.
+    # Background jobs of a shell inherit an ignored SIGINT, and so do their children; tests send it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-# Fixtures of tests that start processes or meet others over DDS.
+# Fixtures of tests that start processes or communicate over DDS.
 PROCESSES = {'domain', 'launch', 'observer', 'shared', 'workspace', 'default_context'}
 FLIGHTS = {
     *('test_ros_crossing', 'test_ros_physics', 'test_ros_vehicles', 'test_package_colcon'),
-}  # modules of whole flights and installations
+}  # modules with whole flights and installations
 
 
 class TestModule(pytest.Module):
-    """A module of tests; skipped where it imports what only ROS has, and that is not installed."""
+    """A test module; skipped if it imports a package of ROS that is not installed."""
 
     def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
         try:
@@ -41,10 +41,10 @@ class TestModule(pytest.Module):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
-    """Leave importing a module to pytest, which takes a skip there as this module's alone.
+    """Create the module here, so that pytest imports it and limits a skip to this module.
 
-    The pytest plugin of ROS's launch_testing imports every module in this very hook, where a
-    module-level ``importorskip`` skips the collection of everything.
+    ROS's launch_testing plugin imports every module in this hook, where a module-level
+    ``importorskip`` would skip the whole collection.
     """
     return TestModule.from_parent(parent, path=module_path)
 
@@ -54,7 +54,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With ``--quick`` keep the first case of each test that starts no process and flies little."""
+    """With ``--quick`` keep the first case of each test without processes or long flights."""
     if not config.getoption('--quick', default=False):
         return
     first, rest = {}, []
@@ -69,22 +69,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    """Fail where no test has run: colcon takes pytest's own exit code for that as success."""
+    """Fail if no test has run: colcon takes pytest's own exit code for that as success."""
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
-MOST_MEMORY = 6.0e6  # [kB] of one test, and of all that was loaded before it
-MUCH = 1.0e6  # [kB] of which some is free, likely: glibc keeps it
+MOST_MEMORY = 6.0e6  # [kB] peak in one test, including everything loaded before it
+MUCH = 1.0e6  # [kB] resident above which glibc likely keeps freed memory
 PROC = Path('/proc/self')
 
 
 @pytest.fixture(autouse=True)
 def _little_memory() -> Iterator[None]:
-    """Fail a test that needs more memory than a worker has, and give back what it does not keep."""
+    """Fail a test with too high a peak memory, and return freed memory to the system."""
     try:
-        (PROC / 'clear_refs').write_text('5')  # the peak begins anew
-    except OSError:  # not Linux's, or not ours
+        (PROC / 'clear_refs').write_text('5')  # resets the peak
+    except OSError:  # not Linux, or no permission
         yield
         return
     yield
@@ -92,7 +92,7 @@ def _little_memory() -> Iterator[None]:
     known = {name: int(value.split()[0]) for name, value in map(_status, lines) if 'kB' in value}
     if known['VmRSS'] > MUCH:
         gc.collect()
-        with contextlib.suppress(OSError, AttributeError):  # another library of C
+        with contextlib.suppress(OSError, AttributeError):  # another C library
             ctypes.CDLL(None).malloc_trim(0)
     assert known['VmHWM'] < MOST_MEMORY, f'it took {1e-6 * known["VmHWM"]:.2f} GB'
 
@@ -109,7 +109,7 @@ def domain() -> int:
 
 @pytest.fixture
 def default_context():
-    """The context of nodes that are made without one, fresh: it can be started only once."""
+    """A fresh default context of rclpy: a context can be initialised only once."""
     from rclpy.utilities import get_default_context
 
     get_default_context(shutting_down=True)
@@ -119,7 +119,7 @@ def default_context():
 
 @pytest.fixture
 def tool(capsys):
-    """Return a function that runs a command of the tool here: (exit code, stdout, stderr)."""
+    """Return a function that runs a tool command in this process: (exit code, stdout, stderr)."""
     from orbimpc_ros.tool import cli
 
     def run(*words):
@@ -144,7 +144,7 @@ def observer(domain):
 
 @pytest.fixture(scope='module')
 def shared(tmp_path_factory):
-    """``launch`` and ``observer`` for a whole module: processes are slow to meet."""
+    """``launch`` and ``observer`` for a whole module, since DDS discovery is slow."""
     domain = new_domain()
     with (
         contextlib.closing(Observer(domain)) as seen,

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A simulator whose engine flies on for two seconds, and then fails as ``FAILURE`` says."""
+"""A simulator whose engine fails after two seconds of flight, as ``FAILURE`` selects."""
 
 import os
 import sys
@@ -12,7 +12,7 @@ from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion
 
 
 class Straight(Engine):
-    """Flies along x at 45 m/s, and has done so for two seconds when its time has come."""
+    """Flies along x at 45 m/s; subclasses fail after ``lasts`` ticks: two seconds."""
 
     name, tick, every, lasts = 'broken', 0.01, 100, 200
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The closed loop of planner and vehicle without ROS."""
+"""The closed loop of planner and simulated vehicle without ROS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orbimpc_ros.sim.world import Flight, Scenario, departure
 def fly(
     planner: Planner, scenario: Scenario, forecast: Forecast
 ) -> Iterator[tuple[Flight, Decision, Flight]]:
-    """Yield a flight, what is decided on it, seen without noise, and what becomes of it."""
+    """Yield the flight before each tick, the decision (noiseless odometry) and the flight after."""
     flight = departure(scenario)
     while not flight.over:
         odometry = measured(flight.vehicle, scenario.model.velocity_source)

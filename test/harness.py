@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The harness of nodes under test: a DDS domain, their processes, and a node that observes them.
+"""Harness for nodes under test: DDS domains, node processes, and a node that observes them.
 
-Tests, the fault matrix and the benchmarks of live planners share it.
+Shared by tests, the fault matrix and the benchmarks of live planners.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.tool.processes import Child, claimed, free
 
 ROOT = Path(__file__).resolve().parents[1]
-PATIENCE = 240.0  # [s] for anything awaited: enough with ten processes for each core, too
-KEPT = 1000  # messages: none may be missed
+PATIENCE = 240.0  # [s] timeout of every wait: enough even with ten processes per core
+KEPT = 1000  # messages of queue depth: none may be missed
 
 TOOL = (sys.executable, '-m', 'orbimpc_ros.tool.cli')
 
@@ -32,25 +32,25 @@ _numbers = itertools.count()
 
 
 def run(*words: object, text: str = '', **given: Any) -> subprocess.CompletedProcess:
-    """Run a command to its end on some input; what else is given is ``subprocess.run``'s."""
+    """Run a command to completion with input ``text``; ``given`` goes to ``subprocess.run``."""
     known = {'capture_output': True, 'text': True, 'check': False, **given}
     return subprocess.run([*map(str, words)], input=text, **known)
 
 
 def python(script: str, *words: object, **given: Any) -> subprocess.CompletedProcess:
-    """Run a script, which may be indented, in an interpreter of its own."""
+    """Run a script, which may be indented, in a separate interpreter."""
     return run(sys.executable, '-c', textwrap.dedent(script), *words, **given)
 
 
 def orbimpc(*words: object, text: str = '') -> subprocess.CompletedProcess:
-    """Run a command of the tool as a user does, on some input."""
+    """Run a command of the tool as a user does, with input ``text``."""
     return run(*TOOL, *words, text=text)
 
 
 def new_domain() -> int:
-    """Return a DDS domain that no other test uses, nor anybody else on this machine just now.
+    """Return a DDS domain that no other test, and currently no other process here, uses.
 
-    Workers that run tests side by side draw from domains of their own.
+    Parallel test workers draw from disjoint sets of domains.
     """
     workers = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
     own = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
@@ -58,12 +58,12 @@ def new_domain() -> int:
     drawn = [
         1 + own + workers * ((13 * os.getpid() + next(_numbers)) % count) for _ in range(count)
     ]
-    # Where many suites run at a time all may be claimed, though most stand empty.
+    # With many suites at a time all may be claimed, although most are unused.
     return next(filter(claimed, drawn), None) or next(filter(free, drawn))
 
 
 class LaunchedProcess(Child):
-    """A node in a process of its own: a module's, or a test's own script's."""
+    """A node in its own process: an executable of the package, or a test's script."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class LaunchedProcess(Child):
             self.tell(number)
         code = self.wait()
         if code is None:
-            self.tell(signal.SIGABRT)  # says where each of its threads hangs
+            self.tell(signal.SIGABRT)  # faulthandler prints where each thread hangs
             self.wait()
             raise TimeoutError(f'did not end: {self.output}')
         return code
@@ -100,10 +100,10 @@ class LaunchedProcess(Child):
 
 @contextlib.contextmanager
 def launching(domain: int, folder: Path):
-    """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
+    """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped on exit.
 
-    The first argument may be a script of several lines instead, as text. The last arguments are
-    parameter files: the names of those in ``config/``, or paths.
+    The first argument may also be the text of a script of several lines. The last arguments are
+    parameter files: names of files in ``config/``, or paths.
     """
     with contextlib.ExitStack() as stack:
 
@@ -130,15 +130,15 @@ def launching(domain: int, folder: Path):
 
 
 class Observer:
-    """A node in the hands of a test, spun until something has happened.
+    """A node controlled by a test, spun until a condition holds.
 
     Args:
-        domain: of DDS; by default the environment's.
-        executor: that spins it.
+        domain: DDS domain; by default the environment's.
+        executor: type of the executor that spins the node.
 
     Attributes:
         node: for publishers and clients.
-        domain: of DDS.
+        domain: DDS domain.
     """
 
     def __init__(self, domain: int | None = None, executor: str = 'wait_set') -> None:
@@ -151,11 +151,11 @@ class Observer:
         self._subscriptions: dict[str, Any] = {}
 
     def close(self) -> None:
-        """Take the node down."""
+        """Destroy the node."""
         self._stack.close()
 
     def listen(self, kind: Any, topic: str, profile: Any = None) -> list:
-        """Return the list that messages on a topic will be added to."""
+        """Subscribe to a topic; return the list to which its messages are appended."""
         heard: list = []
         self.subscribe(kind, topic, heard.append, profile)
         return heard
@@ -163,14 +163,14 @@ class Observer:
     def subscribe(
         self, kind: Any, topic: str, heard: Callable[..., None], profile: Any = None
     ) -> None:
-        """Call back with every message on a topic and, if there is room, what DDS knows of it."""
+        """Call ``heard`` with each message of a topic (and its info, if it takes two arguments)."""
         from orbimpc_ros.ros.process import qos
 
         subscription = self.node.create_subscription(kind, topic, heard, profile or qos(KEPT))
         self._subscriptions[topic] = subscription
 
     def until_connected(self, *topics: str) -> None:
-        """Spin until each topic listened to has a publisher: it will miss nothing from then on."""
+        """Spin until each subscribed topic has a publisher, so that no later message is missed."""
         for topic in topics:
             subscription = self._subscriptions[topic]
             self.until(
@@ -178,20 +178,20 @@ class Observer:
             )
 
     def spin_once(self, seconds: float) -> None:
-        """Listen until something has come, for a time at most [s]."""
+        """Spin until one callback has run, at most for a time [s]."""
         self._executor.spin_once(timeout_sec=max(0.0, seconds))
 
     def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
-        """Listen for a while [s], or until ``done``."""
+        """Spin for a time [s], or until ``done``."""
         end = time.monotonic() + seconds
         while not done() and (left := end - time.monotonic()) > 0.0:
             self.spin_once(min(left, 0.02))
 
     def until(self, happened: Callable[[], Any], what: str = '') -> None:
-        """Spin until something has happened.
+        """Spin until a condition holds.
 
         Raises:
-            AssertionError: it does not.
+            AssertionError: it does not hold within ``PATIENCE``.
         """
         seen: list[Any] = []
 
@@ -203,7 +203,7 @@ class Observer:
         assert seen[0], f'in vain: {what or happened}'
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Return a service's response."""
+        """Call a service and return its response."""
         client = self.node.create_client(kind, name)
         self.until(client.service_is_ready, name)
         future = client.call_async(request)
@@ -213,10 +213,10 @@ class Observer:
 
 
 def wait_for(happened: Callable[[], Any]) -> None:
-    """Wait until something has happened.
+    """Wait until a condition holds.
 
     Raises:
-        AssertionError: it does not.
+        AssertionError: it does not hold within ``PATIENCE``.
     """
     end = time.monotonic() + PATIENCE
     while not happened():
@@ -225,14 +225,14 @@ def wait_for(happened: Callable[[], Any]) -> None:
 
 
 def children_of(parent: int) -> list[int]:
-    """Return the numbers of the processes that one has started."""
+    """Return the process ids of the children of a process."""
     words = ['ps', '-o', 'pid=', '--ppid', str(parent)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     return [int(pid) for pid in done.stdout.split()]
 
 
 def alive(pid: int) -> bool:
-    """Return whether a process runs; one whose parent was killed may stay on as a zombie."""
+    """Return True if a process runs; a zombie, as a killed parent may leave, does not."""
     try:
         os.kill(pid, 0)
         state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Optima by another solver: convex programs stated anew, step by step.
+"""Optima by another solver: convex programs formulated independently, step by step.
 
-The convex program has nothing in common with what it is an oracle for. Where a floor by faces, or
-boxes, leave a choice, it is that of a branch: of every one, or of the one that a plan has taken.
+The programs share no code with the solver that they are an oracle for. Polyhedral floors and boxes
+are disjunctions; a program fixes one branch of them: each in turn, or the one of a given plan.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 
-LATE = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}  # share of the new heading in a step
+LATE = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}  # weight of the new heading in a step
 Cell = tuple[np.ndarray, float]  # normal . value >= offset
 
 
 class Choice(NamedTuple):
-    """One of some half-spaces is to hold at steps: of headings, or of positions."""
+    """A disjunction: at its steps, one of several half-spaces holds, of headings or positions."""
 
     name: str
     on: str
@@ -30,7 +30,7 @@ class Choice(NamedTuple):
     cells: list[Cell]
 
     def best(self, plan: Plan) -> Cell:
-        """Return the half-space that a plan is deepest in."""
+        """Return the half-space that a plan satisfies with the largest margin."""
         values = plan.rotations[:, :, 0] if self.on == 'heading' else plan.positions
         points = values[list(self.steps)]
         return max(self.cells, key=lambda cell: (points @ cell[0]).min() - cell[1])
@@ -54,9 +54,9 @@ def choices(problem: Problem) -> list[Choice]:
 
 
 class Stated:
-    """A problem as the paper writes it, within a branch of its choices, each constraint eased.
+    """A problem as the paper writes it, in one branch of its choices, with a slack per constraint.
 
-    State and goals are numbers, or parameters that have values by the time of a solve.
+    State and goals are numbers, or parameters that have values when it is solved.
     """
 
     def __init__(self, problem: Problem, start: State, goals: np.ndarray) -> None:
@@ -87,7 +87,7 @@ class Stated:
                 if problem.discretisation == 'held':
                     way = way + h * h / 2.0 * (z * new + w)
             for states, more in ((s, way), (p, gained))[: problem.translation_order]:
-                after = cp.Variable(problem.dimension)  # of its own: programs stay sparse
+                after = cp.Variable(problem.dimension)  # a variable each keeps programs sparse
                 self._rows.append(after == states[-1] + more)
                 states.append(after)
         return s, p
@@ -171,15 +171,15 @@ class Stated:
         return cost + (w.attitude * cp.sum_squares(r[-1] - start.wanted) if w.attitude else 0.0)
 
     def taking(self, cells: list[Cell]) -> Stated:
-        """Settle the choices."""
+        """Fix the branch: one half-space per choice."""
         for (normal, offset), cell in zip(self._cells, cells, strict=True):
             normal.value, offset.value = cell
         return self
 
     def optimum(self, name: str = '', step: int = 0, by: float = 0.0, **how: Any) -> float:
-        """Return the least cost, infinite without any, with one constraint eased by so much.
+        """Return the optimal cost, infinite if infeasible, with one constraint relaxed ``by``.
 
-        CVXPY is told ``how`` to solve it.
+        ``how`` goes to CVXPY's ``solve``.
         """
         for parameter in self.ease.values():
             parameter.value = 0.0
@@ -198,7 +198,7 @@ def convex(problem: Problem, start: State, goals: np.ndarray) -> float:
 
 
 def enumerated(problem: Problem, start: State, goals: np.ndarray) -> float:
-    """Return the least optimal value of all branches."""
+    """Return the least optimal value over all branches."""
     stated = Stated(problem, start, goals)
     branches = itertools.product(*(each.cells for each in stated.choices))
     return min(stated.taking(cells).optimum() for cells in branches)

@@ -1,18 +1,18 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Follows pages of the documentation to the letter in a fresh clone: python test/pages.py.
+"""Runs the commands of documentation pages in a fresh clone: python test/pages.py.
 
-The pages are one session in one shell, in the order given, with a terminal for the output; one that
-flies demos begins without results of earlier ones. In each page
+The pages form one session in one shell, in the given order, with the output on a terminal; a page
+that flies demos starts without results of earlier ones. On each page
 
-- a block of shell commands is run line by line. A command has to end with exit code 0, or with one
+- a block of shell commands is run line by line. Each command must exit with code 0, or with the one
   that its comment names (``# exit 1: ...``); a node in the foreground is interrupted after a while;
-- the indented block after it is its output: a line ``...`` stands for any lines, ``...`` within a
-  line for any text, a number before ``ms`` for any number; other numbers have to agree within 5 %;
+- the indented block after it is its output: a line ``...`` matches any lines, ``...`` within a line
+  any text, a number before ``ms`` any number; other numbers must agree within 5 %;
 - a YAML or Python block is saved under the last file name in the sentence before it (`boat.py`);
-- other Python blocks are run; comments behind their ``print`` calls are the output.
+- other Python blocks are run; comments behind their ``print`` calls are the expected output.
 
-Commands in ``ELSEWHERE`` are not run, and are listed with the reason. PYTHON, PINS and the like are
-handed to make through the environment. The last commit is what is cloned.
+Commands in ``ELSEWHERE`` are not run; each is listed with the reason. PYTHON, PINS and so on reach
+make through the environment. The clone is of the last commit.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ ELSEWHERE = {
     r'orbimpc study': 'takes minutes, and files of yours',
 }
 NODE = re.compile(r'orbimpc-(planner|sim)\b.*[^&]$')
-ALOFT = 8  # [s] that a node in the foreground runs
-LIMIT = 1800  # [s] for everything
-TOLERANCE = 0.05  # of a number
+ALOFT = 8  # [s] of run time of a node in the foreground
+LIMIT = 1800  # [s] for all pages
+TOLERANCE = 0.05  # relative, of numbers
 FENCE = re.compile(r'^```(\w*)\s*$')
 FILE = re.compile(r'`([\w-]+\.(?:py|yaml))`')
 NUMBER = re.compile(r'(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?')
@@ -59,17 +59,17 @@ MARK = '<<<block>>>'
 
 @dataclass
 class Block:
-    """A block of a page: what it is, where it is, and what it prints."""
+    """A block of a page: its language, line, text, and expected output."""
 
     language: str
     line: int
     text: str
-    file: str = ''  # under which it is saved
+    file: str = ''  # name under which it is saved
     output: list[str] = field(default_factory=list)
 
 
 def blocks_of(page: str) -> list[Block]:
-    """Return the blocks of a page, given its text."""
+    """Return the blocks in the text of a page."""
     found: list[Block] = []
     inside: Block | None = None
     sentence = ''
@@ -98,7 +98,7 @@ def blocks_of(page: str) -> list[Block]:
 
 
 def differs(expected: Sequence[str], printed: str) -> str:
-    """Return how an output is not what a page shows; empty if it is."""
+    """Return how an output differs from the expected one; empty if it does not."""
     pattern, numbers = '', list[str]()
     for line in expected:
         if line.strip() == '...':
@@ -125,7 +125,7 @@ def differs(expected: Sequence[str], printed: str) -> str:
 
 
 def script_of(blocks: Sequence[Block]) -> Iterator[str]:
-    """Yield the lines of a script that runs blocks."""
+    """Yield the lines of a shell script that runs blocks."""
     yield 'set -m'
     for block in blocks:
         yield f'echo {MARK!r}'
@@ -154,12 +154,12 @@ def _check(command: str, codes: Sequence[int]) -> str:
 
 
 def why_not(command: str) -> str:
-    """Return why a command is not run; empty if it is."""
+    """Return why a command is not run; empty if it is run."""
     return next((why for known, why in ELSEWHERE.items() if re.match(known, command)), '')
 
 
 def follow(pages: Sequence[str], clone: Path) -> list[str]:
-    """Run pages in a clone, and return what is not as they show it, a line each."""
+    """Run pages in a clone; return one line for each difference or failure."""
     found = []
     for page in pages:
         blocks = blocks_of((ROOT / page).read_text())
@@ -187,7 +187,7 @@ def follow(pages: Sequence[str], clone: Path) -> list[str]:
 def on_a_terminal(
     command: Sequence[str], folder: Path, environment: Mapping[str, str]
 ) -> tuple[int, str]:
-    """Run a command whose output goes to a terminal; return its exit code and its output."""
+    """Run a command with its output on a terminal; return its exit code and output."""
     ours, its = os.openpty()
     child = subprocess.Popen(command, cwd=folder, env=environment, stdout=its)
     os.close(its)
@@ -198,13 +198,13 @@ def on_a_terminal(
         if select([ours], [], [], 1.0)[0]:
             try:
                 printed += os.read(ours, 65536)
-            except OSError:  # nobody has it open any more
+            except OSError:  # EIO: no process has the terminal open any more
                 break
     return child.wait(), printed.decode(errors='replace').replace('\r\n', '\n')
 
 
 def main() -> int:
-    """Follow the pages; return the exit code."""
+    """Run the pages; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('pages', nargs='*', default=PAGES, metavar='PAGE')
     pages = parser.parse_args().pages

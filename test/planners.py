@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Inputs of planners under test, and a live planner whose inputs are in a test's hands."""
+"""Inputs of planners under test, and a live planner with its inputs published by a test."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
-LOST = 10.0  # [s] without an answer: on a busy machine a planner takes a second to answer
+LOST = 10.0  # [s] without an answer before inputs are sent again: a busy planner may need a second
 QUICK = {'trigger': 'odom', 'step': 0.1, 'odom_timeout': 0.8}
 
 
 def settings(**given):
-    """Return the planner's settings with these parameters, by names as they are or by keywords."""
+    """Return the planner settings for these parameters, by exact names or as keywords."""
     return planner_settings(completed(PLANNER, given))
 
 
@@ -63,7 +63,7 @@ def moving(message):
 
 
 class Bench:
-    """A planner with its inputs in this test's hands."""
+    """A live planner whose inputs the test publishes."""
 
     def __init__(self, launch, observer, parameters, planner='planner'):
         self.observer = observer
@@ -90,11 +90,11 @@ class Bench:
         self.observer.until(*arguments)
 
     def says(self, words):
-        """Wait until the planner's diagnostics say something."""
+        """Wait until a message of the planner's diagnostics contains ``words``."""
         self.until(lambda: any(words in m.status[0].message for m in self.health), words)
 
     def counts(self, what):
-        """Wait until the planner's diagnostics count something."""
+        """Wait until the planner's diagnostics have a counter; return its value."""
         self.until(lambda: self.health and what in told(self.health[-1]), what)
         return int(told(self.health[-1])[what])
 
@@ -108,16 +108,16 @@ class Bench:
         return reports()[0]
 
     def fly(self, seconds):
-        """Return the command for odometry of that stamp, sent again where it was lost.
+        """Send odometry and goal of a stamp, again if lost; return the command for them.
 
-        What is sent twice is answered twice, and the second answer comes when nobody expects it.
+        Odometry sent twice is answered twice, and the second answer arrives at an unexpected time.
         """
         sent = [odometry(seconds), goal(seconds)]
         before, again = len(self.commands), -math.inf
 
         def answer():
             nonlocal again
-            if time.monotonic() > again:  # best effort: lost while they were connecting
+            if time.monotonic() > again:  # best effort: may be lost during discovery
                 again = time.monotonic() + LOST
                 self.goal.publish(sent[1])
                 self.odometry.publish(sent[0])

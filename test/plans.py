@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Plans to be checked: good ones, and good ones that are then changed at one place."""
+"""Plans for the plan checker: feasible ones, and feasible ones changed at one place."""
 
 import numpy as np
 
@@ -21,12 +21,12 @@ def solved(problem, start=START, goals=GOALS, coasting=False):
 
 
 def assembled(problem, start, goals, x):
-    """A consistent plan through any rotations: only the limits can object to it."""
+    """Return a consistent plan through given rotations: only limits can be violated."""
     return assemble(problem, start, goals, x, projection='nearest', proof=UNPROVED)
 
 
 def straight(problem, fractions):
-    """A consistent plan straight ahead at given speed fractions of R_1..R_N."""
+    """Return a consistent plan straight ahead at given speed fractions of R_1..R_N."""
     x = np.outer(fractions, coordinates(np.eye(problem.dimension)))
     start = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
     goals = np.zeros((problem.horizon, problem.dimension))
@@ -34,13 +34,13 @@ def straight(problem, fractions):
 
 
 def steered(problem, start, speeds, angles):
-    """A consistent plan in the plane with given speed fractions and directions of R_1..R_N."""
+    """Return a consistent plan in the plane with given speed fractions and headings of R_1..R_N."""
     x = (np.array([np.cos(angles), np.sin(angles)]) * speeds).T
     return assembled(problem, start, GOALS, x)
 
 
 def judged(text):
-    """Return whether a certificate holds, or why it is none."""
+    """Return a certificate's verdict, or why it is refused."""
     try:
         return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
     except Refused as error:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Families of random problems, seeded draws of their parts, and the reference cases."""
+"""Families of random problems, random parts of problems, and the reference cases."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.problem import (
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.reach import beyond_reach
 
-HELD_OUT = os.environ.get('ORBIMPC_SEEDS', '')  # first:end of other seeds than the usual
+HELD_OUT = os.environ.get('ORBIMPC_SEEDS', '')  # first:end of the seeds that replace the usual ones
 REFERENCE = Path(__file__).parent / 'reference'
 CASES = json.loads((REFERENCE / 'cases.json').read_text())
 ANSWERS = json.loads((REFERENCE / 'answers.json').read_text())
@@ -40,8 +40,8 @@ ORDERS = [
 ]
 needs_machine_code = pytest.mark.skipif(not COMPILED, reason='too slow without numba')
 
-# Arguments of Problem; weights by their names; max_rate and max_acceleration in units of a step;
-# and how many boxes, balls and hazards there are on the way.
+# Arguments of Problem; weights by name; max_rate and max_acceleration per step; and the numbers of
+# boxes, balls and hazards between start and goal.
 ARRIVES = {'terminal': 'constraint'}
 SPACE = {'dimension': 3}
 COASTS = {'rotation_order': 2, 'translation_order': 2}
@@ -104,7 +104,7 @@ FAMILIES: dict[str, dict[str, Any]] = {
     'acceleration': {'max_acceleration': 0.2},
     'space, acceleration': {**SPACE, 'max_acceleration': 0.2},
 }
-# Not all of these are closed; where they are, certificates take what a search leaves of its proof.
+# Not all of these are solved to optimality; those that are test certificates with partial proofs.
 OPEN: dict[str, dict[str, Any]] = {
     'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
     'circle, arrival': {**ROUND, **ARRIVES},
@@ -134,18 +134,18 @@ OPEN: dict[str, dict[str, Any]] = {
 
 
 def polled(limit: int) -> Callable[[], bool]:
-    """Return a clock that says that time is up after so many looks at it."""
+    """Return a deadline check that returns True from call ``limit`` + 1 on."""
     left = iter(range(limit))
     return lambda: next(left, None) is None
 
 
 def seeds(*usual: int) -> list[int]:
-    """Return the seeds of a law: the usual ones, or those that are held out."""
+    """Return a test's seeds: the usual ones, or the held-out ones of ``ORBIMPC_SEEDS``."""
     return [*range(*map(int, HELD_OUT.split(':')))] if HELD_OUT else [*usual]
 
 
 def case(family: str, seed: int = 0, longest: int = 7) -> Case:
-    """Return a problem of a family with a state, and with goals within its reach."""
+    """Return a problem of a family with a state, and with goals within reach."""
     rng = np.random.default_rng([seed, *family.encode()])
     while True:
         found = _drawn(family, rng, longest)
@@ -174,7 +174,7 @@ def _drawn(family: str, rng: np.random.Generator, longest: int) -> Case:
     extra: dict[str, Any] = {'velocity': 0.1 * rng.normal(size=n) * unit / step}
     coasts = problem.rotation_order == 2 and not decided
     coasted = attitude @ rotation(rng, n, 0.2) if coasts else None
-    # Of these, plans know that speeds change slowly: others start at full speed.
+    # Here plans limit the acceleration: other families start at full speed.
     paced = family in OPEN and problem.max_acceleration and problem.terminal != 'constraint'
     speed = rng.uniform(problem.floor.fraction, 1.0) if paced else 1.0
     state = State.at(
@@ -198,7 +198,7 @@ def _drawn(family: str, rng: np.random.Generator, longest: int) -> Case:
 
 
 def _on_the_way(rng: np.random.Generator, begin: np.ndarray, end: np.ndarray) -> Box:
-    """Return a box that neither end is in."""
+    """Return a box between two points that contains neither."""
     apart = np.linalg.norm(end - begin)
     middle = begin + rng.uniform(0.4, 0.7) * (end - begin)
     size = rng.uniform(0.15, 0.25, len(begin)) * apart
@@ -207,7 +207,7 @@ def _on_the_way(rng: np.random.Generator, begin: np.ndarray, end: np.ndarray) ->
 
 
 def _within(box: Box) -> Ball:
-    """Return the largest ball in the middle of a box."""
+    """Return the largest ball inside a box, at its centre."""
     size = box.maximum - box.minimum
     return Ball(box.minimum + 0.5 * size, 0.5 * float(size.min()))
 
@@ -220,7 +220,7 @@ def reference(name: str) -> Case:
 
 
 def rotation(rng: np.random.Generator, n: int, largest: float = np.pi) -> np.ndarray:
-    """A rotation by a random angle, often tiny or almost the largest, about a random axis."""
+    """Return a rotation about a random axis; the angle is often tiny or nearly the largest."""
     axis = rng.normal(size=1 if n == 2 else 3)
     axis /= np.linalg.norm(axis)
     near = 10.0 ** rng.uniform(-12, 0)
@@ -244,7 +244,7 @@ def state(rng: np.random.Generator, problem: Problem, *, full_speed: bool = True
 
 
 def disturbed(rng: np.random.Generator, problem: Problem, *, full_speed: bool = False) -> State:
-    """A random state in a disturbance of up to 0.6 of full speed or thrust, that wants a turn."""
+    """Return a random state with a disturbance of up to 0.6 ``forward`` and a wanted attitude."""
     start = state(rng, problem, full_speed=full_speed)
     w = rng.normal(size=problem.dimension)
     w *= 0.6 * problem.forward * rng.random() / np.linalg.norm(w)
@@ -252,7 +252,7 @@ def disturbed(rng: np.random.Generator, problem: Problem, *, full_speed: bool = 
 
 
 def goals(rng: np.random.Generator, problem: Problem, distance: float = 4.0) -> np.ndarray:
-    """Goals that drift: a different one for every step."""
+    """Return drifting goals, a different one for every step."""
     first = distance * rng.normal(size=problem.dimension)
     drift = 0.2 * rng.normal(size=(problem.horizon, problem.dimension))
     return first + np.cumsum(drift, axis=0)
@@ -281,7 +281,7 @@ FALLING = np.array([0.0, 0.0, -1.62])  # [m/s^2]
 
 
 def lander(**others: Any) -> Problem:
-    """Return the problem of a lander under the Moon's gravity: eight steps of a second."""
+    """Return the problem of a lander in lunar gravity: eight steps of one second."""
     usual: dict[str, Any] = {
         'dimension': 3,
         'translation_order': 2,
@@ -296,6 +296,6 @@ def lander(**others: Any) -> Problem:
 
 
 def falling(position: Any, velocity: Any = (0.0, 0.0, 0.0), **more: Any) -> State:
-    """Return the state of a lander, by default upright."""
+    """Return the state of a lander, upright by default."""
     known = {'velocity': velocity, 'attitude': UPRIGHT, 'disturbance': FALLING, **more}
     return State.at(position, 0.45 * known['attitude'], **known)

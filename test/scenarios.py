@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The scenarios of config/ without nodes: what flies, and the problem that its planner solves."""
+"""The scenarios of config/ without nodes: the vehicle's world, and the planner's problem."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orbimpc_ros.sim.world import Scenario
 
 
 def scenario(name: str) -> Scenario:
-    """Return vehicle, start and goal of a file of parameters."""
+    """Return vehicle, start and goal of a parameter file."""
     from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool import settings
 
@@ -19,7 +19,7 @@ def scenario(name: str) -> Scenario:
 
 
 def problem(name: str, floor: str = '') -> Problem:
-    """Return the problem of a file of parameters, with a floor of its own or another."""
+    """Return the problem of a parameter file, with its own floor or another."""
     from orbimpc_ros.ros.parameters.planner import planner_settings
     from orbimpc_ros.tool import settings
 
@@ -39,7 +39,7 @@ retrieval_problem, spacecraft_problem = (
 
 
 def model_of(problem: Problem) -> Model:
-    """Return the vehicle that a planning problem believes in."""
+    """Return the vehicle model of a planning problem."""
     return Model(
         problem.dimension,
         problem.rotation_order,

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A planner that is given plain values one by one, each of its commands counting as sent."""
+"""A planner stepped with plain values, with every command counted as sent."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from orbimpc_ros.sim.vehicle import launched
 
 
 def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
-    """Return odometry of a vehicle that flies straight ahead; in the plane, a heading will do."""
+    """Return odometry of straight flight; in the plane ``attitude`` may be a heading [rad]."""
     n = len(position)
     if np.ndim(attitude) == 0:
         attitude = exp(np.array([attitude] if n == 2 else [0.0, 0.0, attitude]))
@@ -19,31 +19,31 @@ def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
 
 
 def started(plant, heading=0.0, fraction=0.0):
-    """Return a plant's vehicle that moves ahead from the origin, at a heading in the plane."""
+    """Return a plant's vehicle moving ahead from the origin, at a heading in the plane [rad]."""
     turn = [heading] if plant.dimension == 2 else [0.0, 0.0, heading]
     place, attitude = np.zeros(plant.dimension), exp(np.array(turn))
     return plant.begun(launched(plant, place, attitude, fraction=fraction))
 
 
 def flown(plant, vehicle, fraction, rate, time):
-    """Return a vehicle after a time [s] under one command."""
+    """Return a vehicle after a time [s] with a constant command."""
     return plant.flown(vehicle, time, fraction, rate, 0.0)[-1]
 
 
 class Motion:
-    """A goal that is at ``place(times)``."""
+    """A goal with the motion ``place(times)``."""
 
     def __init__(self, place):
         self.at = place
 
 
 class Stepped(Planner):
-    """A planner with one call for what a tick is made of."""
+    """A planner with one method per kind of tick."""
 
     hazards = ()
 
     def tick(self, odometry, goals, late=None, ahead=None, wanted=None):
-        """Return the decision for goals g_1..g_N, or for a function of times."""
+        """Return the decision for goals g_1..g_N, or for a goal as a function of time."""
         goal = goals if ahead is None else Motion(ahead)
         return self.tell(Snapshot(odometry, goal, wanted, self.hazards), late)
 
@@ -52,30 +52,30 @@ class Stepped(Planner):
         return self.tell(Snapshot(odometry, hazards=self.hazards))
 
     def safe(self, attitude, reason):
-        """Return the decision that is made for a reason to stop."""
+        """Return the decision for a reason to stop."""
         n = len(attitude)
         still = np.zeros(n), attitude.copy(), np.zeros(n), np.zeros(1 if n == 2 else 3)
         return self.tell(Snapshot(Odometry(0.0, *still), stop=reason))
 
     def tell(self, snapshot, late=None):
-        """Return the decision for a snapshot; its command counts as sent."""
+        """Return the decision for a snapshot, and count its command as sent."""
         decision = self.step(snapshot, late=late)
         self.sent(decision.command)
         return decision
 
 
 def stale_odometry(inputs, *clock):
-    """Return how old odometry is, in words, if that is too old."""
+    """Return a message with the age of the odometry if it is stale; else an empty string."""
     age = inputs.snapshot(*clock).odometry_age
     return f'odometry is {age:.2f} s old' if age > inputs.settings.odom_timeout else ''
 
 
 def stale_goal(inputs, *clock):
-    """Return how old the goal is, in words, if that is too old."""
+    """Return a message with the age of the goal if it is stale; else an empty string."""
     age = inputs.snapshot(*clock).goal_age
     return f'the goal is {age:.2f} s old' if age > inputs.settings.goal_timeout else ''
 
 
 def targets(inputs, times, *clock):
-    """Return where the goal will be at times."""
+    """Return the predicted positions of the goal at ``times``."""
     return inputs.snapshot(*clock).goal.at(times)
