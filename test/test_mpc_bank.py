@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Goals: forecasts of every family, changes of course, wrong sightings, and paths to follow.
+"""Goals: forecasts of all motion families, changes of course, outliers, and paths to follow.
 
-An oracle is the one family that a goal belongs to, fitted by nonlinear least squares to the same
-sightings and started from the truth: the best that a forecast from them can be expected to do.
-Paths say how fast the wind lets them be flown, and which of them it does not.
+The oracle is the goal's own family, fitted by nonlinear least squares to the same sightings and
+started from the truth: the best forecast that can be expected from them. Path tests cover the speed
+along a path in wind, and paths that the wind makes impossible.
 """
 
 import math
@@ -22,10 +22,10 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor, Problem
 
 FAMILIES = ('still', 'velocity', 'swing', 'carrier', 'turn', 'damped')
-START = 1000.0  # [s] the first sighting
+START = 1000.0  # [s] time of the first sighting
 AHEAD = 3.0  # [s]
 CHANGED = START + 12.0  # [s]
-SOON = 2.0  # [s] within which a change of course is to be known
+SOON = 2.0  # [s] within which a change of course must be recognised
 
 
 class Motion(NamedTuple):
@@ -36,7 +36,7 @@ class Motion(NamedTuple):
     parameters: np.ndarray
 
     def __call__(self, times):
-        """Return c + v t + a cos wt + b sin wt, which may fade, or a circle; shape (M, n)."""
+        """Return c + v t + a cos wt + b sin wt, possibly damped, or a circle; shape (M, n)."""
         t, n, p = np.asarray(times) - START, self.n, self.parameters
         found, p = np.tile(p[:n], (len(t), 1)), p[n:]
         if self.family in ('velocity', 'carrier'):
@@ -64,7 +64,7 @@ def swung(a, b, angles):
 
 
 def drawn(family, n, rng):
-    """Return a goal of 0.05 to 0.4 Hz and 0.3 to 1.5 m, 0.3 to 3 m/s, turns of 0.1 to 0.6 rad/s."""
+    """Return random motion: 0.05 to 0.4 Hz, 0.3 to 1.5 m, 0.3 to 3 m/s, turns 0.1 to 0.6 rad/s."""
     centre, velocity = 5.0 * rng.normal(size=n), rng.uniform(0.3, 2.5) * direction(rng, n)
     rate = 2.0 * np.pi * np.exp(rng.uniform(np.log(0.05), np.log(0.4)))
     size, phase = rng.uniform(0.3, 1.5, size=n), rng.uniform(0.0, 2.0 * np.pi, size=n)
@@ -86,7 +86,7 @@ def direction(rng, n):
 
 
 def sighted(motion, rng, *, seconds=20.0, noise=0.0, spacing=0.0):
-    """Return sightings at 5 to 20 Hz with jitter, a seventh lost: times, and positions."""
+    """Return times and positions of sightings at 5 to 20 Hz with jitter; a seventh are lost."""
     spacing = spacing or 1.0 / rng.uniform(5.0, 20.0)
     times = START + np.arange(0.0, seconds, spacing)
     times = times + 0.2 * spacing * rng.uniform(-1.0, 1.0, size=len(times))
@@ -96,7 +96,7 @@ def sighted(motion, rng, *, seconds=20.0, noise=0.0, spacing=0.0):
 
 
 def shown(times, seen, bank=None):
-    """Return a bank, or another forecast, that was shown sightings."""
+    """Return a bank, or another forecast, after it has observed sightings."""
     bank = bank or Bank()
     for time, position in zip(times, seen, strict=True):
         bank.observe(GoalObservation(float(time), position.copy()))
@@ -120,7 +120,7 @@ def test_every_family_is_recovered_exactly_without_noise(family, n):
 
 @pytest.mark.parametrize('family', FAMILIES)
 def test_the_bank_is_as_good_as_the_family_that_fits(family):
-    """At 5 cm of noise; the median over draws, 3 s ahead after 20 s of sightings."""
+    """Median errors 3 s ahead, after 20 s of sightings with 5 cm of noise, are within 30 %."""
     errors = {'bank': [], 'oracle': []}
     for seed in range(10):
         n, rng = 2 + seed % 2, np.random.default_rng([2, seed])
@@ -173,7 +173,7 @@ def test_the_same_sightings_give_the_same_bits_whoever_asked_meanwhile():
     ids=['exact', 'noise', 'fast'],
 )
 def test_harmonic_knows_a_swing_after_seeing_it_once(pace, spacing, noise, swings, least, within):
-    """With 2 cm of noise within a capture radius of 0.15 m, in the next five seconds."""
+    """For five seconds ahead; with 2 cm of noise, to within a capture radius of 0.15 m."""
     for seed in range(20):
         rng = np.random.default_rng([17, seed])
         motion = drawn('swing', 2, rng)
@@ -195,7 +195,7 @@ def test_harmonic_knows_a_swing_after_seeing_it_once(pace, spacing, noise, swing
     [([3.0], [1.0, 2.0, 3.0]), (range(10), [4.0, -1.0]), ([1.0] * 3, [1.0, 1.0])],
 )
 def test_what_shows_no_motion_is_forecast_where_it_is(kind, times, place):
-    """One sighting, at rest, the same stamp again; also if it moved before a reset."""
+    """A goal seen once, at rest, or only at one stamp is held there, also after a reset."""
     forecast = shown(range(5), np.outer(range(5), [1.0, 0.0]), FORECASTS[kind]())
     forecast.reset()
     shown(times, np.tile(place, (len(times), 1)), forecast)
@@ -208,7 +208,7 @@ def test_what_shows_no_motion_is_forecast_where_it_is(kind, times, place):
 @pytest.mark.parametrize(('rate', 'noise'), [(2.0, 0.02), (5.0, 0.05), (10.0, 0.05)])
 @pytest.mark.parametrize('turned', [0.0, 0.5, 1.0], ids=['stops', 'turns', 'reverses'])
 def test_a_second_after_a_change_of_course_the_new_one_is_known(turned, rate, noise):
-    """However seldom the goal is seen: up to 3 m/s, three seconds ahead."""
+    """For all sighting rates: the forecast is for three seconds ahead, at speeds of up to 3 m/s."""
     missed = []
     for seed in range(10):
         rng = np.random.default_rng([15, seed])
@@ -241,7 +241,7 @@ def test_no_forecast_is_faster_than_what_was_seen():
 
 
 def test_a_swing_that_becomes_another_is_known_soon():
-    """What there is of it in a second is neither still nor straight, but bent."""
+    """The arc since the change is bent: neither rest nor a straight line explains it."""
     errors = []
     for seed in range(16):
         rng = np.random.default_rng([14, seed])
@@ -252,7 +252,7 @@ def test_a_swing_that_becomes_another_is_known_soon():
         seen[new] = other(times[new]) + offset
         ahead = times[-1:] + AHEAD
         errors.append(np.linalg.norm(shown(times, seen).at(ahead) - other(ahead) - offset))
-    assert np.median(errors) < 0.15  # of swings of some metres
+    assert np.median(errors) < 0.15  # [m], of swings of several metres
 
 
 def test_an_outlier_is_no_velocity():
@@ -279,20 +279,20 @@ def test_a_goal_that_stays_elsewhere_is_believed_to_be_there():
 
 
 def test_what_noise_sightings_have_is_not_forgotten_with_the_motion():
-    """Three sightings that agree by chance are not exact, for the hundred before were not."""
+    """Three sightings that agree by chance are not taken for exact after a hundred noisy ones."""
     rng = np.random.default_rng(13)
     times, seen = START + 0.1 * np.arange(100), 0.2 * rng.normal(size=(100, 2))
     seen[-BELIEVED:] = 40.0
     bank, fresh = shown(times, seen), shown(times[-BELIEVED:], seen[-BELIEVED:])
     np.testing.assert_allclose([bank.at(times[-1:]), fresh.at(times[-1:])], 40.0, atol=1e-6)
-    for each in (bank, fresh):  # a deviation and a half aside
+    for each in (bank, fresh):  # off by 1.5 standard deviations
         shown(times[-1:] + 0.1, seen[-1:] + 0.3, each)
     assert bank.at(times[-1:] + 0.1)[0, 0] > 40.01
     np.testing.assert_allclose(fresh.at(times[-1:] + 0.1), 40.0, atol=1e-6)
 
 
 def test_two_sightings_at_once_are_no_velocity():
-    """A nanosecond apart, a centimetre is no 10,000 km/s."""
+    """A centimetre within a microsecond must not become a velocity of 10 km/s."""
     times = START + np.array([0.0, 1e-6, 0.1, 0.100001])
     seen = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01]])
     assert np.abs(shown(times, seen).at(START + np.arange(4.0))).max() < 1.0
@@ -329,7 +329,7 @@ def test_a_goal_lost_for_long_is_held_where_it_is_seen_again():
 
 @pytest.mark.parametrize('family', ['carrier', 'turn'])
 def test_a_long_watch_loses_nothing(family):
-    """Twice as many sightings as are kept: the forecast stays exact."""
+    """The forecast stays exact over twice as many sightings as the bank keeps."""
     motion = drawn(family, 2, np.random.default_rng(10))
     times = START + 0.5 * np.arange(2 * MEMORY)
     bank, ahead = shown(times, motion(times)), times[-1] + np.arange(0.0, 4.0)
@@ -339,7 +339,7 @@ def test_a_long_watch_loses_nothing(family):
 
 @pytest.mark.parametrize('seed', range(2))
 def test_who_is_watched_for_long_is_as_well_known_when_the_oldest_sightings_are_dropped(seed):
-    """Noise always leaves an oscillation to be improved, at the moment that they are, too."""
+    """With noise, the fit is still being refined when the oldest sightings are dropped."""
     rng = np.random.default_rng([18, seed])
     motion, times = drawn('turn', 2, rng), START + 0.05 * np.arange(MEMORY + 10)
     seen = motion(times) + 0.05 * rng.normal(size=(len(times), 2))
@@ -352,7 +352,7 @@ def test_who_is_watched_for_long_is_as_well_known_when_the_oldest_sightings_are_
 
 @pytest.mark.parametrize('seed', range(8))
 def test_whatever_is_seen_forecasts_are_finite(seed):
-    """Jumps, gaps, bursts, equal and backward stamps, huge and NaN positions, in any order."""
+    """After jumps, gaps, bursts, equal and backward stamps, and huge and NaN positions."""
     rng = np.random.default_rng([11, seed])
     n, bank = 2 + seed % 2, Bank()
     time, place = START, np.zeros(n)
@@ -406,13 +406,13 @@ def test_a_corner_that_is_too_sharp_is_said():
     corner = Route(np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 500.0]]))
     paced = Paced(corner, 20.0, 0.0, SPEED, np.zeros(2))
     assert 'it is rounded off' in paced.trouble(TIMES, 0.3)
-    assert paced.trouble(TIMES[:2], 0.3) == ''  # not yet in sight
+    assert paced.trouble(TIMES[:2], 0.3) == ''  # the corner is later
     assert Paced(circle(), 0.0, 0.0, SPEED, np.zeros(2)).trouble(TIMES, 0.12) == ''
 
 
 def test_the_nearest_point_is_looked_for_along_the_way():
     eight = Route(np.array([[0.0, -50.0], [0.0, 50.0], [80.0, 50.0], [80.0, 0.0], [-80.0, 0.0]]))
-    crossing = np.array([1.0, 0.5])  # nearer to the second of the ways that cross
+    crossing = np.array([1.0, 0.5])  # nearest to the later of two crossing segments
     assert eight.nearest(crossing) == pytest.approx(50.0 + 50.0 + 80.0 + 50.0 + 79.0)
     assert eight.nearest(crossing, near=40.0, within=60.0) == pytest.approx(50.5)
     around = circle()
@@ -433,7 +433,7 @@ def test_points_have_to_be_apart(points):
 
 
 def flown(route, wind, seconds, place=(0.0, 60.0), heading=0.0):
-    """Return the ways over ground of a wing that obeys at once, and the last decision."""
+    """Return positions and final axis of a wing without lags on a route, and the last decision."""
     floor = Floor('circle', fraction=0.8)
     problem = Problem(
         horizon=10, step=0.5, forward=SPEED, floor=floor, max_rate=0.4, discretisation='exact'
@@ -456,7 +456,7 @@ def flown(route, wind, seconds, place=(0.0, 60.0), heading=0.0):
 def test_a_line_is_followed_in_wind(share):
     places, _, decision = flown(LINE, share * SPEED * np.array([-0.6, 0.8]), 60.0)
     assert np.abs(places[-200:, 1]).max() < 1.0
-    assert places[-1, 0] > places[-200, 0] + 10.0  # and on along it
+    assert places[-1, 0] > places[-200, 0] + 10.0  # and moves along it
     assert 'cannot be followed' not in decision.reason
 
 
@@ -465,4 +465,4 @@ def test_a_wind_beyond_the_airspeed_is_said_and_flown_into():
     assert 'the path cannot be followed in a wind of 24 m/s' in decision.reason
     assert axis @ EAST > 0.95
     drift = (places[-1] - places[-200]) / 10.0
-    assert np.linalg.norm(drift) < 0.2 * SPEED + 0.5  # as little as can be
+    assert np.linalg.norm(drift) < 0.2 * SPEED + 0.5  # the least possible: wind minus airspeed

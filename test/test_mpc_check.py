@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, matrix
 from orbimpc_ros.mpc.plan import UNPROVED, Plan
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 
-# As documented, not as imported: a check that allows more must not have its tests follow it.
+# Copied from the documentation, not imported: a loosened check must fail these tests.
 TOLERANCE, ORTHOGONAL, SUMMING, ROUNDING = 1e-6, 1e-9, 1e-9, 1e-15
 # --- a rollout from the measured state
 
@@ -41,7 +41,7 @@ def test_not_finite(name, value):
 
 @pytest.mark.parametrize('what', ['position', 'rotation', 'rotation_rate', 'velocity'])
 def test_a_plan_starts_from_the_measured_state_in_all_its_parts(what):
-    """Else a plan could bring its own R_0, W_0 or p_0, and be consistent with itself."""
+    """Otherwise a plan with its own R_0, W_0 or p_0 would pass as consistent with itself."""
     problem = Problem(rotation_order=2, translation_order=2)
     start = State.at(
         [0.0, 0.0], 0.5 * np.eye(2), velocity=[0.1, 0.2], rotation_rate=np.zeros((2, 2))
@@ -59,7 +59,7 @@ def test_a_plan_starts_from_the_measured_state_in_all_its_parts(what):
 
 
 def test_a_rate_is_that_of_the_measured_rotation():
-    """A plan whose own R_0 is off by less than the tolerance departs from there step by step."""
+    """An R_0 within tolerance of the measured one gives a rollout that departs step by step."""
     problem = Problem(rotation_order=2)
     start = State.at([0.0, 0.0], 0.5 * np.eye(2), coasted=np.eye(2))
     near = replace(start, rotation=(0.5 + 0.9e-6) * np.eye(2))
@@ -73,7 +73,7 @@ def test_a_rate_is_that_of_the_measured_rotation():
 
 
 def speeding(name, least=1.0, **given):
-    """Speeds at the greatest or least, and in step k beyond it."""
+    """Return cases of straight flight at a speed limit, with step k beyond it."""
 
     def made(k, by):
         by = by if name == 'hull' else -by
@@ -85,7 +85,7 @@ def speeding(name, least=1.0, **given):
 
 
 def jumping(name, side, decided=False, **given):
-    """Without a floor the chord counts as a turn, so a jump of the speed by itself is too much."""
+    """Return cases whose speed jumps in step k: without a floor, max_rate limits this chord too."""
 
     def made(k, by):
         problem = Problem(**{name: 0.3}, **given)
@@ -99,7 +99,7 @@ def jumping(name, side, decided=False, **given):
 
 
 def turning(turn, speed, **given):
-    """With a floor turns are angles: slow headings are near each other, and may be far apart."""
+    """Return cases that turn in step k: with a floor, max_rate limits the angle, even if slow."""
 
     def made(k, by):
         problem = Problem(max_rate=turn, floor=floor('circle', 0.2), **given)
@@ -113,7 +113,7 @@ def turning(turn, speed, **given):
 
 
 def passing(first, **given):
-    """Past a box at s_{k + 1}, with another one far away, or between that and the next."""
+    """Return cases that pass a box at s_{k + 1}, or a corner right after it; another box is far."""
 
     def made(k, by):
         start, goals, plan = straight(Problem(), np.ones(5))
@@ -151,7 +151,7 @@ UNBOUND = {('decided speed', 0), ('turn of a body that coasts', 0), ('corner', 4
 @pytest.mark.parametrize('k', range(5))
 @pytest.mark.parametrize('kind', LIMITS)
 def test_each_limit_binds_at_every_step(kind, k):
-    """But for what the state has decided before, and beyond the last step."""
+    """Except where the state decides the step, and beyond the last step."""
     name, made = LIMITS[kind]
     for share, told in ((-1.1, []), (0.9, []), (1.1, [f'{name} violated by 1.1e-06'])):
         assert violations(*made(k, share * TOLERANCE)) == ([] if (kind, k) in UNBOUND else told)
@@ -163,12 +163,12 @@ def test_arriving_in_motion():
     there = np.tile(plan.positions[-1], (5, 1))
     stopped = replace(moving, terminal='constraint')
     found = violations(stopped, START, there, plan)
-    assert {each.split()[0] for each in found} == {'terminal', 'the'}  # and the objective
+    assert {each.split()[0] for each in found} == {'terminal', 'the'}  # and the objective's
 
 
 @pytest.mark.parametrize('shape', ['circle', 'polygon'])
 def test_a_floor_is_under_the_thrust_axis_alone(shape):
-    """The other columns of R are the roll's, and may vanish."""
+    """The other columns of R describe the roll, and may vanish."""
     problem = Problem(3, floor=floor(shape, 0.5, 6))
     start = State.at(np.zeros(3), np.diag([1.0, 0.0, 0.0]), attitude=np.eye(3))
     x = np.tile(coordinates(np.diag([1.0, 0.0, 0.0])), (5, 1))
@@ -177,7 +177,7 @@ def test_a_floor_is_under_the_thrust_axis_alone(shape):
 
 
 def test_the_corner_before_the_first_step_is_not_the_plans():
-    """R_0 or p_0 has decided s_1: how a vehicle gets there no plan can change."""
+    """R_0 or p_0 decides s_1: no plan can change the path to it."""
     corner = Box([0.4, -0.1], [0.6, 0.1])
     for steps in (1, 5):
         problem = Problem(horizon=steps, obstacles=(corner,), no_corner_cutting=True)
@@ -198,16 +198,16 @@ def test_margins_are_told_of_every_limit_that_there_is():
     }
 
 
-# --- tolerances: what they allow passes, the next number beyond does not
+# --- tolerances: the exact value passes, the next larger number does not
 
 FREE = Problem(weights=Weights(0.0, 0.0, 0.0, 0.0))
 COASTING, ARRIVING = replace(FREE, rotation_order=2), replace(FREE, terminal='constraint')
 REST = np.zeros((5, 2))
-FAR = 1e9  # [m] from the origin, where numbers are 1e-7 apart
+FAR = 1e9  # [m] from the origin, where floats are 1e-7 apart
 
 
 class Checked(NamedTuple):
-    """What the check is asked of."""
+    """Arguments of the check."""
 
     problem: Problem
     state: State
@@ -215,19 +215,19 @@ class Checked(NamedTuple):
     plan: Plan
 
     def but(self, **changes):
-        """Return the same with something else in the plan."""
+        """Return a copy with changed fields of the plan."""
         return self._replace(plan=replace(self.plan, **changes))
 
     def off(self, name, index, value):
-        """Return the same with something else in an array of the plan."""
+        """Return a copy with a changed element in an array of the plan."""
         return self.but(**{name: changed(getattr(self.plan, name), index, value)})
 
 
 def resting(problem=FREE, x=(0.0, 0.0), place=(0.0, 0.0), goals=REST):
-    """The vehicle at rest, and a plan whose rotations all have the coordinates x.
+    """A vehicle at rest, and a plan whose rotations all have the coordinates x.
 
-    At the origin sums and differences with zero are exact, and no weight makes a cost of it, so
-    that nothing but the tolerance in question can object.
+    At the origin sums and differences with zero are exact, and the cost has no weights, so that
+    only the tolerance under test can be violated.
     """
     coasted = np.eye(2) if problem.rotation_order == 2 else None
     state = State.at(place, np.zeros((2, 2)), attitude=np.eye(2), coasted=coasted)
@@ -326,7 +326,7 @@ def test_at_its_goal_a_plan_may_cost_nothing():
     ('excess', 'unit'), [(1e-4, 1.0), (9.0, 1.0), (np.inf, 1.0), (np.nan, 1.0), (1.0, np.inf)]
 )
 def test_a_bound_above_the_cost_is_refused(excess, unit):
-    """An overflow excuses nothing."""
+    """Also if the bound or its unit overflows."""
     plan = solved(Problem())
     unit *= plan.proof.cost_unit
     bound = plan.objective + excess * (plan.objective + plan.proof.cost_unit)
@@ -359,7 +359,7 @@ def test_a_gap_far_below_the_unit_of_costs_is_none(units, status):
 @pytest.mark.parametrize('orders', ORDERS)
 @pytest.mark.parametrize('arrival', [0.0, 0.5, 3.0])
 def test_every_term_of_the_objective_is_summed(orders, arrival):
-    """As the model does, which convex optima hold to the problem as it is stated."""
+    """As in the model's cost, which other tests compare with independent convex optima."""
     rng = np.random.default_rng(int(10 * arrival) + orders['dimension'])
     for length, how in ((0.0, 'euler'), (0.7, 'euler'), (0.7, 'exact')):
         chosen = Weights(0.9, 0.4, length, 2.0, attitude=1.3)
@@ -368,7 +368,7 @@ def test_every_term_of_the_objective_is_summed(orders, arrival):
         start, places = state(rng, problem), goals_of(rng, problem)
         n = problem.dimension
         start = replace(start, wanted=rotation(rng, n))
-        squeezed = np.diag([1.0, 0.5, 0.5][:n])  # so that the first column is not as long as others
+        squeezed = np.diag([1.0, 0.5, 0.5][:n])  # makes the first column longer than the others
         points = [rng.uniform(0.1, 0.9) * rotation(rng, n) @ squeezed for _ in range(4)]
         if start.coasted is not None:
             points[0] = 0.8 * start.coasted

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Projected rotations, commands made of plans, and the last look at what is commanded."""
+"""Projected rotations, commands of plans, and the final check of a command."""
 
 import itertools
 import math
@@ -22,7 +22,7 @@ def frames(seed, n=3):
 
 
 def plan_of(frames, singular_values, projection, order=1):
-    """A plan whose rotations are Q_k diag(s_k): Q_1..Q_N are their projections."""
+    """Return arguments of the check with R_k = Q_k diag(s_k), whose projections are Q_1..Q_N."""
     n = frames.shape[-1]
     problem = Problem(n, rotation_order=order)
     start = State.at(np.zeros(n), np.eye(n), coasted=frames[0])
@@ -45,9 +45,9 @@ def test_a_projected_mirror_is_no_rotation(broken):
 @pytest.mark.parametrize('k', range(6))
 @pytest.mark.parametrize('n', [2, 3])
 def test_every_projected_rotation_is_the_projection_of_its_own(projection, order, k, n):
-    """But for the first one, and the second of a body that coasts, which are given.
+    """Except the first one, and the second of a coasting body, which are given.
 
-    A half turn about a principal axis keeps Q'R symmetric, and is farther away.
+    A half turn about a principal axis also keeps Q'R symmetric, but is farther away.
     """
     values = [0.5, 0.3, 0.1] if n == 3 else [0.5, 0.5]
     problem, start, goals, plan = plan_of(frames(k, n), values, projection, order)
@@ -106,7 +106,7 @@ def test_a_command_may_be_off_by_its_tolerance_and_not_by_more(made, allowed, co
         assert command_violations(Problem(), plan, replace(still, **made(share * allowed))) == told
 
 
-# --- the last look
+# --- the final check
 
 
 def good(n):
@@ -137,7 +137,7 @@ def test_not_finite(n, value):
     ],
 )
 def test_a_command_may_be_at_its_limits_and_not_beyond(given, name, most, told):
-    """Without a limit of the rate it is half a turn in a step."""
+    """Without max_rate the limit is half a turn per step."""
     problem, rate = Problem(**given), name == 'body_rate'
     for value, fine in ((most, True), (np.nextafter(most, 9.0), False)):
         command = replace(good(2), **{name: np.array([-value]) if rate else value})
@@ -168,11 +168,11 @@ def broken_rotations(n):
     turned = good(n).rotation
     yield changed(np.eye(n), (1, 0), np.nextafter(1e-9, 1.0))
     yield turned * (1.0 + 1e-8)
-    yield turned * np.array([-1.0] + [1.0] * (n - 1))  # a mirror
+    yield turned * np.array([-1.0] + [1.0] * (n - 1))  # a reflection
     for i in range(n):
         for j in range(n):
             yield changed(turned, (i, j), turned[i, j] + 1e-6)
-    if n == 3:  # whose last row is across the others
+    if n == 3:  # the last row is orthogonal to the others
         yield np.diag([2.0, 0.5, 1.0])
         yield np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 0.8]])
 
@@ -186,7 +186,7 @@ def test_no_rotation(n):
         assert found == 'the commanded rotation is not a rotation'
 
 
-# --- commands that are made
+# --- commands made of plans
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -209,7 +209,7 @@ def test_what_rounding_leaves_of_speeds_is_made_up_for(shape):
 @pytest.mark.parametrize('n', [2, 3])
 @pytest.mark.parametrize('step', [0.4, 1.0, 2.5])
 def test_a_rate_is_cut_on_the_shortest_way_to_the_plan(n, step):
-    """The rotation is where the cut rate leads, and only what exceeds the limit is cut."""
+    """The commanded rotation is where the cut rate leads; only the excess over the limit is cut."""
     rng = np.random.default_rng(n)
     for _ in range(20):
         turn = rng.normal(size=1 if n == 2 else 3)
@@ -254,7 +254,7 @@ def test_a_cut_turn_keeps_the_speed_with_a_floor_or_where_turns_come_later(order
 @pytest.mark.parametrize('order', [1, 2])
 @pytest.mark.parametrize('steps', [1, 5])
 def test_every_step_of_a_plan_has_its_command(order, steps):
-    """At rotation order 2 the last one holds the attitude: no later one is planned."""
+    """At rotation order 2 the last command holds the attitude: no later rotation is planned."""
     problem = Problem(rotation_order=order, horizon=steps, step=0.5)
     start = State.at([0.0, 0.0], np.eye(2))
     angles = np.array([0.1, 0.3, 0.6, 1.0, 1.5])[:steps]
@@ -272,7 +272,7 @@ def test_every_step_of_a_plan_has_its_command(order, steps):
 
 
 def test_a_turn_that_is_cut_by_next_to_nothing_keeps_to_full_speed():
-    """Two headings that are the same but for rounding may have a cosine above 1."""
+    """Two headings that are equal up to rounding may have a cosine above 1."""
     problem = Problem(horizon=1, step=0.5, max_rate=0.7)
     rng = np.random.default_rng(8)
     for _ in range(200):

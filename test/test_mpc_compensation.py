@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What a plan starts from: measurements in wind, delays, lags, and the estimated disturbance.
+"""Initial states of plans: measurements in wind, delays, lags, and the estimated disturbance.
 
-What is learnt of the disturbance and of frames of velocities, and what is not.
+Also the detection of velocities given in the wrong frame.
 """
 
 import math
@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.sim.vehicle import Model, Plant, launched, measured
 
-LONG = 6.0  # [s] twenty time constants: by then lags are over
+LONG = 6.0  # [s] twenty time constants: lags have settled by then
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]
 
 
@@ -79,10 +79,10 @@ def test_an_odd_speed_is_one_through_the_air():
 @pytest.mark.parametrize('source', ['ground', 'air'])
 @pytest.mark.parametrize('orders', ORDERS)
 def test_a_measurement_moves_on_as_the_vehicle_does(orders, source):
-    """Before a command is known, and with two of them, in a wind or under gravity.
+    """Before any command is known and with two of them, in wind or under gravity.
 
-    Rates are near zero, too, where closed forms give way to series. At order 1 they are obeyed at
-    once; what else was commanded comes with the next command.
+    Some rates are near zero, where closed forms switch to series. At rotation order 1 a rate is
+    obeyed at once; at order 2 it takes effect with the next command.
     """
     rng, n, order = np.random.default_rng(1), orders['dimension'], orders['translation_order']
     problem = Problem(**orders, forward=2.0)
@@ -147,7 +147,7 @@ def test_forgotten_commands_are_not_in_force():
 
 
 def settled(compensator, vehicle):
-    """Return the vehicle without lags that a compensator takes for a lagging one."""
+    """Return the vehicle without lags that the compensator plans for in place of a lagging one."""
     seen = compensator.start(measured(vehicle)).odometry
     velocity = seen.attitude @ seen.body_velocity
     return replace(
@@ -157,7 +157,7 @@ def settled(compensator, vehicle):
 
 @pytest.mark.parametrize('dimension', [2, 3])
 def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(dimension):
-    """About one axis, and at a steady rate, exactly: attitude and position."""
+    """For turns about one axis: attitude in any case, position at a steady rate."""
     lag, ideal = 0.3, Plant(dimension, forward=2.0)
     plant = replace(ideal, speed_lag=lag, rate_lag=lag)
     rate = np.random.default_rng(1).normal(size=plant.rates)
@@ -176,7 +176,7 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
 
 @pytest.mark.parametrize(('speed', 'rate'), LAGS)
 def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(speed, rate):
-    """Position and velocity, whatever the thrust was before; gravity acts all the while."""
+    """Position and velocity agree in the end for any earlier thrust, under constant gravity."""
     ideal = Plant(2, 1, 2, forward=3.0, disturbance=(0.2, -0.4))
     plant, still = replace(ideal, speed_lag=speed, rate_lag=rate), np.zeros(1)
     start = replace(started(plant, 0.0, 0.9), velocity=np.array([0.5, -0.3]))
@@ -226,7 +226,7 @@ def test_the_applied_thrust_follows_what_was_commanded():
 
 @pytest.mark.parametrize(('seed', 'gain'), [(0, 0.97), (1, 1.03)])
 def test_a_lagging_spacecraft_arrives_at_rest(seed, gain):
-    """The paper's spacecraft in continuous time: thrust lag 0.2 s, rate lag 0.3 s, thrust off."""
+    """The paper's spacecraft in continuous time: lags of 0.2 s and 0.3 s, thrust 3 % off."""
     rng = np.random.default_rng(seed)
     problem = replace(spacecraft_problem(), rotation_order=1, discretisation='exact')
     plant = Plant(3, 1, 2, speed_lag=0.2, rate_lag=0.3, gain=gain)
@@ -247,7 +247,7 @@ def test_a_lagging_spacecraft_arrives_at_rest(seed, gain):
 
 @pytest.mark.parametrize('rotation_order', [1, 2])
 def test_a_vehicle_that_obeys_at_once_is_sent_what_is_due_now(rotation_order):
-    """At second order a plan's command is for the next step: it goes out when that begins."""
+    """At translation order 2 a plan's command is for the next step: it is sent when that begins."""
     problem = Problem(
         rotation_order=rotation_order, translation_order=2, horizon=8, floor=Floor('circle', 4, 0.3)
     )
@@ -272,7 +272,7 @@ STEP = 0.1  # [s]
 
 
 class Watched:
-    """A vehicle that flies commands, and an estimator that watches it."""
+    """A vehicle that flies commands, and an estimator that observes it."""
 
     def __init__(self, plant, fraction=0.0, step=STEP, floor=Floor(), **known):  # noqa: B008
         self.plant, self.step, self.rng = plant, step, np.random.default_rng(0)
@@ -282,9 +282,9 @@ class Watched:
         self.history, self.vehicle = CommandHistory(), started(plant, 0.3, fraction)
 
     def watch(self, ticks, command=None, noise=0.0, moved=0.0):
-        """Fly on, as commanded or at random; return the innovations.
+        """Fly ``ticks`` steps with a command, or random ones; return the innovations.
 
-        Measured positions are off by noise, and by so much.
+        Measured positions have this noise and this offset ``moved`` [m].
         """
         innovations = []
         for _ in range(ticks):
@@ -320,7 +320,7 @@ PLANTS = [
 
 @pytest.fixture
 def watched():
-    """A wing that is known for long."""
+    """A wing whose wind has been estimated for 20 s."""
     found = Watched(WING)
     found.watch(200)
     return found
@@ -342,19 +342,19 @@ def test_a_jump_of_the_clock_leaves_the_wind_known_and_a_reset_does_not(watched)
 
 @pytest.mark.parametrize(('source', 'soon'), [('air', 0.3), ('ground', 0.5)])
 def test_who_is_met_in_flight_is_not_taken_for_one_at_rest_in_a_wind(source, soon):
-    """A lagging vehicle that flies before its first command covers what it could not from rest."""
+    """Before its first command, a vehicle in flight covers more than it could from rest."""
     watched, off = Watched(replace(WING, velocity_source=source), 0.8, 0.5), []
     for _ in range(12):
         watched.watch(1, (0.9, 0.3))
         off.append(np.linalg.norm(watched.found - WING.blown))
-    assert max(off) <= np.linalg.norm(WING.blown)  # from rest, it seems to be a wind of 10 m/s
+    assert max(off) <= np.linalg.norm(WING.blown)  # from rest: a wind of 10 m/s
     assert off[6] < soon
 
 
 @pytest.mark.parametrize('share', [0.7, 0.85, 1.0])
 @pytest.mark.parametrize('along', [-4.0, 4.0])
 def test_a_wind_along_the_way_is_not_taken_for_airspeed(along, share):
-    """At constant airspeed nothing but the floor and full speed tell them apart, at first."""
+    """At constant airspeed only the limits of speed, floor and full, tell them apart at first."""
     blown = along * exp(np.array([0.3]))[:, 0]
     plant = Plant(forward=15.0, speed_lag=0.8, disturbance=tuple(blown))
     watched = Watched(plant, share, floor=Floor('circle', fraction=2.0 / 3.0))
@@ -374,7 +374,7 @@ def test_a_wind_that_turns_about_is_followed_within_two_seconds(step):
 
 @pytest.mark.parametrize('believed', [True, False])
 def test_speed_that_is_not_as_commanded_is_no_wind_where_what_is_measured_is_believed(believed):
-    """A wing that is told 15 m/s flies 12, and is blown along by a wind besides."""
+    """A wing commanded to 15 m/s flies at 12 m/s, and in a wind besides."""
     slow = replace(WING, speed_lag=0.0, gain=0.8, velocity_source='air')
     watched = Watched(slow, 1.0, 0.5, measured=believed)
     watched.watch(30, (1.0, 0.0))
@@ -390,7 +390,7 @@ def test_what_is_known_is_not_estimated_again():
 
 @pytest.mark.parametrize('order', [1, 2])
 def test_innovations_are_as_large_as_the_model_says(order):
-    """Of a motion drawn from the very model, they are of one standard deviation."""
+    """For motion drawn from the model itself they have one standard deviation."""
     rng, unit, noise = np.random.default_rng(4), 3.0, {1: NoiseModel(), 2: PUSHED}[order]
     problem = Problem(translation_order=order, forward=unit)
     estimator, history = Estimator(problem, 0.5), CommandHistory()
@@ -411,7 +411,7 @@ def test_innovations_are_as_large_as_the_model_says(order):
         estimator.observe(at, history)
         found.append(estimator.innovation)
     typical = float(np.sqrt(np.mean(np.square(found[50:]))))
-    # The larger of two axes: the mean of the larger of two chi-squares, over their mean.
+    # The larger of two axes counts: the mean of the larger of two chi-squares, over their mean.
     assert typical == pytest.approx(math.sqrt(1.64 if order == 1 else 1.5), rel=0.1)
 
 
@@ -452,7 +452,7 @@ def test_nothing_is_learnt_before_a_command_is_known():
 
 
 def test_an_estimate_that_runs_away_is_limited_and_told():
-    """Stuck, a vehicle that is commanded full speed seems to meet a wind of that speed."""
+    """A stuck vehicle commanded at full speed looks like one in a wind of that speed."""
     estimator, history = Estimator(Problem(forward=10.0), 0.2), CommandHistory()
     told = []
     for k in range(100):
@@ -470,7 +470,7 @@ def test_an_estimate_that_runs_away_is_limited_and_told():
 
 
 def flight(rng, dimension, count=60, noise=0.0, wind=0.0, speed=2.0):
-    """Yield times, positions, attitudes and velocities in the world of a turning vehicle."""
+    """Yield times, positions, attitudes and world-frame velocities of a turning vehicle."""
     rates = 1 if dimension == 2 else 3
     attitude = exp(rng.normal(size=rates))
     position, rate = rng.normal(size=dimension), 0.5 * rng.normal(size=rates)
@@ -482,7 +482,7 @@ def flight(rng, dimension, count=60, noise=0.0, wind=0.0, speed=2.0):
 
 
 def doubt(given, truly, states):
-    """Return what a witness says of velocities given in a frame that may not be theirs."""
+    """Return the frame check's warning for velocities of frame ``truly`` read as of ``given``."""
     witness = VelocityFrameCheck(given)
     for time, position, attitude, velocity in states:
         sent = velocity if truly == 'world' else attitude.T @ velocity
@@ -500,7 +500,7 @@ def test_a_wrong_frame_is_told_and_the_right_one_is_not(given, truly, dimension)
     doubts = [doubt(given, truly, flight(rng, dimension, noise=0.005)) for _ in range(20)]
     if given == truly:
         assert not any(doubts)
-    else:  # who looks along x all the time gives nothing away
+    else:  # a vehicle that always heads along x reveals nothing
         assert sum(f'those of the {truly} frame' in each for each in doubts) >= 15
 
 

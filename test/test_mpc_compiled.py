@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Machine code finds what plain Python does, is compiled once, and is forgotten when it is old."""
+"""Machine code: compiled once, cached, dropped when sources change, and without leaks."""
 
 import subprocess
 import sys
@@ -52,12 +52,12 @@ def test_kept_code_is_loaded_without_what_numba_compiles_with():
         Solver(Problem())
         print('scipy.linalg' in sys.modules)
     """
-    python(script)  # compiles, perhaps
+    python(script)  # fills the cache
     assert python(script).stdout == 'False\n'
 
 
 def test_code_from_other_sources_is_forgotten(tmp_path):
-    """Code contains what it calls in other files: one of them that changes makes all of it old."""
+    """Machine code includes functions of other files: a change in one makes all of it stale."""
     source, kept = tmp_path / 'one.py', tmp_path / 'kept'
     kept.mkdir()
     source.write_text('a = 1')
@@ -81,7 +81,7 @@ def test_code_from_other_sources_is_forgotten(tmp_path):
     ids=['hull', 'polygon', 'circle', 'space'],
 )
 def test_arrays_that_are_handed_over_are_given_back(posed):
-    """Machine code counts references its own way, or not at all."""
+    """Machine code has to balance the reference counts of its arguments."""
     problem = Problem(**posed)
     n, solver = problem.dimension, Solver(problem)
     state, goals = State.at(np.zeros(n), np.eye(n)), np.ones((problem.horizon, n))

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Random and degenerate problems: whatever is asked, only what was checked is commanded.
+"""Random and degenerate problems: only commands that passed the check are sent.
 
-Six hundred in ``make test``; ``ORBIMPC_LONG=1 pytest test/test_mpc_degenerate.py``
-(``make questions``) asks 5,000.
+``make test`` draws 600 ticks; ``ORBIMPC_LONG=1 pytest test/test_mpc_degenerate.py``
+(``make questions``) draws 5,000.
 """
 
 import os
@@ -20,11 +20,11 @@ from orbimpc_ros.mpc.problem import Problem, Weights
 
 PROBLEMS, QUESTIONS = (500, 10) if os.environ.get('ORBIMPC_LONG') else (60, 10)
 SIZES = (0.0, 1e-300, 1e-9, 1.0, 1e3, 1e7)
-NODES = 30  # after which a search is told that time is up
+NODES = 30  # polls of the clock until a search is out of time
 
 
 def drawn_problem(rng):
-    """A small problem with extreme weights, steps, speeds and limits now and then."""
+    """Return a small problem, sometimes with extreme weights, steps, speeds and limits."""
     n = int(rng.choice([2, 2, 2, 3]))
     step = float(rng.choice([1e-3, 0.1, 1.0, 30.0]))
     extreme = Weights(*rng.choice([0.0, 1e-9, 1.0, 1e6], size=4))
@@ -56,7 +56,7 @@ def drawn_odometry(rng, problem):
 
 
 def drawn_goals(rng, problem, odometry):
-    """Near or far, all the same or all different, or where the vehicle is."""
+    """Return goals near or far, all equal or all different, or at the vehicle."""
     shape = (problem.horizon, problem.dimension)
     away = rng.choice(SIZES) * rng.normal(size=shape[1])
     spread = rng.choice([0.0, 0.0, 1.0]) * rng.normal(size=shape)
@@ -78,7 +78,7 @@ def test_only_what_was_checked_is_commanded(part):
     for _ in range(PROBLEMS // 4):
         try:
             controller = Stepped(drawn_problem(rng))
-        except BadInput:  # for instance a floor that does not fit a limit
+        except BadInput:  # for example a floor that contradicts a limit
             continue
         for _ in range(QUESTIONS):
             tick = answered(controller, rng)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A controller: closed loops, arrivals, and what is flown without a plan or a goal."""
+"""A controller: closed loops, arrivals, and fallbacks without a plan or a goal."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_without_a_plan_the_one_before_serves_twice_and_never_past_its_horizon(
     assert {(tick.status, tick.reason) for tick in ticks} == {(status, str(error))}
     fallbacks = ['shifted plan'] * stand_ins + ['safe command'] * (4 - stand_ins)
     assert [tick.fallback for tick in ticks] == fallbacks
-    for tick in ticks[:stand_ins]:  # straight ahead, to what an interior-point method leaves open
+    for tick in ticks[:stand_ins]:  # straight ahead, to the accuracy of an interior-point method
         np.testing.assert_allclose(tick.plan.rotations, first.plan.rotations, atol=2e-3)
     assert (ticks[-1].plan, ticks[-1].command.speed_fraction) == (None, 0.0)
 
@@ -69,7 +69,7 @@ def test_without_a_goal_the_last_plan_is_held_and_then_the_vehicle_stops():
     assert (again.status, again.fallback) == ('optimal', '')
 
 
-# --- the rest of a plan
+# --- remaining steps of a plan
 
 BEHIND = np.tile([-3.0, 2.0], (5, 1))
 
@@ -78,7 +78,7 @@ BEHIND = np.tile([-3.0, 2.0], (5, 1))
 @pytest.mark.parametrize('rate', [0.0, 0.3])
 @pytest.mark.parametrize('off', [-0.05, 0.0, 0.05])
 def test_the_rest_of_a_plan_is_legal_and_leads_where_the_plan_did(share, rate, off):
-    """On the chord of a turn headings are below the floor, and turn faster in its middle."""
+    """Headings on the chord of a turn would be below the floor, and turn fastest in its middle."""
     problem = Problem(floor=floor('circle', 0.9), max_rate=rate, discretisation='exact')
     plan = Solver(problem).solve(START, BEHIND)
     angles = np.unwrap(np.arctan2(plan.rotations[:, 1, 0], plan.rotations[:, 0, 0]))
@@ -104,7 +104,7 @@ def test_the_rest_of_a_plan_in_space_keeps_the_floor_and_is_in_the_hull(speed):
     assert rest.speed_fraction[1:] == pytest.approx(speed, rel=2e-3)
 
 
-# --- without a goal, and with one beyond all reach
+# --- without a goal, and with a goal out of reach
 
 
 def test_a_held_plan_is_checked_from_the_new_state():
@@ -144,7 +144,7 @@ def test_a_goal_within_reach_is_left_alone():
 @pytest.mark.parametrize('translation', [1, 2])
 @pytest.mark.parametrize(('dimension', 'shape'), [(2, 'polygon'), (2, 'circle'), (3, 'polygon')])
 def test_a_vehicle_at_rest_is_told_at_least_its_floor(dimension, shape, translation):
-    """A limit on the body rate turns: it has no say in how fast a vehicle may get faster."""
+    """A limit on the body rate limits turns, not how fast a vehicle speeds up."""
     faces = 6 if dimension == 3 else 4
     limits = {'floor': Floor(shape, faces, 0.5), 'max_rate': 1.5}
     problem = Problem(dimension, translation_order=translation, step=0.1, **limits)
@@ -158,7 +158,7 @@ def test_a_vehicle_at_rest_is_told_at_least_its_floor(dimension, shape, translat
 @pytest.mark.parametrize('shape', ['polygon', 'circle'])
 @pytest.mark.parametrize('share', [0.0, 0.4, 0.92])
 def test_a_vehicle_that_never_gets_as_fast_as_it_is_told_is_not_braked(shape, share):
-    """Measured at a share of its speed, a vehicle is told its speed again, not a share of it."""
+    """Measured at a fraction of its speed, a vehicle is commanded full speed again."""
     problem = Problem(step=0.1, horizon=10, forward=15.0, floor=floor(shape, 0.6), max_rate=0.44)
     controller, goals = Stepped(problem), np.tile([200.0, 5.0], (10, 1))
     speed = 15.0
@@ -171,7 +171,7 @@ def test_a_vehicle_that_never_gets_as_fast_as_it_is_told_is_not_braked(shape, sh
 @pytest.mark.parametrize('shape', ['polygon', 'circle'])
 @pytest.mark.parametrize('rate', [0.3, 1.2, 1.5, 3.0])
 def test_the_first_turn_is_an_angle_at_any_speed(shape, rate):
-    """A goal behind a vehicle is turned to as fast as allowed, neither faster nor slower."""
+    """A vehicle turns to a goal behind it at the rate allowed, whatever its measured speed."""
     problem = Problem(floor=floor(shape, 0.5), max_rate=rate, horizon=4)
     controller, goals = Stepped(problem), np.tile([-9.0, 1.0], (4, 1))
     for speed in (0.0, 0.3, 0.7, 1.0):
@@ -202,7 +202,7 @@ def test_a_speed_that_the_model_does_not_know_is_told(speed, told):
 
 # --- safe commands under gravity
 
-UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
+UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis points up
 WEIGHT = np.array([0.0, 0.0, -9.81])
 
 
@@ -226,7 +226,7 @@ def test_what_tilts_too_far_to_be_carried_is_thrust_least_astray():
             for share in (command.speed_fraction, *np.linspace(0.0, 1.0, 101))
         ]
         assert left[0] <= min(left) + 1e-9
-    assert safe_command('hover', problem, UP, 0.0).speed_fraction == 0.0  # nothing to carry
+    assert safe_command('hover', problem, UP, 0.0).speed_fraction == 0.0  # no weight to carry
 
 
 def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
@@ -252,7 +252,7 @@ def test_every_model_flies_to_its_goal_in_closed_loop(orders):
     vehicle = launched(model, np.zeros(n), np.eye(n), fraction=0.0)
     for _ in range(60):
         tick = controller.tick(measured(vehicle), np.tile(goal, (8, 1)))
-        # At the goal an interior point is too inaccurate for its bound to be worth much.
+        # At the goal an interior-point method is too inaccurate for a tight bound.
         there = not COMPILED and tick.plan.objective < 1e-6
         assert tick.status == 'optimal' or there, tick.reason
         given = tick.command.speed_fraction, tick.command.body_rate
@@ -272,7 +272,7 @@ def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
     tick = controller.tick(odometry(), np.tile([9.0, 3.0], (5, 1)))
     assert tick.status == 'feasible'
     assert 'positions differ' in tick.reason
-    heading = tick.plan.rotations[1:, :, 0]  # straight to the goal: what takes no search stands in
+    heading = tick.plan.rotations[1:, :, 0]  # straight to the goal: the fallback without a search
     np.testing.assert_allclose(heading, np.tile([3.0, 1.0], (5, 1)) / np.sqrt(10.0))
     assert violations(controller.problem, tick.state, tick.goals, tick.plan) == []
 
@@ -298,7 +298,7 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
 
 
 def arriving():
-    """A controller that has set off to (3, 2), with five steps left."""
+    """Return a controller on its way to (3, 2), with five steps left."""
     controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
     controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
     return controller
@@ -306,7 +306,7 @@ def arriving():
 
 @pytest.mark.parametrize('period', [0.1, 0.25, 0.3, 1.0])
 def test_a_shrinking_horizon_ends_when_it_ended_before(period):
-    """Its steps are never longer than a step, and become fewer."""
+    """Steps are never longer than ``step``, and their number decreases."""
     controller = Stepped(Problem(horizon=4), shrinking=True)
     time, counts = 7.0, []
     while time < 10.95:
@@ -343,7 +343,7 @@ def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
     tick = controller.tick(odometry((0.0, -6.0), time=1.0), np.tile([3.0, 2.0], (5, 1)))
     assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
     away = np.array([3.0, 8.0])
-    # One step along x as it was measured, then four straight to the goal.
+    # One step along x as measured, then four straight to the goal.
     nearest = np.linalg.norm(away - [1.0, 0.0]) - 4.0
     assert np.linalg.norm(tick.plan.positions[-1] - [3.0, 2.0]) == pytest.approx(nearest, abs=1e-2)
 
@@ -358,7 +358,7 @@ def test_a_search_that_fails_under_way_leaves_the_nearest_arrival_in_the_same_ti
         return solve(self, state, goals, guess, out_of_time)
 
     monkeypatch.setattr(Solver, 'solve', fails)
-    carried = odometry((1.0, 0.6), time=1.0)  # so that the shifted plan does not arrive
+    carried = odometry((1.0, 0.6), time=1.0)  # off course, so that the shifted plan does not arrive
     tick = controller.tick(carried, np.tile([3.0, 2.0], (5, 1)), never)
     assert (tick.status, tick.fallback) == ('failed', 'soft arrival')
     assert 'a test wants it' in tick.reason
@@ -387,5 +387,5 @@ def test_a_rover_in_a_dead_band_or_a_drift_gets_under_way(band, drift):
         position = position + 0.1 * (speed + drift) * exp(np.array([heading]))[:, 0]
         least = min(least, float(np.linalg.norm(position - [5.0, 1.0])))
     assert least < 0.15
-    # What the limit allows, at any measured speed: R e1 moves by 2 sin(0.05) in a step.
+    # The limit at any measured speed: R e1 moves by at most 2 sin(0.05) per step.
     assert np.max(np.abs(np.diff(commanded))) <= 1.5 * 2.0 * np.sin(0.05) * (1.0 + 1e-6)

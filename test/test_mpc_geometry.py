@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Laws of rotation groups, orbitopes, projections, floors' outlines and covers, and separation."""
+"""Laws of rotation groups, orbitopes, projections, floors, covers of directions, and separation."""
 
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_turning_onto_an_axis_gets_there_by_the_shortest_way(seed):
 def test_margin_is_the_smallest_eigenvalue_of_the_lmi(seed):
     rng = np.random.default_rng(seed)
     matrix = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 0.5)
-    if seed % 3 == 0:  # singular values that coincide, either sign of the determinant
+    if seed % 3 == 0:  # equal singular values, determinants of both signs
         matrix = rotation(rng, 3) @ np.diag(rng.choice([0.0, 1.0, -1.0], size=3)) @ rotation(rng, 3)
     least = np.linalg.eigvalsh(rotations.lmi(rotations.coordinates(matrix)))[0]
     assert rotations.margin(matrix) == pytest.approx(least, abs=1e-12)
@@ -125,7 +125,7 @@ def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, f
 
 
 def covered(patches, axes):
-    """Whether axes, shape (K, 3), are in the cone of the corners of any patch, shape (P, 3, 3)."""
+    """Return which axes, shape (K, 3), are in the cone of some patch, given corners (P, 3, 3)."""
     shares = np.linalg.solve(np.swapaxes(patches, 1, 2), axes.T[None])
     return (shares >= -1e-9).all(axis=1).any(axis=0)
 

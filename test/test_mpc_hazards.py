@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Bodies that are round and that move: what is known of them, and what plans make of them."""
+"""Balls and moving obstacles: their tracks and margins, and plans that avoid them."""
 
 import math
 from dataclasses import replace
@@ -56,11 +56,11 @@ def test_what_may_be_faster_counts_as_larger_until_it_is_seen_again():
     assert units.state(start).hazards[0].unsure * units.length / units.time == pytest.approx(1.5)
 
 
-# --- plans among what is round or moves
+# --- plans among balls and moving obstacles
 
 
 def flown(problem, plan, times):
-    """Where a plan is at times, from its headings and the model's equations, run anew finely."""
+    """Return a plan's positions at times, integrated independently from its headings."""
     h, exact = problem.step, problem.discretisation == 'exact'
     found = []
     for t in times:
@@ -79,7 +79,7 @@ def flown(problem, plan, times):
 
 
 def crossing(rng, n, count):
-    """Bodies in the way of who flies along x from the origin, with velocities."""
+    """Return moving balls in the way of a vehicle that flies along x from the origin."""
     hazards = []
     while len(hazards) < count:
         centre = np.concatenate([rng.uniform(1.5, 5.0, 1), rng.uniform(-1.5, 1.5, n - 1)])
@@ -123,12 +123,12 @@ def test_plans_stay_clear_at_all_times(model):
 
 
 def still(centre, radius):
-    """A ball that stays where it is."""
+    """Return a ball at rest."""
     return MovingObstacle.drifting(Ball(centre, radius), np.zeros(len(centre)))
 
 
 def dashing(far):
-    """A ball beside the way that comes at half time between two steps, and goes back."""
+    """Return a ball next to the path that darts in between two steps, and back."""
     shifts = [[0.0, 0.0], [0.0, 0.0], [0.0, -far], [0.0, 0.0]]
     return MovingObstacle(Ball([1.5, 1.5], 0.3), [0.0, 1.0, 1.5, 2.0], shifts)
 
@@ -138,7 +138,7 @@ def dashing(far):
     [
         (still([2.0, 0.0], 0.2), True),  # at the end of a step
         (still([2.0, 2e-9], 1e-9), False),
-        (still([1.5, 0.0], 0.2), True),  # within a step only
+        (still([1.5, 0.0], 0.2), True),  # only between the ends of a step
         (still([1.5, 2e-9], 1e-9), False),
         (dashing(1.5), True),
         (dashing(1.1), False),
@@ -155,7 +155,7 @@ def test_a_plan_that_hits_is_refused(hazard, hit):
 
 
 def test_a_plan_has_one_face_between_it_and_a_moving_box_in_each_step():
-    """Straight on it is left of the box, then above, and never inside: the bound is not of that."""
+    """The straight path, left of the box and then above it, is never inside, yet not feasible."""
     box = MovingObstacle.drifting(Box([1.5, -9.0], [9.0, 1.2]), np.array([0.0, -1.0]))
     problem, ahead = Problem(horizon=3), np.array([1.0, 0.0])
     state, goals = State.at(0.0 * ahead, np.eye(2), hazards=(box,)), np.outer([1, 2, 3], ahead)
@@ -179,7 +179,7 @@ def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
     assert tick.reason == told
 
 
-# --- what plans keep beyond what is demanded
+# --- reserves: clearance beyond the margin
 
 
 def test_a_reserve_counts_later_in_a_plan():
@@ -197,7 +197,7 @@ def test_a_reserve_counts_later_in_a_plan():
     bare, grazing = apart(0.0)
     _, wary = apart(0.4)
     shares = 0.4 * np.minimum(np.arange(6) / 4, 1.0)
-    assert (wary[:-1] >= shares - 1e-6).all()  # at the beginnings of steps
+    assert (wary[:-1] >= shares - 1e-6).all()  # at the starts of steps
     assert (wary[1:] >= shares - 1e-6).all()  # and at their ends
     assert (grazing[1:] < shares - 0.01).any()
     asked = State.at([0.0, 0.0], np.eye(2), hazards=(replace(disc, reserve=0.4),))
@@ -205,7 +205,7 @@ def test_a_reserve_counts_later_in_a_plan():
 
 
 def test_a_reserve_is_given_up_where_no_plan_keeps_it():
-    """The goal is 0.2 m from both discs, so that who keeps 0.4 m away cannot arrive."""
+    """The goal is 0.2 m from both discs: no plan that keeps 0.4 m away arrives."""
     problem = Problem(horizon=6, step=0.5, forward=1.0, terminal='constraint')
     controller = Stepped(problem, gap_tolerance=0.01, reserve=0.4)
     controller.hazards = tuple(still([2.5, 0.7 * side], 0.5) for side in (-1.0, 1.0))
@@ -220,7 +220,7 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
 
 def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     problem = Problem(horizon=6, step=0.5, forward=1.0)
-    asides = 0.65, -0.8, 1.5  # the way passes the discs at 0.15, 0.3 and 1 m
+    asides = 0.65, -0.8, 1.5  # the path passes the discs at 0.15, 0.3 and 1 m
     hazards = tuple(still([2.5, y], 0.5) for y in asides)
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([3.0, 0.0], (6, 1))
     plan = Solver(problem).solve(start, goals)
@@ -232,20 +232,20 @@ def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     assert [each.reserve for each in asked] == pytest.approx(found.tolist())
 
 
-# --- what is flown where a plan does not keep the vehicle clear
+# --- fallbacks for plans that do not keep the vehicle clear
 
 BOAT = Problem(horizon=8, step=0.5, forward=3.0, max_rate=0.7, discretisation='exact')
 FAR = np.tile([20.0, 0.0], (8, 1))
 
 
 def meeting(away):
-    """A boat that goes slowly along x, towards a disc that comes up to it from so far away."""
+    """Return a slow boat that heads along x towards an approaching disc ``away`` metres ahead."""
     disc = MovingObstacle.drifting(Ball([away, 0.0], 1.0), [-0.5, 0.0])
     return State.at([0.0, 0.0], 0.3 * np.eye(2), hazards=(disc,))
 
 
 def swerving(angles, speeds):
-    """A plan with such headings [rad] and shares of full speed."""
+    """Return a plan with these headings [rad] and fractions of full speed."""
     headings = np.array(speeds)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     start = meeting(9.0)
     known = {'projection': 'thrust_aligned', 'proof': UNPROVED}
@@ -253,7 +253,7 @@ def swerving(angles, speeds):
 
 
 def test_a_turn_that_is_cut_does_not_keep_clear():
-    """60 degrees in a step at a low speed are a short chord, and three steps of turning."""
+    """60 degrees in a step at a low speed are a short chord, but take three steps to turn."""
     speeds = [0.3, 0.4, 0.6, 0.9, 1.0, 1.0, 1.0, 1.0]
     plan = swerving(np.radians([-60.0] * 8), speeds)
     start = meeting(2.5)
@@ -262,7 +262,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
     assert not is_clear(task, plan)
     able = swerving(np.radians([-20.0, -40.0] + [-60.0] * 6), speeds)
     assert is_clear(replace(task, state=meeting(4.0)), able)
-    floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # turns are angles: none is cut
+    floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # limits the angle: none is cut
     assert is_clear(replace(task, problem=floored), plan)
 
     instead = clear_instead(task, plan)
@@ -272,7 +272,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
 
 
 def test_the_clearest_way_is_flown_where_none_is_clear():
-    """Shut in by a disc that is too large to leave within the horizon."""
+    """The disc around the vehicle is too large to leave within the horizon."""
     controller = Stepped(BOAT)
     controller.hazards = (still([9.0, 1.0], 30.0),)
     tick = controller.tick(odometry(), FAR)
@@ -285,7 +285,7 @@ def test_the_clearest_way_is_flown_where_none_is_clear():
     assert controller.tick(odometry(time=0.5), FAR).command.body_rate != 0.0
 
 
-# --- from inside
+# --- starts inside a margin
 
 
 @needs_machine_code
@@ -305,14 +305,14 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     gone = np.flatnonzero(depth <= 1e-6)[0]
     assert (depth[gone:] <= 1e-6).all()  # and stays out
     shut = replace(start, hazards=(still([0.0, 0.0], 40.0),))
-    with pytest.raises((Infeasible, SolverFailure)):  # not just inside of a margin
+    with pytest.raises((Infeasible, SolverFailure)):  # too deep inside to leave
         Solver(problem).solve(shut, goals, None, polled(600))
 
 
 @needs_machine_code
 @pytest.mark.parametrize('between', [False, True])
 def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
-    """The present velocity alone decides the way to s_1, which the disc holds, or is across."""
+    """The present velocity alone decides the path to s_1, which ends in the disc, or crosses it."""
     problem = Problem(horizon=8, step=0.5, forward=2.0)
     disc = Ball([0.55, -0.45], 0.5) if between else Ball([1.3, 0.1], 0.4)
     start = State.at([0.0, 0.0], np.eye(2), hazards=(MovingObstacle.drifting(disc, [0.0, 0.0]),))
@@ -326,7 +326,7 @@ def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
 
 
 def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():
-    """Its margin is eased, as if it were inside; to stay would be to be met within step 2."""
+    """The margin is relaxed as if the vehicle were inside; still, a stop is a hit in step 2."""
     ball, bends = Ball([0.0, 0.0], 1.0), np.array([0.0, -0.2, 0.0, 0.2, 0.0, 0.0])
     wavering = MovingObstacle(ball, 0.5 * np.arange(6), np.column_stack([bends, 0.0 * bends]))
     problem = Problem(horizon=3)
@@ -354,7 +354,7 @@ def seen(time, body, name='a/0', lifetime=math.inf):
 
 
 def at(hazard, time):
-    """Return where a hazard's middle is at a time of its own."""
+    """Return the centre of a hazard at a time after its start."""
     return centre(hazard.body) + hazard.moved(np.array([time]))[0]
 
 
@@ -435,7 +435,7 @@ def test_who_is_silent_is_covered_flying_on_and_stopped_anywhere_since(seed):
     flown = along(disc(0.0, 0.0), course.times, course.positions, times[0])
     np.testing.assert_allclose(at(on, 1.0), at(flown, now + 1.0 - times[0]), atol=1e-9)
     for moment in np.linspace(0.0, now - times[0], 200):
-        for later in (0.0, 30.0):  # wherever it stopped, it stays, with room for both
+        for later in (0.0, 30.0):  # anywhere it may have stopped, at the required distance
             apart = np.linalg.norm(at(stopped, later) - at(flown, moment))
             assert apart + NEAR.radius <= stopped.body.radius + 1e-9
     assert 'may have stopped' in silence('/b/plan', course, now - 0.5)
@@ -454,11 +454,11 @@ def test_a_silent_vehicle_is_forgotten_in_the_end_and_one_never_heard_is_told_of
     assert 'nothing heard' in silence('/b/plan', None, -0.5)
 
 
-# --- which of them matter
+# --- selection of relevant hazards
 
 
 def brute(problem, hazard, speed, blown):
-    """Return whether a body and the reach of a vehicle meet, by looking often."""
+    """Return True if a body and a vehicle's reachable set meet, by dense sampling."""
     times = np.linspace(0.0, problem.horizon * problem.step, 2001)
     fastest, order = problem.forward + blown, problem.translation_order
     reach = fastest * times if order == 1 else speed * times + 0.5 * fastest * times**2

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Interception: catches are what they are said to be, and steps that are excluded have none.
+"""Interception: catches are real, and steps that are excluded have none.
 
-The chases and their earliest ends are those of others (reference/interception.json): a Dubins
-vehicle of constant airspeed, with a tightest turn, in a wind; a goal that moves straight on.
+The chases and their closed-form capture times are from reference/interception.json: a Dubins
+vehicle of constant airspeed and limited turn radius in wind, and a goal that moves straight on.
 """
 
 import json
@@ -58,7 +58,7 @@ def farthest(problem):
 
 
 def still(goal):
-    """What a tick is given of a goal that stays: its places, no deadline, and its motion."""
+    """Return the arguments of a tick for a goal at rest: its positions, no deadline, its motion."""
     goal = np.array(goal)
     return np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
 
@@ -104,17 +104,17 @@ def test_without_a_catch_the_weights_say_what_is_flown():
 @needs_machine_code
 @pytest.mark.parametrize('bearing', [0.5, 1.6, 2.8, -0.7, -1.2, -2.4])
 def test_a_goal_within_the_smallest_circle_is_caught_by_who_looks_beyond_the_horizon(bearing):
-    goal = 15.0 * exp(np.array([bearing]))[:, 0]  # the smallest circle: 23 m
+    goal = 15.0 * exp(np.array([bearing]))[:, 0]  # the smallest turn radius: 23 m
     wing, plant = replace(WING, discretisation='exact'), Plant(forward=15.0)
     tracking, looking = (Stepped(wing, capture_radius=2.0) for _ in range(2))
     flight, known = (2.0, plant, started(plant, 0.0, 0.8)), still(goal)
-    if bearing in (0.5, 1.6, -1.2):  # to the others tracking happens to lead
+    if bearing in (0.5, 1.6, -1.2):  # tracking happens to lead to the other goals
         assert not catches(tracking, *flight, lambda: known[:1], known[2])
     assert catches(looking, *flight, lambda: known, known[2])
 
 
 def catches(controller, radius, plant, vehicle, given, goal):
-    """Return whether a vehicle is within a radius of a goal, at ``goal(times)``, within 25 s."""
+    """Return True if a vehicle comes within a radius of a goal, at ``goal(times)``, within 25 s."""
     for _ in range(50):
         tick = controller.tick(measured(vehicle), *given())
         assert tick.plan is not None, tick.reason
@@ -130,7 +130,7 @@ def catches(controller, radius, plant, vehicle, given, goal):
 @needs_machine_code
 @pytest.mark.parametrize('place', [(35.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
 def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
-    """A fifth of a step later, and again; a goal that has moved on too far is not flown at."""
+    """A fifth of a step later, and again; a goal that has moved too far ends the catch."""
     wing = replace(WING, discretisation='exact')
 
     for moved, caught in (0.5, True), (20.0, False):
@@ -161,7 +161,7 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
 
 @needs_machine_code
 def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
-    """At full speed ahead it is 7.5 m a step: 1.5 m before the goal is a quarter into the third."""
+    """At 7.5 m per step, 1.5 m before the goal is a quarter into the third step."""
     problem = replace(WING, discretisation='exact')
     goal, here = np.array([18.0 + 0.3, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
     known = {'ahead': lambda times: np.tile(goal, (len(times), 1))}
@@ -172,7 +172,7 @@ def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
         return controller.tick(here, np.tile(goal, (8, 1)), **options)
 
     assert caught(0.1).catch.time == 1.5  # where the goal is in between is not known
-    # The first of shorter steps would end before the next tick, and any turn is past by then.
+    # The first shorter step would end before the next tick, when its turn is already over.
     problem = replace(problem, max_rate=0.0, discretisation='euler')
     assert caught(problem.step, **known).catch.time == 1.5
     assert caught(0.1, **known).catch.time == 1.125
@@ -204,7 +204,7 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     np.testing.assert_array_equal(passing.plan.positions, alone.plan.positions)
     assert passing.state.hazards == (beside,)
 
-    across = disc(4.5, -2.0, [0.0, 1.2])  # there as the catch leads through
+    across = disc(4.5, -2.0, [0.0, 1.2])  # there when the catch passes
     blocked = ticked(beside, across)
     assert np.isnan(blocked.catch.time)
     assert blocked.catch.bound == alone.catch.bound
@@ -230,16 +230,16 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     assert RADIUS < miss <= GRAZE * RADIUS
     assert np.isnan(tick.catch.time)
     assert tick.problem.step * tick.plan.horizon <= 1.0
-    tick, miss = ticked((15.0, 4.0))  # nothing was meant so far: the way out and back
+    tick, miss = ticked((15.0, 4.0))  # no catch before: a loop away and back
     assert tick.catch.time > 4.0
-    tick, miss = ticked((15.0, 9.0), meant)  # lost by much
+    tick, miss = ticked((15.0, 9.0), meant)  # missed by far
     assert tick.catch.time > 4.0
 
 
 @needs_machine_code
 @pytest.mark.parametrize('cone', [0.0, 0.6])
 def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
-    """The earliest one turns as fast as it may: that gains centimetres. Turns are 11 deg a step."""
+    """The earliest catch turns at the limit, 11 deg per step, to gain only centimetres."""
     wing, goal = replace(WING, discretisation='exact'), np.array([40.0, 12.0])
     approach = Approach(cone, (1.0, 0.0)) if cone else Approach()
 
@@ -287,7 +287,7 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
 @needs_machine_code
 @pytest.mark.parametrize('bearing', [[-1.0, 0.0, 0.0], [-0.9, 0.3, 0.3], [-0.2, 0.0, 1.0]])
 def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
-    """Right behind, behind, and above; the searches end after so many polls, on any machine."""
+    """Right behind, behind, and above; searches end after a number of polls, not after a time."""
     response = Response(speed=0.5, rate=0.4)
     lags = {'speed_lag': response.speed, 'rate_lag': response.rate}
     plant = Plant(3, forward=15.0, max_rate=WING.max_rate, **lags)
@@ -303,7 +303,7 @@ def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
 
 @needs_machine_code
 def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps():
-    """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
+    """At a constant 7.5 m per step, a goal at 11 m is 3.5 and 4 m from the ends of the step."""
     bird = replace(WING, floor=floor('circle', 1.0))
     goal, here = np.array([11.0, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
     tick = Stepped(bird, capture_radius=RADIUS).tick(here, *still(goal))
@@ -313,26 +313,26 @@ def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps
     assert not blind.catch.time < 1.0  # where the goal is in between is not known
 
 
-# --- before which time nothing catches
+# --- lower bounds of capture times
 
 CHASES = json.loads((REFERENCE / 'interception.json').read_text())['cases']
-WORDS = {known['free']['word']: known for known in CHASES}  # one of each
+WORDS = {known['free']['word']: known for known in CHASES}  # one per Dubins word
 HEADED = [known for known in CHASES if known['prescribed']['time'] < 15.0]
-NEAR = 0.1  # radius of a catch, a share of what is flown in a step
+NEAR = 0.1  # capture radius, in units of the distance flown in a step
 REACH = 0.4
 FREE = Problem(horizon=6)
 BIRD = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
 
 
 def jumping(rng):
-    """Return goals that are now near, now far, shape (6, 2): early ones are not the harder ones."""
+    """Return goals at random distances, shape (6, 2), so that early ones may be easier to catch."""
     far = rng.uniform(0.0, 1.6, 6) * np.arange(1, 7)
     angles = rng.uniform(-1.5, 1.5, 6)
     return far[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def hunted(problem, goals, **given):
-    """Return the catch of a first tick from the origin along x at full speed, and its state."""
+    """Return the catch and the state of a first tick from the origin along x at full speed."""
     tick = Stepped(problem, capture_radius=REACH, **given).tick(odometry(), goals)
     return tick.catch, tick.state
 
@@ -345,7 +345,7 @@ def excluded(catch):
 
 
 def catch(chase, step, horizon, approach=None, *, between=False):
-    """The catch of a controller's first tick, at ends of steps or ``between`` them."""
+    """Return the catch of a controller's first tick, at ends of steps or ``between`` them."""
     speed, start = chase['airspeed'], chase['start']
     problem = Problem(
         horizon=horizon, step=step, forward=speed, floor=floor('circle', 1.0),
@@ -370,7 +370,7 @@ def test_the_earliest_catch_is_at_the_first_step_that_ends_after_the_closed_form
     time = chase['free']['time']
     step = next(step for step in (0.2, 0.4, 0.8) if time < 29.0 * step)
     found = catch(chase, step, 30)
-    sooner = 2.0 * NEAR * step  # what a radius may save, should the goal go along
+    sooner = 2.0 * NEAR * step  # most that the radius saves, if the goal moves along
     assert time - sooner <= found.time <= time + 1.5 * step
     assert time - step <= found.bound <= found.time
 
@@ -388,13 +388,13 @@ def test_a_catch_in_a_cone_is_no_later_than_the_closed_form_of_its_axis(chase):
 @needs_machine_code
 @pytest.mark.parametrize('chase', [known for known in CHASES if known['free']['time'] < 5.5])
 def test_a_catch_between_ends_of_steps_is_at_the_time_of_the_closed_form(chase):
-    """Within 2 %, where it is known where the goal is between the ends of steps."""
+    """Within 2 %, if the goal's motion between the ends of steps is given."""
     time, found = chase['free']['time'], catch(chase, 0.2, 30, between=True)
     assert time - 0.2 <= found.bound <= found.time
     assert found.time == pytest.approx(time, rel=0.02)
 
 
-# --- each step by itself
+# --- refutations of single steps
 
 
 @needs_machine_code
@@ -412,7 +412,7 @@ def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
         assert verdict.proved == (count + 1) * problem.step
 
 
-# --- what of it was counted again
+# --- bounds that are checked again
 
 
 @needs_machine_code
@@ -426,11 +426,11 @@ def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
 @needs_machine_code
 def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monkeypatch):
     goals = np.tile([3.9, 0.0], (6, 1))
-    behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to
+    behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # out of reach for a wing
     assert [hunted(FREE, goals)[0].checked, hunted(BIRD, behind)[0].checked] == [True, True]
     unproved = lambda *_, **__: -np.inf  # noqa: E731
     monkeypatch.setattr('orbimpc_ros.mpc.solve.solver.Verifier.bound', unproved)
-    assert hunted(FREE, goals)[0].checked  # by distances alone
+    assert hunted(FREE, goals)[0].checked  # proved by distances alone
     word, _ = hunted(BIRD, behind)
     assert excluded(word) == 3
     assert not word.checked
@@ -444,7 +444,7 @@ def test_what_no_turn_leads_to_is_the_methods_word():
     assert not catch.checked
 
 
-# --- what headings do not lead to
+# --- positions that no headings reach
 
 
 MOTIONS = [{**orders, 'discretisation': how} for orders in ORDERS for how in ('euler', 'exact')]

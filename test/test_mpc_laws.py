@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Laws of plans, bounds and certificates, which hold for every family of problems.
+"""Laws of plans, bounds and certificates that hold for every family of problems.
 
 ``ORBIMPC_SEEDS=1000:1020 pytest test/test_mpc_laws.py`` draws other problems (``make proofs``).
 """
@@ -29,10 +29,10 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import certificate_of, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
-ROUNDING = 1e-7  # relative: what plans may miss constraints by saves as much
-LOOSE = {*OPEN, 'acceleration', 'space, acceleration'}  # whose gaps may stay open
-POLLS = 400  # of the clock, after which a search of an open family is over
-# To which not every way is found without a search.
+ROUNDING = 1e-7  # relative: the saving from constraint violations within tolerance
+LOOSE = {*OPEN, 'acceleration', 'space, acceleration'}  # families whose gaps may stay open
+POLLS = 400  # of the clock, until a search of an open family is out of time
+# Families for which the fallbacks without a search may find no plan.
 SOUGHT = {'approach', 'space, approach', 'turn rate, arrival'}
 
 
@@ -44,7 +44,7 @@ class Solved(NamedTuple):
 
 
 def drawn():
-    """Yield each family with each seed; of families every fourth where plain Python searches."""
+    """Yield all families with all seeds; without machine code every fourth family only."""
     families = list(FAMILIES | OPEN)[:: 1 if COMPILED else 4]
     for family, seed in itertools.product(families, seeds(1)):
         marks = [needs_machine_code] if family in OPEN else []
@@ -53,7 +53,7 @@ def drawn():
 
 @pytest.fixture(scope='module', params=drawn())
 def solved(request):
-    """A problem with its plan: of each, all laws are tested before the next is drawn."""
+    """A problem with its plan; module-wide, so that all laws are tested on one solution."""
     family, seed = request.param
     known = case(family, seed)
     solver = Solver(known.problem, coasting=known.state.coasted is not None, patient=True)
@@ -73,7 +73,7 @@ def test_a_plan_passes_the_check_and_is_proved(solved):
 
 
 def beside(problem, state, plan):
-    """How far each step is on one side of each moving box, as those of plans are."""
+    """Return the least margin by which each step is on one side of each moving box."""
     ends, least = problem.step * np.arange(problem.horizon + 1), np.inf
     for each in state.hazards:
         if isinstance(each.body, Box):
@@ -83,10 +83,10 @@ def beside(problem, state, plan):
 
 
 def test_no_legal_trajectory_costs_less_than_the_bound(solved):
-    """Neighbours of the plan, near and far, as far as they keep all limits."""
+    """Compared are perturbations of the plan, small and large, that satisfy all limits."""
     _, (problem, state, goals), _, plan = solved
     rng, n = np.random.default_rng(7), problem.dimension
-    first = problem.rotation_order  # R_1 is decided at order 2, but for its size
+    first = problem.rotation_order  # at order 2 the state decides R_1, except its magnitude
     for _ in range(60):
         moved, size = plan.rotations[1:].copy(), 10.0 ** rng.uniform(-4, 0)
         for k in range(first - 1, len(moved)):
@@ -100,7 +100,7 @@ def test_no_legal_trajectory_costs_less_than_the_bound(solved):
 
 
 def test_a_search_that_is_cut_short_has_a_legal_plan_and_a_sound_bound(solved):
-    """Even one that has not begun: something stands in, such as to hold the rotation."""
+    """Even without a single node: a fallback, such as holding the rotation, is the plan."""
     family, known, solver, best = solved
     for limit in (0, 1, 3, 10, 50):
         try:
@@ -114,7 +114,7 @@ def test_a_search_that_is_cut_short_has_a_legal_plan_and_a_sound_bound(solved):
 
 
 def test_a_guess_leads_to_no_other_optimum(solved):
-    """Neither the plan itself, nor one that is none of this state, nor one that lies."""
+    """Guesses are the plan itself, another state's plan, and a plan with a false cost."""
     family, known, solver, best = solved
     elsewhere = shifted(known.problem, known.state, best)
     for guess in (best, elsewhere, replace(best, objective=0.1 * best.objective)):
@@ -143,7 +143,7 @@ def test_other_units_are_another_way_to_state_the_same(solved):
 
 @pytest.mark.parametrize('seed', seeds(40))
 def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
-    """Flights at the edge of what their limits allow, in problems with limits of every kind."""
+    """Random flights at the edge of their limits, in problems with limits of every kind."""
     flown = [*adversary.plans(seed, 60)]
     assert len(flown) > 20
     for index, drawn in enumerate(flown):
@@ -159,7 +159,7 @@ def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
 
 @pytest.mark.parametrize('index', [10637, 27479, 36727])
 def test_bounds_leave_what_rounding_takes(index):
-    """A plan that arrives but for rounding, one at its goal, and a cost far below its unit."""
+    """An arrival exact up to rounding, a plan at its goal, and a cost far below its unit."""
     drawn = adversary.flight(np.random.default_rng([817735, index]))
     assert drawn is not None
     (problem, state, goals), coasting = drawn.case, drawn.case.state.coasted is not None
@@ -173,7 +173,7 @@ def test_bounds_leave_what_rounding_takes(index):
 
 @pytest.fixture(scope='module')
 def certificate(solved):
-    """Its certificate; None of an open family, whose search may leave a tree without end."""
+    """The plan's certificate; None for an open family, whose search may leave a huge tree."""
     if solved.family in OPEN:
         return None
     return certificate_of(*solved.case, solved.plan.proof)
@@ -192,7 +192,7 @@ def raised(known):
 
 
 def near(known):
-    """Move the goals to where the vehicle is, and with them most of the cost away."""
+    """Move the goals to the vehicle, which removes most of the cost."""
     known['goals'] = [known['state']['position']] * len(known['goals'])
     for name in ('disturbance', 'velocity'):
         known['state'][name] = [0.0] * len(known['state'][name])
@@ -210,7 +210,7 @@ def test_a_changed_certificate_proves_nothing(solved, certificate):
     bound_to_leave = {'floor', 'rotation_order', 'approach'}.intersection(FAMILIES[solved.family])
     for change in (raised, near, with_another_horizon):
         if change is near and bound_to_leave:
-            continue  # such a vehicle cannot stay where it is
+            continue  # these vehicles cannot stay in place
         known = copy.deepcopy(certificate.document())
         change(known)
         assert judged(json.dumps(known)) != 'holds', change.__name__

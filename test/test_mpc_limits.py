@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Limits of turns, speeds, approaches and descents: what plans and commands make of them."""
+"""Limits of turns, speeds, approaches and descents, in plans and in commands."""
 
 import math
 from dataclasses import replace
@@ -58,7 +58,7 @@ def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
             plan = Solver(problem, enough=Enough(**{name: settled})).solve(start, targets)
             assert plan.lower_bound <= whole.objective * (1.0 + 1e-9)
             assert plan.objective >= whole.lower_bound * (1.0 - 1e-9)
-            if plan.gap > 1e-4:  # not just as good as without
+            if plan.gap > 1e-4:  # the search has ended early
                 sooner[name] += plan.nodes < whole.nodes
                 assert plan.objective <= settled if name == 'cost' else plan.lower_bound > settled
     assert min(sooner.values()) > 1
@@ -80,7 +80,7 @@ def test_a_floor_that_leaves_headings_without_direction_leaves_none_at_an_approa
     limits = {'max_rate': 0.5, 'approach': Approach(0.1, (-1.0, 0.0))}
     problem = Problem(horizon=3, floor=Floor('circle', fraction=0.5 * SLOWEST), **limits)
     start = State.at(np.zeros(2), -0.5 * SLOWEST * np.eye(2), attitude=-np.eye(2))
-    plan = Solver(problem).propose(start, np.zeros((3, 2)))  # before any other stands in for it
+    plan = Solver(problem).propose(start, np.zeros((3, 2)))  # the solver's own plan, not a fallback
     assert violations(problem, start, np.zeros((3, 2)), plan) == []
 
 
@@ -108,7 +108,7 @@ def test_what_is_surely_out_of_reach_is_left_out_of_the_search():
     problem, wanted = Problem(horizon=5), State.at([0.0, 0.0], np.eye(2))
     moving = [MovingObstacle.drifting(Ball([7.0, 0.0], 1.0), [v, 0.0]) for v in (0.0, -0.15, -0.25)]
     found = [clear_of_hazards(problem, replace(wanted, hazards=(each,))) for each in moving]
-    assert [len(each.hazards) for each in found] == [0, 0, 1]  # 5 m and 6 m less the way of it
+    assert [len(each.hazards) for each in found] == [0, 0, 1]  # 5 m of reach, 6 m to the disc
     near, far = moving[2], moving[0]
     assert len(clear_of_hazards(problem, replace(wanted, hazards=(far, near))).hazards) == 2
     grown = replace(far, reserve=1.1)
@@ -129,7 +129,7 @@ def test_changes_count_from_what_was_commanded_and_from_the_floor_up():
 def test_an_arrival_at_speeds_that_change_little_is_along_other_directions(n):
     problem = Problem(n, horizon=3, terminal='constraint', max_acceleration=0.2)
     start, targets = State.at(np.zeros(n), 1e-3 * np.eye(n)), np.zeros((3, n))
-    targets[:2, 1], targets[2, 0] = 2.0, 0.4  # at any speeds it is by the goals aside
+    targets[:2, 1], targets[2, 0] = 2.0, 0.4  # the earlier goals are far to the side
     assert not violations(problem, start, targets, Solver(problem).solve(start, targets))
 
 
@@ -165,7 +165,7 @@ def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
     else:
         assert np.abs(np.diff([first, *found])).max() <= 0.1 + 1e-9
         assert found[-1] == pytest.approx(0.5 if kind == 'loiter' else first)
-        fresh = Stepped(problem, safe=kind)  # up to the floor at once
+        fresh = Stepped(problem, safe=kind)  # at once up to the floor
         assert fresh.safe(np.eye(2), lost).command.speed_fraction == pytest.approx(0.5)
 
 
@@ -177,13 +177,13 @@ PAD = np.zeros((8, 3))
 
 
 def tilts(plan):
-    """Angles of the thrust axes from the vertical, of R_1..R_N [rad]."""
+    """Return the angles of the thrust axes of R_1..R_N from the vertical [rad]."""
     axes = plan.rotations[1:, :, 0]
     return np.arctan2(np.hypot(axes[:, 0], axes[:, 1]), axes[:, 2])
 
 
 def slopes(plan):
-    """Angles at which s_1..s_N are seen from the goal, from the horizontal [rad]."""
+    """Return the elevation angles of s_1..s_N as seen from the goal [rad]."""
     away = plan.positions[1:]
     return np.arctan2(away[:, 2], np.hypot(away[:, 0], away[:, 1]))
 
@@ -206,14 +206,14 @@ def test_plans_keep_both_cones_at_every_step_and_the_check_sees_those_that_do_no
     assert slopes(plan).min() >= 0.6 - 1e-5
     assert without.lower_bound <= plan.objective
     assert told(problem, PAD, plan) == ''
-    raised = PAD + UP * (1e-4 / math.cos(0.6))  # lengths are kept to 1e-6 of a step's
+    raised = PAD + UP * (1e-4 / math.cos(0.6))  # tolerance: 1e-6 of the length of a step
     assert 'glide_slope violated by' in ' '.join(violations(problem, start, raised, plan))
 
 
 def test_a_vehicle_with_body_rates_keeps_them_from_the_first_step_that_it_can():
-    """At rotation order 2 the state decides where R_1 points."""
+    """At rotation order 2 the state decides the direction of R_1, so that R_2 is the first one."""
     problem, leaning = lander(rotation_order=2), UPRIGHT @ exp(np.array([0.0, 0.5, 0.0]))
-    sinking = [0.0, 0.0, -2.0]  # from rest, steps without thrust come, which has no direction
+    sinking = [0.0, 0.0, -2.0]  # from rest, a plan has steps without thrust, and thus direction
     start = falling([9.0, -7.0, 15.0], sinking, attitude=leaning, coasted=leaning)
     plan = Solver(problem, coasting=True).solve(start, PAD)
     assert tilts(plan)[1:].max() <= 0.2 + 1e-5
@@ -245,7 +245,7 @@ def anywhere(rng, problem):
 @pytest.mark.parametrize('floor', [Floor(), THRUST, Floor('polygon', 12, 0.5)])
 @pytest.mark.parametrize('translation_order', [1, 2])
 def test_a_climb_is_legal_from_anywhere(rotation_order, max_rate, floor, translation_order):
-    """Which is why there is a plan from anywhere: below the goal, upside down, on the way out."""
+    """Hence a plan exists from every state: below the goal, upside down, or flying away."""
     rng, orders = np.random.default_rng(5), {'rotation_order': rotation_order}
     orders |= {'translation_order': translation_order, 'tilt': 0.2 * (translation_order == 2)}
     problem = lander(max_rate=max_rate, floor=floor, **orders)
@@ -259,7 +259,7 @@ def test_a_climb_is_legal_from_anywhere(rotation_order, max_rate, floor, transla
 
 @pytest.mark.parametrize('tilt', [0.1, 0.2618, 0.5])
 def test_a_climb_that_leans_as_far_as_it_may_eases_nothing(tilt):
-    """Whichever way it leans: on the cone's side, rounding leads in or out."""
+    """In every direction: on the cone's boundary, rounding may lead outside."""
     problem, rng = lander(tilt=tilt), np.random.default_rng(1)
     for _ in range(30):
         start = falling([9.0, -7.0, 60.0], rng.uniform([4.0, -9.0, 0.0], [9.0, -4.0, 1.0]))
@@ -268,7 +268,7 @@ def test_a_climb_that_leans_as_far_as_it_may_eases_nothing(tilt):
 
 
 def test_what_is_outside_comes_back_in_and_it_is_said():
-    """Beside the pad and below the slope, descending; tilted by 60 degrees."""
+    """From beside the pad, below the slope and descending, with a tilt of 60 degrees."""
     problem = lander(floor=THRUST, max_rate=0.3)
     leaning = UPRIGHT @ exp(np.array([0.0, math.pi / 3.0, 0.0]))
     start = falling([6.0, 0.0, 2.0], [0.0, 0.0, -1.0], attitude=leaning)
@@ -289,7 +289,7 @@ def test_what_is_outside_comes_back_in_and_it_is_said():
 
 
 def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
-    """To wait for one is to fall."""
+    """Waiting until an arrival is feasible would mean falling."""
     problem = lander(floor=THRUST, terminal='constraint')
     with pytest.raises(Infeasible, match='beyond what 8 steps can reach'):
         Solver(problem).solve(falling([0.0, 0.0, 500.0]), PAD)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Optima are those that others find; what stands in for a plan that was not found says so."""
+"""Optima agree with those of independent solvers, and fallback plans are labelled as such."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def test_the_papers_problems_have_their_known_optima(name):
     plan = Solver(problem).solve(start, targets)
     answer = ANSWERS[name]['objective']
     assert plan.is_closed
-    # With a weight on fuel, plans of a cone program are too inaccurate for a certificate.
+    # With a weight on fuel, a cone program's plans are too inaccurate for a certificate.
     assert plan.proof.checked or (name == 'spacecraft_fuel0.1' and not COMPILED)
     assert plan.gap <= 1e-4 or not plan.proof.checked
     assert violations(problem, start, targets, plan) == []
@@ -54,7 +54,7 @@ def test_the_papers_problems_have_their_known_optima(name):
 
 
 def test_the_papers_minute_long_problem_is_proved():
-    """Dubins, N = 20, det R >= 1/2 by a square, path length alone: no input weight."""
+    """Dubins, N = 20, det R >= 1/2 as a square, path length only: no input weight."""
     problem, start, targets = reference('dubins_square')
     pure = replace(problem, weights=replace(problem.weights, input=0.0))
     plan = Solver(pure).solve(start, targets)
@@ -76,7 +76,7 @@ def test_convex_optima_are_those_of_another_formulation(family, seed):
     solver = Solver(problem, gap_tolerance=1e-6, coasting=start.coasted is not None, patient=True)
     try:
         plan = solver.solve(start, targets)
-    except Infeasible:  # of an arrival from a lower speed
+    except Infeasible:  # possible for arrivals from a lower speed
         assert seed
         return
     assert plan.is_closed, plan.proof.reason
@@ -109,7 +109,7 @@ def test_goals_out_of_all_proportion_are_no_trouble(n, distance):
 
 
 def of_choices(seed, n, shape, boxes, sharing, horizon):
-    """A goal about boxes ahead, with any weights."""
+    """Return a case with boxes ahead, a goal near them, and random weights."""
     rng = np.random.default_rng(seed)
     problem = Problem(n, horizon=horizon, floor=shape, weights=weights(rng))
     start = state(rng, problem)
@@ -120,7 +120,7 @@ def of_choices(seed, n, shape, boxes, sharing, horizon):
 
 
 def exchangeable(seed):
-    """Pure length to an arrival: only the sum of the steps counts, so their order is free."""
+    """Return an arrival that costs only length: the order of its steps does not matter."""
     rng = np.random.default_rng(seed)
     alone = Weights(position=0.0, input=0.0, length=1.0, terminal=0.0)
     shape = floor('polygon', 0.6, int(rng.integers(4, 6)))
@@ -131,7 +131,7 @@ def exchangeable(seed):
 
 
 def weighed_apart(seed):
-    """Weights of twelve orders of magnitude, often without one on turning."""
+    """Return a case with weights over twelve orders of magnitude, half without an input weight."""
     rng = np.random.default_rng(seed)
     chosen = Weights(*10.0 ** rng.uniform(-6, 6, 2), 0.0, 10.0 ** rng.uniform(-6, 6))
     chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
@@ -183,7 +183,7 @@ FLOORED = [
 @pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('family', FLOORED)
 def test_floors_are_closed_in_wind(family, seed):
-    """Nothing is better by more than the gap: the verifier proves it."""
+    """No plan is better by more than the gap, which the verifier proves."""
     problem, start, targets = case(family, seed, longest=5)
     wanting = 4.0 * seed * (not problem.max_acceleration)
     problem = replace(problem, weights=replace(problem.weights, attitude=wanting))
@@ -196,7 +196,7 @@ def test_floors_are_closed_in_wind(family, seed):
 @needs_machine_code
 @pytest.mark.parametrize('side', [1.0, -1.0])
 def test_a_search_winds_round_to_the_cone_of_an_approach(side):
-    """A full circle to a heading just behind: left or right."""
+    """A turn to the opposite heading, with a goal to the left or to the right."""
     problem = Problem(
         horizon=16, step=0.5, forward=15.0, floor=floor('circle', 1.0), max_rate=np.radians(30.0),
         approach=Approach(0.2, (-1.0, 0.0)),
@@ -225,7 +225,7 @@ def test_wings_are_proved_over_long_horizons(horizon):
 
 
 def test_a_cost_far_below_the_usual_is_proved_in_proportion_to_itself():
-    """Turning weighs 1e13 times as much as what is flown: still the shorter flight is found."""
+    """Turning costs 1e13 times as much as path length; the shorter flight must still be found."""
     weight = Weights(0.0, 0.125, 2.8e-14, 0.0)
     problem = Problem(horizon=2, weights=weight, floor=floor('polygon', 0.728, 5), max_rate=0.42)
     start = State.at([0.0, 0.0], np.eye(2))
@@ -257,7 +257,7 @@ def test_a_long_arrival_is_nearly_as_good_where_its_descent_is_interrupted(goal)
 
 @pytest.mark.parametrize('n', [2, 3])
 def test_the_last_step_to_an_arrival_is_the_states_and_with_exact_steps_not(n):
-    """With old values on the right, R_1 moves nothing: only one goal can be arrived at."""
+    """With the explicit Euler model R_1 does not move s_1: only one goal can be reached."""
     weight = Weights(input=0.0) if n == 3 else Weights()
     shape = Floor('circle', fraction=0.5)
     problem = Problem(n, horizon=1, terminal='constraint', floor=shape, weights=weight)
@@ -270,7 +270,7 @@ def test_the_last_step_to_an_arrival_is_the_states_and_with_exact_steps_not(n):
     assert Solver(exact).solve(start, 0.9 * there).status == 'optimal'
 
 
-# --- what stands in for a plan
+# --- fallbacks for a plan
 
 
 @pytest.mark.parametrize('rate', [0.0, 0.5])
@@ -300,7 +300,7 @@ def test_what_did_not_come_of_the_search_says_so():
 
 
 def test_holding_the_rotation_stands_in_for_a_method_that_fails(monkeypatch):
-    """Any failure of the method: the plan then says so, and claims no proof."""
+    """After any failure of the method, the plan reports it and claims no proof."""
     problem = Problem(floor=floor('circle', 0.5))
     solver = Solver(problem)
     start = State.at([0.0, 0.0], 0.2 * np.eye(2), attitude=np.eye(2))
@@ -323,7 +323,7 @@ def test_holding_the_rotation_stands_in_for_a_method_that_fails(monkeypatch):
         assert plan.status == 'feasible'
         assert said in plan.proof.reason
         assert plan.lower_bound <= truly.objective <= plan.objective
-    for share in (10.0, 0.16):  # a cost that is none, with a bound to match
+    for share in (10.0, 0.16):  # a false cost, with a bound to match
         monkeypatch.setattr(solver._method, 'solve', lambda *a, s=share: beaten(solve(*a), s))
         plan = solver.solve(start, targets)
         assert plan.status == 'feasible'

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Prices of constraints are what easing them gains, by another solver or by the problem eased."""
+"""Prices of constraints equal the gain from relaxing them, by another solver or by re-solving."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
 EPS = 3e-4
-# Clarabel's own doubts are far below what is asked of it here.
+# Clarabel's warnings are about accuracies far beyond the tolerances here.
 pytestmark = pytest.mark.filterwarnings('ignore:Solution may be inaccurate')
 BOX = Box(np.array([1.2, -0.6]), np.array([2.13, 0.5]))
 BRANCHES = {
@@ -28,7 +28,7 @@ BRANCHES = {
 
 
 def compared(problem, start, targets):
-    """Each constraint of a problem costs what easing it gains, and nothing if not reported."""
+    """Assert that each price is the gain from relaxing its constraint; zero if not reported."""
     plan = Solver(problem, coasting=start.coasted is not None).solve(start, targets)
     told = explained(problem, start, targets, plan)
     stated = Stated(problem, start, targets)
@@ -40,7 +40,7 @@ def compared(problem, start, targets):
     dearest = max([1.0, *prices.values()])
     for name, step in stated.ease:
         if name == 'thrust' and problem.weights.length:
-            continue  # the length term's kink is in the way
+            continue  # the length term has a kink there
         tighter, easier = (stated.optimum(name, step, by) for by in (-EPS, EPS))
         expected = (tighter - easier) / (2.0 * EPS)
         expected = abs(expected) if name.startswith('terminal') else expected
@@ -71,11 +71,11 @@ def test_prices_of_hull_and_arrival_are_what_easing_them_gains(orders, terminal)
     compared(problem, start, targets)
 
 
-# --- limits that have no such statement: all their steps at once
+# --- limits that the oracle does not state: relaxed at all steps at once
 
 
 def eased(problem, start, name, by):
-    """Return a problem and a state with one limit eased by so much at all steps."""
+    """Return a problem and a state with one limit relaxed ``by`` at all steps."""
     signs = {'floor': -1.0, 'glide_slope': -1.0}
     by = signs.get(name, 1.0) * by
     if name == 'hazard 0':
@@ -130,7 +130,7 @@ def test_prices_of_a_limit_add_up_to_what_easing_it_gains(kind):
 
     told = explained(problem, start, targets, best(0.0))
     price = sum(each.price for each in told.binding if each.name == name)
-    low = 0.0 if kind == 'constant speed' else -eps  # of floors there is none above
+    low = 0.0 if kind == 'constant speed' else -eps  # no floor is above 1
     saved = (best(low).objective - best(eps).objective) / (eps - low)
     assert price > 0.05
     assert price == pytest.approx(saved, rel=0.15 if name == 'hazard 0' else 1e-2)

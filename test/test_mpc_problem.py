@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A problem: what is refused and in which words, its files, its discrete model, and its weights."""
+"""Problems: what is refused with which message, files, the discrete model, units and weights."""
 
 from dataclasses import replace
 
@@ -240,7 +240,7 @@ def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
 
 
 def test_constraints_that_only_together_leave_no_way():
-    """Constant speed for five steps cannot end where it starts when it may hardly turn."""
+    """At nearly constant speed and almost straight, five steps overshoot a goal 2 m ahead."""
     problem = Problem(terminal='constraint', floor=floor('circle', 0.95), max_rate=0.1, horizon=5)
     message = blamed(problem, STILL, np.tile([2.0, 0.0], (5, 1)))
     assert 'terminal: constraint' in message
@@ -257,7 +257,7 @@ SPEEDS = [(0.02, 0.1), (0.7, 3.0), (2.0, 1000.0)]
 
 @pytest.mark.parametrize('model', MODELS)
 def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
-    """As the check rolls them out; that these are the steps as stated, convex optima hold."""
+    """Compared with the check's rollouts, which the convex optima verify independently."""
     rng = np.random.default_rng([*map(ord, str(model))])
     problem = Problem(**model, horizon=6, step=rng.uniform(0.1, 2), forward=1.7)
     start, targets = disturbed(rng, problem), goals(rng, problem)

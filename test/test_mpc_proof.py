@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Whatever a certificate has for multipliers, points and splits, it proves nothing false."""
+"""No certificate proves anything false, whatever its multipliers, points and splits."""
 
 import contextlib
 import copy
@@ -28,7 +28,7 @@ OF_A_COST = 1e-9
 
 @cache
 def certificates(seed, count):
-    """Return so many certificates of bounds that a part proves, each of another flight."""
+    """Return ``count`` certificates of random parts with a bound, each of another flight."""
     found = (adversary.judged(*each) for each in adversary.flights(seed, 10**6))
     bounds = (each for each in found if each and 'tree' in each.document)
     return list(itertools.islice(bounds, count))
@@ -51,11 +51,11 @@ def test_fractions_prove_what_floats_do(seed):
         exact = Verifier(problem, Fraction).bound(state, goals, each.tree, None, limits)
         assert max(floats, exact) <= each.cost * (1.0 + OF_A_COST)
         proved += exact == floats or abs(exact - floats) < 1e-9 * (abs(exact) + 1.0)
-        stated = Statement(problem).of(state, goals, limits)  # without a look at its arrays
+        stated = Statement(problem).of(state, goals, limits)  # compiled code does not check it
         for part in (each for each in stated if isinstance(each, tuple)):
             arrays = [each for each in part if isinstance(each, np.ndarray)]
             assert all(each.flags.c_contiguous and each.dtype.kind in 'if' for each in arrays)
-    assert proved > 30  # of others the floats cannot tell that they are convex
+    assert proved > 30  # for the others, floats cannot establish convexity
 
 
 def test_steps_in_fractions_leave_those_in_floats_alone():
@@ -77,7 +77,7 @@ def test_trees_of_wrong_shape_prove_nothing(seed):
 
 
 def _tampered(tree, rng):
-    """Return a tree with a number that is another, an array that is shorter, or both."""
+    """Return a tree with one changed number, or with one array of another length."""
     name = str(
         rng.choice(['nodes', 'nodes', 'at', 'point', 'shor', 'press_end', 'press_row', 'press'])
     )
@@ -94,7 +94,7 @@ def _tampered(tree, rng):
 
 
 def forged(nodes, at):
-    """Return what a tree of splits proves of headings above a round floor."""
+    """Return the bound that a tree of splits proves for headings above a circular floor."""
     problem, rng = Problem(horizon=3, floor=floor('circle', 0.6)), np.random.default_rng(1)
     state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
     tree = one(rng.normal(size=(3, 2)), np.zeros(3))
@@ -119,7 +119,7 @@ EXTREMES = [0, -0.0, 1e-320, 1e-300, 1e300, -1e300, float('inf'), float('nan'), 
 
 
 def _places(known, way=()):
-    """Yield the ways to all that a document holds."""
+    """Yield the paths to all values in a document."""
     if isinstance(known, (dict, list)):
         for key, each in known.items() if isinstance(known, dict) else enumerate(known):
             yield (*way, key)
@@ -143,7 +143,7 @@ def test_whatever_a_document_holds_it_is_judged_or_refused():
 
 
 def document_of(horizon, shor=-1.0, leaves=1):
-    """Return a certificate without much of a bound, whose leaves are the same."""
+    """Return a certificate with a weak bound and identical leaves."""
     problem = Problem(horizon=horizon)
     leaf = one(np.full((horizon, 2), 0.1), np.full(horizon, shor))
     nodes = [[ARCS, 1, 1, leaves, -1], *[[LEAF, 0, 0, 0, 0]] * leaves][leaves == 1 :]
@@ -223,7 +223,7 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
 
 
 def held_against(least, points, g):
-    """Assert that a least value is one; return by how much points come to more."""
+    """Assert that ``least`` is a lower bound over points; return its slack."""
     found = (points @ g).min()
     assert least <= found + 1e-12
     return found - least
@@ -265,5 +265,5 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
     with pytest.raises(Refused, match='work'):
         verified(document_of(200, shor=1.0))
     assert verified(document_of(50, leaves=40)).leaves == 40
-    with pytest.raises(Refused, match='work'):  # a leaf that many nodes share is as much work
+    with pytest.raises(Refused, match='work'):  # a leaf counts once for every node that shares it
         verified(document_of(50, leaves=4000))

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Refutations: of what nothing satisfies there is one, and of what something does there is none."""
+"""Refutations: they exist for infeasible problems, and not for feasible ones."""
 
 import functools
 import itertools
@@ -31,20 +31,20 @@ AHEAD = State.at(np.zeros(2), np.eye(2))
 
 
 def held(make):
-    """Return what is made, however long it takes, if it holds; None without it."""
+    """Return what ``make`` returns if it passes verification, without a time limit; else None."""
     return held_in_time(lambda _: make(), lambda: 0.0, np.inf)
 
 
 def hunting(problem, goal, state=AHEAD):
-    """Return what is sought of a vehicle that is to catch a goal."""
+    """Return the capture problem of a vehicle and a goal at rest."""
     return Sought(problem, state, np.tile(goal, (problem.horizon, 1)), RADIUS)
 
 
-# --- problems, most of which nothing satisfies
+# --- problems, most of them infeasible
 
 
 def arriving(rng, away, n=2, **given):
-    """Return a case with a goal so many reaches away, in any direction."""
+    """Return a case with a goal at ``away`` times the reach, in a random direction."""
     problem = Problem(n, horizon=int(rng.integers(3, 9)), terminal='constraint', **given)
     start, way = state_of(rng, problem), rng.normal(size=n)
     reach = np.abs(problem.maps.reach[-1]).sum()
@@ -68,7 +68,7 @@ def out_of_reach_above_a_floor(rng):
 
 
 def behind_a_wing(rng):
-    """To where only who could turn on the spot, or wait, arrives."""
+    """Return an arrival that only a vehicle able to turn on the spot, or to wait, could reach."""
     limits = {'floor': Floor('circle', fraction=0.7), 'max_rate': 0.5}
     return arriving(rng, rng.uniform(0.1, 0.9), **limits)
 
@@ -81,7 +81,7 @@ def no_turn_meets_the_cone(rng):
 
 
 def walled_in(rng):
-    """From inside of four walls to outside of them."""
+    """Return an arrival outside four walls, from inside them."""
     size = rng.uniform(1.2, 2.0)
     outer = size + rng.uniform(1.1, 1.6)
     corners = (-outer, size, outer, outer), (-outer, -outer, outer, -size)
@@ -95,7 +95,7 @@ def walled_in(rng):
 
 
 def held_by_a_body(rng):
-    """Too deep inside of a body to leave it in a step."""
+    """Return a start too deep inside a body to leave it within a step."""
     n = int(rng.integers(2, 4))
     half = rng.uniform(0.9, 2.0, size=n)
     problem = Problem(n, horizon=int(rng.integers(2, 6)), obstacles=(Box(-half, half),))
@@ -110,7 +110,7 @@ def held_by_a_ball_in_space(rng):
 
 
 def run_over(rng):
-    """In the way of a body that is faster, and wide."""
+    """Return a start in the way of a body that is faster, and wide."""
     ahead, size = rotation(rng, 2)[0], rng.uniform(2.5, 5.0)
     body = Ball(-ahead * (size + 1.5), float(size))
     if rng.random() < 0.5:
@@ -150,7 +150,7 @@ def sought_of(kind, seed=0):
 
 @functools.cache
 def refuted(kind):
-    """Return the refutations of a kind of problem, one at least."""
+    """Return the refutations of problems of a kind, at least one."""
     made = [
         held(lambda seed=seed: refutation_of(sought_of(kind, seed))) for seed in seeds(*range(8))
     ]
@@ -172,7 +172,7 @@ def test_what_nothing_satisfies_is_refuted_and_has_no_plan(kind):
 
 @pytest.mark.parametrize('seed', seeds(30))
 def test_what_somebody_has_flown_is_not_refuted(seed):
-    """Flights at the edge of what their limits allow, with the goals that they arrive at."""
+    """Random flights at the edge of their limits, with the goals that they reach."""
     flown = [*adversary.plans(seed, 40)]
     assert len(flown) > 10
     for drawn in flown:
@@ -181,7 +181,7 @@ def test_what_somebody_has_flown_is_not_refuted(seed):
 
 
 def among_boxes(seed):
-    """Return an arrival near the rim of what is in reach, perhaps behind a box."""
+    """Return an arrival near the limit of reach, sometimes behind a box."""
     rng = np.random.default_rng([seed, 90])
     middle, half = rng.uniform(-2.0, 2.0, 2), rng.uniform(0.3, 1.5, 2)
     boxes = (Box(middle - half, middle + half),) if np.any(np.abs(middle) > half + 0.2) else ()
@@ -196,7 +196,7 @@ def among_boxes(seed):
 
 @pytest.mark.parametrize('seed', range(20))
 def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
-    """By another solver, of every choice of sides."""
+    """Compared with another solver that enumerates all choices of sides."""
     sought = among_boxes(seed)
     known = sought.problem, sought.state, sought.goals
     made, best = held(lambda: refutation_of(sought)), enumerated(*known)
@@ -209,7 +209,7 @@ def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
     assert made is not None
 
 
-# --- in time
+# --- time limits
 
 
 def test_refutations_are_given_up_when_it_is_late():
@@ -330,7 +330,7 @@ def test_what_is_proved_of_catches_ends_at_the_first_that_is_not_refuted():
 
 
 def test_below_a_floor_of_faces_the_first_change_of_speed_is_not_known():
-    """The vehicle is to be at its floor at once: a polygon in space."""
+    """The vehicle must be above a polyhedral floor in space within its first step."""
     problem = Problem(
         3, horizon=3, floor=Floor('polygon', 6, 0.5), max_acceleration=0.05, terminal='constraint'
     )

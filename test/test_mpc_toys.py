@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A floor and a model that the package does not have: all of it respects them."""
+"""A floor and a model that the package does not have: every part of it handles them."""
 
 import numpy as np
 import pytest
@@ -21,13 +21,13 @@ from orbimpc_ros.mpc.proof.document import Unproved, certificate_of
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
-DRAG, KEPT = 3, 0.8  # its translation_order, and what is left of the velocity after a step
+DRAG, KEPT = 3, 0.8  # the model's translation_order, and the share of velocity kept in a step
 BEHIND = np.tile([-3.0, 1.0], (5, 1))
 
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
-    """Register both for the test alone: what is allowed elsewhere depends on what is registered."""
+    """Register both for one test at a time: what is allowed elsewhere depends on the registries."""
     monkeypatch.setitem(SHAPES, 'eastward', lambda n, _: np.eye(n)[:1])
     monkeypatch.setitem(TRANSLATIONS, DRAG, Translation((0, 1), (0, 0), kept=KEPT))
 
@@ -49,7 +49,7 @@ def test_plans_keep_to_a_new_floor(dimension, limits):
         certificate_of(problem, start, goals, plan.proof)
     first = 1 if problem.rotation_order == 1 else 2
     assert plan.rotations[first:, 0, 0].min() >= 0.5 - 1e-6
-    assert plan.rotations[first:, 0, 0].min() <= 0.5 + 1e-4  # it wants the other way
+    assert plan.rotations[first:, 0, 0].min() <= 0.5 + 1e-4  # the goal is in the other direction
 
 
 def test_the_optimum_above_a_new_floor_is_that_of_an_independent_solver():
@@ -97,7 +97,7 @@ def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
 
 
 def flown(problem, start, headings):
-    """Return what s_{k+1} = s_k + h p_k and p_{k+1} = 0.8 p_k + h z R_k e1 lead to."""
+    """Return positions and velocities of s_{k+1} = s_k + h p_k, p_{k+1} = 0.8 p_k + h z R_k e1."""
     places, velocities = [start.position], [start.velocity]
     for heading in headings[:-1]:
         places.append(places[-1] + problem.step * velocities[-1])
@@ -119,7 +119,7 @@ def test_a_new_model_is_planned_with_checked_and_proved(dimension, rotation_orde
     goals = np.tile(reached, (8, 1))
     plan = Solver(problem, coasting=True).solve(start, goals)
     assert plan.is_closed
-    assert plan.proof.checked or not COMPILED  # certificates know no such model
+    assert plan.proof.checked or not COMPILED  # certificates cannot state this model
     places, velocities = flown(problem, start, plan.rotations[:, :, 0])
     np.testing.assert_allclose(plan.positions, places, rtol=0.0, atol=1e-9 * speed)
     np.testing.assert_allclose(plan.velocities, velocities, rtol=0.0, atol=1e-9 * speed)
