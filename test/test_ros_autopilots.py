@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Planners on the topics of autopilots, with their messages, QoS, rates and frames over DDS."""
+"""Planners on the topics of autopilots: their messages, QoS, rates and frames over DDS."""
 
 import math
 import os
@@ -26,16 +26,16 @@ from orbimpc_ros.ros.firmware import TOPICS
 from orbimpc_ros.ros.messages import Frames, Stamp, header
 from orbimpc_ros.ros.process import qos
 
-PERIOD = 1.0 / 30.0  # [s] of an autopilot's messages
+PERIOD = 1.0 / 30.0  # [s] between messages of an autopilot
 
 
 class Autopilot:
-    """What planners meet of an autopilot: again and again it tells its vehicle's state and a goal.
+    """An autopilot as planners see it: it sends its vehicle's state and a goal periodically.
 
     Attributes:
-        in_mode: whether it takes commands.
-        alive: whether it tells anything.
-        sent_at: when it last did [s].
+        in_mode: True if it takes commands.
+        alive: True if it sends anything.
+        sent_at: time of its last messages [s].
     """
 
     in_mode, alive, topics = False, True, {}
@@ -50,7 +50,7 @@ class Autopilot:
         )
 
     def until(self, happened, what):
-        """Tell of the flight until something has happened."""
+        """Send the vehicle's state until a condition holds."""
 
         def step():
             now = time.time()
@@ -66,10 +66,10 @@ class Autopilot:
         self.goal.publish(PoseStamped(header=head, pose=goal))
 
 
-# --- vehicles in the plane, which do as they are told
+# --- vehicles in the plane, which obey commands
 
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-FRAMES = {'ardupilot': 'base_link', 'mavros': 'map', 'rover': 'odom'}  # of poses
+FRAMES = {'ardupilot': 'base_link', 'mavros': 'map', 'rover': 'odom'}  # frames of poses
 GOAL = np.array([3.0, 1.0])
 
 
@@ -100,7 +100,7 @@ class Rover(Autopilot):
         self.position = self.position + (now - self.sent_at) * velocity[:2]
         place = messages.pose(np.append(self.position, 10.0), turned)
         head = header(round(now * 1e9), self.frame)
-        if self.halves:  # ArduPilot: one frame for both, a velocity of the world
+        if self.halves:  # ArduPilot: pose and twist in one frame, velocity in world axes
             twist = TwistStamped(header=head)
             twist.twist.linear = messages.vector(velocity)
             self.said['twist'].publish(twist)
@@ -148,22 +148,22 @@ def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):
     assert rover.planner.stop() == 0
     topic = TOPICS['ardupilot']['cmd_vel']
     observer.until(lambda: not observer.node.count_publishers(topic), 'its end')
-    assert len(rover.commands) == before  # nor at the end
+    assert len(rover.commands) == before  # nor is there a last one at the end
     for words in ('engaged: commands', 'not engaged: silent'):
         assert words in rover.planner.output
 
 
-# --- wings, which fly along a circle and obey nobody
+# --- wings, which fly along a circle and ignore commands
 
 WIND, AIRSPEED, TURN = np.array([4.0, -3.0]), 15.0, 0.2
-BEFORE = os.environ.get('PYTHONPATH', '')  # without the packages
+BEFORE = os.environ.get('PYTHONPATH', '')  # without the message packages
 PACKAGES = {'px4': 'px4_msgs', 'arduplane': 'mavros_msgs'}
 SAID = {'px4': 'px4: in offboard', 'arduplane': 'arduplane: in GUIDED'}
 
 
 @pytest.fixture(scope='session')
 def packages(tmp_path_factory):
-    """The message packages, on the path of this process and of those that it starts."""
+    """The message packages, on the path of this process and of its children."""
     folder = tmp_path_factory.mktemp('packages')
     for package in PACKAGES.values():
         build(package, folder)
@@ -181,7 +181,7 @@ class Wing(Autopilot):
         self.types = import_module(f'{PACKAGES[name]}.msg')
         self.setpoints, self.odometry = [], self.observer.listen(Odometry, 'odom')
         self.wind = self.observer.listen(TwistWithCovarianceStamped, 'wind')
-        self.turned = []  # attitudes sent of late
+        self.turned = []  # the latest attitudes sent
         self.said = {
             kind: self.node.create_publisher(kind, topic, qos())
             for topic, kind in self.outputs().items()
@@ -195,7 +195,7 @@ class Wing(Autopilot):
         self.aim(header(0, 'odom'), 900.0, 500.0, self.height)
 
     def motion(self, now):
-        """Position and velocity over ground, and the attitude, in ROS's axes."""
+        """Return position, velocity over ground, and attitude, in ROS's axes."""
         level = exp(np.array([0.0, 0.0, TURN * (now - self.begun)]))
         bank = exp(np.array([-math.atan(TURN * AIRSPEED / firmware.GRAVITY), 0.0, 0.0]))
         radius, blown = AIRSPEED / TURN, np.append(WIND, 0.0)
@@ -275,7 +275,7 @@ class ArduPlane(Wing):
         body = Measured(now, place, rotation, rotation.T @ velocity, np.zeros(3))
         wind = TwistWithCovarianceStamped(header=header(stamp.nanoseconds, ''))
         wind.twist.twist.linear.x, wind.twist.twist.linear.y = WIND.tolist()
-        wind.twist.covariance[0] = -1.0  # as MAVROS has it of ArduPilot: unknown
+        wind.twist.covariance[0] = -1.0  # unknown, as from MAVROS with ArduPilot
         share = firmware.equivalent(1000.0)
         return (
             self.types.VfrHud(airspeed=share * AIRSPEED, altitude=1000.0),
@@ -304,7 +304,7 @@ def engage(flown, name):
 
 
 def assert_said_once(output, name):
-    """Each change is said once; on a busy machine there may be more than those of a test."""
+    """Assert that each change of mode is logged once; a busy machine may add changes."""
     said = re.findall(rf'{name}: .*: (setpoints|silent)$', output, re.MULTILINE)
     assert said
     assert all(one != other for one, other in pairwise(said))
@@ -321,7 +321,7 @@ def test_setpoints_leave_in_the_mode_alone(wing, name):
     before = [each for each in flown.setpoints if getattr(each, 'param1', 1.0) != 2.0]
     heard = len(flown.odometry)
     flown.until(lambda: len(flown.odometry) > heard + 20, 'odometry')
-    assert len(flown.setpoints) <= len(before) + 1  # one may have been on its way
+    assert len(flown.setpoints) <= len(before) + 1  # one may have been in flight
     assert flown.planner.stop() == 0
     assert_said_once(flown.planner.output, name)
 
@@ -352,7 +352,7 @@ def test_what_is_measured_becomes_odometry_through_the_air(wing, name):
     place, _, _ = flown.motion(at)
     _, measured = messages.read_odometry(message, 3, Frames())
     np.testing.assert_allclose(measured.position, place, atol=1e-3)
-    # Topics are not ordered: PX4's attitude may be the one sent before.
+    # Messages of two topics are not ordered: the last attitude received may be an older one.
     assert min(np.abs(measured.attitude - each).max() for each in flown.turned) < 1e-5
     np.testing.assert_allclose(measured.body_velocity, [AIRSPEED, 0.0, 0.0], atol=0.2)
     assert np.linalg.norm(measured.body_velocity) == pytest.approx(AIRSPEED, abs=1e-3)
@@ -366,7 +366,7 @@ def test_what_is_measured_becomes_odometry_through_the_air(wing, name):
 def test_px4_is_kept_in_offboard_mode_and_told_what_it_reads(wing):
     flown = wing('px4')
     flown.height = 120.0
-    flown.until(lambda: len(flown.kept) > 20, 'signs of life')  # before the mode: to enter it
+    flown.until(lambda: len(flown.kept) > 20, 'signs of life')  # needed to enter the mode
     assert not flown.setpoints
     assert np.median(np.diff([each.timestamp for each in flown.kept])) < 5e5  # [us]: 2 Hz
     assert all(each.velocity and not each.position for each in flown.kept)
@@ -389,7 +389,7 @@ def test_a_refused_command_is_warned_of_once(wing):
     said = 'arduplane: has refused command 43'
     flown.until(lambda: said in flown.planner.output, said)
     kinds = {each.command for each in flown.setpoints}
-    assert kinds == {43000, 43002}  # and the altitude is held
+    assert kinds == {43000, 43002}  # no altitude: it is held
     flown.until(lambda: len(flown.setpoints) > 30, 'setpoints')
     assert flown.planner.output.count(said) == 1
 

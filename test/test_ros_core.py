@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Answers without publishing: safe commands, held plans, compensation, the last look."""
+"""The core of a planner without its node: safe commands, held plans, compensation, final checks."""
 
 import itertools
 import random
@@ -41,7 +41,7 @@ from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 
 
 class Driven(OfflinePlanner):
-    """A planner without its node; the test says when its inputs come, and of what time they are."""
+    """A planner without its node; the test sets the arrival times and stamps of its inputs."""
 
     def __init__(self, simulated=False, limits=None, **changes):
         given = settings(**{'step': 0.1} | changes)
@@ -54,14 +54,14 @@ class Driven(OfflinePlanner):
         self.sense(now, GoalObservation(at, np.array([x, y])), at)
 
     def tick(self, now=0.0, at=None, position=(0.0, 0.0), **goal):
-        """Return the report on odometry and a goal, both measured just now, or at another time."""
+        """Return the report on odometry and a goal that arrive now, stamped ``at`` or now."""
         at = now if at is None else at
         self.odometry(at, now, position)
         self.goal(at, now, **goal)
         return self.report(now)
 
     def messages(self, report, at=1.0, **given):
-        """Return what is published of a report on odometry of a time, all of it by default."""
+        """Return the messages published for a report on odometry of a time; all by default."""
         known = self.settings, Stamp(stamp(at), FRAMES), report, '/planner'
         return report_messages(*known, oriented=True, **given)
 
@@ -74,7 +74,7 @@ def stamp(seconds):
 
 
 def flown_on(driven):
-    """Return the reports on nine odometry messages, of which the first alone comes with a goal."""
+    """Yield the reports on nine odometry messages, of which only the first comes with a goal."""
     driven.goal(0.0, 0.0)
     for k in range(9):
         driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
@@ -89,7 +89,7 @@ def test_a_stale_goal_holds_the_last_plan_and_then_stops():
     assert answers[6].reason == 'the goal is 0.60 s old'
     assert [values(answers[k])['cause'] for k in (0, 6)] == ['', 'goal']
     assert values(driven.safe(Cause.SOURCES))['cause'] == 'sources'
-    assert answers[6].solve_time_ms == 0.0  # nothing was solved
+    assert answers[6].solve_time_ms == 0.0  # no problem was solved
     assert answers[6].command.speed_fraction > 0.5
     assert answers[8].command.speed_fraction == 0.0
 
@@ -136,7 +136,7 @@ ATTITUDE = exp(np.array([0.4]))
 
 @pytest.mark.parametrize(
     ('kind', 'order', 'speed'),
-    [('stop', 1, 0.0), ('hold_rate_zero', 1, 0.7), ('hold_rate_zero', 2, 0.0)],  # 2: it coasts
+    [('stop', 1, 0.0), ('hold_rate_zero', 1, 0.7), ('hold_rate_zero', 2, 0.0)],  # order 2 coasts
 )
 def test_what_stops_or_goes_straight_on_does_not_turn(kind, order, speed):
     command = safe_command(kind, Problem(translation_order=order), ATTITUDE, 0.7)
@@ -145,7 +145,7 @@ def test_what_stops_or_goes_straight_on_does_not_turn(kind, order, speed):
 
 
 def floored(dimension, shape, draw):
-    """A problem with a floor, and a rate limit on every other."""
+    """Return a random problem with a floor, and with a rate limit in half of the draws."""
     faces = draw.choice([3, 4, 8]) if dimension == 2 else draw.choice([6, 12, 20])
     fraction = draw.uniform(0.1, 1.0)
     if shape == 'polygon':
@@ -181,7 +181,7 @@ def test_the_safe_command_circles_with_a_floor_and_hovers_under_gravity_unless_i
         ('none', 1, 'auto', 'stop'),
         ('circle', 1, 'auto', 'loiter'),
         ('polygon', 1, 'auto', 'loiter'),
-        ('circle', 2, 'auto', 'stop'),  # without drag a stop is to coast
+        ('circle', 2, 'auto', 'stop'),  # without drag a stop means coasting
         ('circle', 1, 'stop', 'stop'),
         ('circle', 1, 'hold_rate_zero', 'hold_rate_zero'),
     ):
@@ -197,7 +197,7 @@ def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     answers.append(driven.safe())
     driven.start_afresh()
     answers.append(driven.safe(Cause.AFRESH))
-    # A flaw that the planner's own check of its plan has missed.
+    # A flaw missed by the planner's own check of its plan.
     honest = planners.command_of
     slow = lambda *arguments: replace(honest(*arguments), speed_fraction=0.1)  # noqa: E731
     monkeypatch.setattr(planners, 'command_of', slow)
@@ -240,7 +240,7 @@ def test_loiter_closes_a_level_circle_at_the_least_speed(n):
 
 
 def test_an_unknown_wind_is_estimated_planned_with_and_told():
-    """The goal flies downwind with a vehicle that is carried there: as fast as it would without."""
+    """The vehicle, with a lag in speed, drifts in a cross wind on its way to a far goal."""
     driven = Driven(disturbance='estimated', **{'response.speed': 0.1})
     wind, position, last = np.array([0.0, 0.3]), np.zeros(2), None
     for k in range(150):
@@ -269,7 +269,7 @@ def test_what_is_given_is_planned_with_and_nothing_is_estimated():
 
 
 def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
-    """Measured straight ahead, it is planned for straight ahead, whatever was commanded since."""
+    """With a lag, the plan starts from the measured attitude, whatever was commanded since."""
     prompt, lagging = Driven(simulated=True), Driven(simulated=True, **{'response.speed': 0.4})
     turned = []
     for driven in (prompt, lagging):
@@ -283,7 +283,7 @@ def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
 
 
 def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
-    """Its stamps say so; how old the measurement was is another matter."""
+    """Its stamps include this lead, which is reported separately from the measurement's age."""
     driven = Driven(simulated=True, discretisation='exact', **{'response.rate': 0.05})
     report = driven.tick()
     assert report.led == 0.05
@@ -292,7 +292,7 @@ def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
 
 
 def turned_to(yaw, driven):
-    """Return the report on a goal that is turned."""
+    """Return the report on a goal with an orientation."""
     message = messages.goal_message(Stamp(stamp(0.0), FRAMES), np.array([0.5, 0.2]))
     message.pose.orientation = messages.quaternion(exp(np.array([yaw])))
     driven.odometry(0.0, 0.0)
@@ -358,7 +358,7 @@ BOXES = {'obstacles': [1.5, -1.0, 2.5, 1.6, 3.0, 1.2, 4.0, 3.0], 'floor.shape': 
 @pytest.mark.parametrize('deadline', [1e-3, 0.1])
 def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_is(deadline):
     found = []
-    for second in (1e-9, 10.0):  # between two looks at the clock
+    for second in (1e-9, 10.0):  # between two readings of the clock
         limits = {'clock': itertools.count(step=second).__next__, 'counted': True}
         search = {'step': 0.5, 'horizon': 10, 'no_corner_cutting': True, 'deadline': deadline}
         driven = Driven(True, limits, **search, **BOXES)
@@ -390,10 +390,10 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     shown = [0.0]
     driven = Driven(limits={'clock': lambda: shown[0]}, **CAUGHT)
     answered = driven.tick(1.0)
-    assert values(answered)['catch_checked'] is True  # too far away
+    assert values(answered)['catch_checked'] is True  # by distance alone
     word = replace(answered, catch=replace(answered.catch, counted=0.1))
     assert values(word)['catch_checked'] is False
-    assert values(word)['catch_bound'] == 0.1  # as far as it was counted
+    assert values(word)['catch_bound'] == 0.1  # as far as it was checked
     refuted = values(driven.proved(word, catches=True))
     assert refuted['catch_checked'] is True
     assert refuted['catch_bound'] == values(answered)['catch_bound'] > 0.1
@@ -404,7 +404,7 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     assert values(Driven().tick(1.0))['catch_checked'] is False
 
 
-# --- goals that move as a bank of models has it
+# --- moving goals, predicted by a bank of models
 
 
 def carried(time):
@@ -412,7 +412,7 @@ def carried(time):
 
 
 def watching(ticks, **changes):
-    """Return a core that has seen a goal on a carrier at 10 Hz, and the last report."""
+    """Return a planner that has seen a swing on a carrier at 10 Hz, its report, and times ahead."""
     driven = Driven(simulated=True, **changes)
     for now in 0.1 * np.arange(1, ticks + 1):
         driven.odometry(now, now)
@@ -437,12 +437,12 @@ def test_another_forecast_begins_with_the_last_goal():
     assert 'goal_model' not in driven.inputs.heard
 
 
-# --- clocks, and what is made of ticks that take too long
+# --- clocks, and ticks that take too long
 
 
 @pytest.mark.parametrize('by', [5.0, -5.0])
 def test_a_clock_that_is_set_is_told(by, monkeypatch):
-    """While it is slewed meanwhile, and a pause between two looks at clocks is no jump."""
+    """Slewing, and a pause between two readings of the clocks, do not count as jumps."""
     told, steady, offset = [], 0.0, 1e6
 
     def slowly():

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Vehicles whose ways cross, in lock-step without nodes: nobody comes closer than asked for.
+"""Crossing vehicles in lock-step, without nodes, keep the required distance.
 
 ``ORBIMPC_SEEDS=1000:1100 pytest test/test_ros_crossing.py`` flies other crossings.
 """
@@ -23,20 +23,20 @@ from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo import fleet
 from orbimpc_ros.tool.offline import OfflinePlanner, resolved
 
-SHORT = ('horizon=4', 'gap_tolerance=0.05', 'max_ticks=15')  # past the middle of the ring
+SHORT = ('horizon=4', 'gap_tolerance=0.05', 'max_ticks=15')  # until after the middle of the ring
 RADIUS = 1.0
 
 
 def crossing(count, seed, changes=()):
-    """The parameters of a crossing's vehicles, by namespace."""
+    """Return the parameters of a crossing's vehicles, by namespace."""
     values, own = fleet(count, [*changes, f'seed={seed}'], 'crossing')
     return {name: values | each for name, each in own.items()}
 
 
 def flown(values):
-    """Fly a crossing; return how close any two vehicles came [m], and what fell back.
+    """Fly a crossing; return the least distance of any two vehicles [m], and the fallbacks.
 
-    Planners answer one after the other, and hear each other's plans.
+    Planners answer one after the other and receive each other's plans.
     """
     scenarios = {name: sim_settings(settings.of_sim(v)).scenario for name, v in values.items()}
     flights = {name: departure(each, 0.0) for name, each in scenarios.items()}
@@ -67,7 +67,7 @@ def flown(values):
 @pytest.mark.parametrize('seed', seeds(5))
 def test_three_vehicles_keep_their_distance_in_the_middle_of_the_ring(seed):
     apart, fallbacks = flown(crossing(3, seed, SHORT))
-    assert RADIUS <= apart <= RADIUS + 0.1  # and take no more room than they need
+    assert RADIUS <= apart <= RADIUS + 0.1  # and keep no more distance than necessary
     assert not any(fallbacks)
 
 
@@ -79,7 +79,7 @@ def test_who_has_no_plan_says_where_its_safe_command_leads():
     problem = Problem(horizon=3)
     state = State.at(np.array([1.0, 2.0]), 0.5 * np.eye(2), attitude=np.eye(2))
     led = obeyed(problem, state, stop(np.eye(2)))
-    # As the model has it, this step is still flown at the old speed.
+    # In the model this step is still flown at the old speed.
     expected = [[1.0, 2.0], [1.5, 2.0], [1.5, 2.0], [1.5, 2.0]]
     np.testing.assert_allclose([place for place, _ in led], expected)
 

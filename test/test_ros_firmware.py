@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Wings' autopilots in plain numbers: axes there and back, setpoints as the firmwares read them."""
+"""Autopilots of wings in plain numbers: round trips of axes and setpoints, as firmwares read them."""
 
 import math
 
@@ -44,7 +44,7 @@ def test_axes_and_attitudes_there_and_back(rng):
         rotation = firmware.attitude(unit)
         back = to_quaternion(firmware.NED @ rotation @ firmware.FRD)
         same(back * math.copysign(1.0, back @ unit), unit)
-        # A vector of the body is the same one of the world, whichever axes it is written in.
+        # A body vector maps to the same world vector in both conventions of axes.
         of_body = from_quaternion(unit, 3) @ (firmware.FRD @ vector)
         same(rotation @ vector, firmware.NED @ of_body)
 
@@ -53,9 +53,9 @@ def test_setpoints_there_and_back(rng):
     for _ in range(DRAWS):
         wanted, share, origin = drawn(rng), rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
         across, along = firmware.lateral(wanted), firmware.longitudinal(wanted, share, origin)
-        # Within what the firmwares accept.
+        # Ranges that the firmwares accept.
         assert -math.pi <= across['airspeed_direction'] <= math.pi
-        assert math.isnan(across['course'])  # which a finite direction takes precedence over
+        assert math.isnan(across['course'])  # unused: a finite direction takes precedence
         names = ('height_rate', 'pitch_direct', 'throttle_direct')
         assert all(math.isnan(along[name]) for name in names)
         airspeed = along['equivalent_airspeed'] / share
@@ -66,8 +66,8 @@ def test_setpoints_there_and_back(rng):
         same(along['altitude'] - origin, wanted.altitude)
         heading, speed, *height = firmware.guided(wanted, share)
         assert 0.0 <= heading['param2'] < 360.0
-        assert heading['param3'] >= firmware.HOLD  # with 0 it would not bank
-        assert bool(height) == math.isfinite(wanted.altitude)  # else it is held
+        assert heading['param3'] >= firmware.HOLD  # with 0 the vehicle would not bank
+        assert bool(height) == math.isfinite(wanted.altitude)  # otherwise the altitude is held
         same(speed['param2'] / share, wanted.airspeed)
         same([each['z'] for each in height], [wanted.altitude][: len(height)])
         ahead = firmware.AHEAD * wanted.airspeed * wanted.turn / firmware.GRAVITY
@@ -85,7 +85,7 @@ def test_a_bearing_is_that_of_a_compass(angle, compass):
 
 @pytest.mark.parametrize('bank', [-0.5, 0.3])
 def test_a_bank_to_the_right_turns_to_the_right(bank):
-    half = 0.5 * bank  # FRD: to the right about x
+    half = 0.5 * bank  # FRD: a rotation to the right about x
     banked = firmware.attitude(np.array([math.cos(half), math.sin(half), 0.0, 0.0]))
     turn = firmware.coordinated(banked, 20.0)
     assert turn == pytest.approx(-firmware.GRAVITY * math.tan(bank) / 20.0)
@@ -100,7 +100,7 @@ def test_the_heading_of_a_setpoint_is_that_of_the_next_command():
 
 def test_the_air_is_thinner_higher_up():
     assert firmware.equivalent(0.0) == 1.0
-    assert firmware.equivalent(1000.0) == pytest.approx(0.9529, abs=1e-3)  # of the atmosphere's
+    assert firmware.equivalent(1000.0) == pytest.approx(0.9529, abs=1e-3)  # standard atmosphere
 
 
 def test_the_velocity_through_the_air_is_of_what_is_known():
@@ -113,11 +113,11 @@ def test_the_velocity_through_the_air_is_of_what_is_known():
     assert firmware.through_air(over_ground, turned, math.nan, unknown) is None
 
 
-# --- a wind that is reported
+# --- reported wind
 
 
 def flown(report, seconds=2.0, wind=(4.0, -2.0)):
-    """The wind that is estimated of a wing that flies east, with reports or without."""
+    """Return the wind estimated by a wing that flies east, with or without reports."""
     loop = Compensator(Problem(forward=20.0), estimated=True, velocity_source='air')
     for time in np.arange(0.0, seconds, 0.1):
         place = time * (np.array([20.0, 0.0]) + wind)
@@ -139,6 +139,6 @@ def test_a_report_is_believed_as_much_as_its_variance_and_its_news_are_worth():
         found = flown(lambda time: WindReport(time if again else 0.0, wrong, variance), 5.0)
         return np.linalg.norm(found - [4.0, -2.0])
 
-    assert off(0.01) < 1.5  # one report, long ago
+    assert off(0.01) < 1.5  # a single report, long ago
     assert off(100.0, again=True) < off(1.0, again=True) < off(0.1, again=True)
     assert off(math.nan, again=True) == pytest.approx(off(1.0, again=True))

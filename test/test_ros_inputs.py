@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's inputs: order, age and togetherness of what came."""
+"""The planner's inputs: order and age of messages, and which of them belong together."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.planner.core import Inputs
 
 NOW = 1_700_000_000 * SECOND  # [ns]
-UPRIGHT = (np.sqrt(0.5), 0, np.sqrt(0.5), 0)  # without a yaw
+UPRIGHT = (np.sqrt(0.5), 0, np.sqrt(0.5), 0)  # x is vertical: no yaw
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def limited():
 
 
 def ahead(inputs, steps, start=None):
-    """The ends of steps from the odometry's stamp on, or from ``start``."""
+    """Return the ends of steps after the odometry's stamp, or after ``start`` [s]."""
     start = inputs.odometry.value.time if start is None else start
     return start + inputs.settings.problem.step * np.arange(1, steps + 1)
 
@@ -47,7 +47,7 @@ def oriented(message, w, x, y, z):
 
 
 def clock(seconds):
-    """The node's clock, some seconds after it showed NOW."""
+    """Return the node's clock some seconds after NOW [ns]."""
     return NOW + round(seconds * SECOND)
 
 
@@ -58,7 +58,7 @@ def stamped(make, seconds, *arguments):
 
 
 def typed(x, frame='', make=goal):
-    """A message as ``ros2 topic pub`` makes it of a pose alone."""
+    """Return a message as ``ros2 topic pub`` makes it of a pose alone: without a stamp."""
     message = make(0.0, x) if make is goal else make(0.0)
     message.header.frame_id = frame
     return message
@@ -102,14 +102,14 @@ def test_a_sender_whose_clock_went_back_is_heard_once_the_old_is_stale(inputs):
     inputs.update('goal', goal(100.0), 0.0)
     assert inputs.update('odom', odometry(0.0), 0.1)
     assert inputs.update('odom', odometry(0.0), 0.3) == ''
-    kept = inputs.latest['goal']  # it lies where it lay; its stamp is of the old time
+    kept = inputs.latest['goal']  # its position holds; its stamp is of the old time
     assert kept.stamp.nanoseconds == 0
     assert kept.value.time == 0.0
 
 
 @pytest.mark.parametrize('refused', [False, True])
 def test_a_goal_of_the_past_leaves_odometry_as_it_is(inputs, refused):
-    """Neither one that is taken in nor one that is itself refused costs what has just come."""
+    """Odometry received before stays valid if an older goal is accepted, and if it is refused."""
     inputs.adopt(settings(**{'weights.attitude': 0.5}))
     inputs.update('goal', goal(100.0), 0.0)
     inputs.update('odom', odometry(101.0), 2.9)
@@ -135,7 +135,7 @@ def test_stamps_that_nobody_sets_are_told_as_what_they_are(inputs):
     assert 'unset stamp: 0 again; set header.stamp to the time' in refusal
     assert inputs.refused == {'odom: unset stamp': 1}
     assert inputs.update('odom', odometry(NOW / SECOND), 0.2, clock(0.2)) == ''
-    refusal = inputs.update('odom', odometry(0.0), 100.0, clock(100.0))  # the good one is stale
+    refusal = inputs.update('odom', odometry(0.0), 100.0, clock(100.0))  # the valid one is stale
     assert 'unset stamp: 0; set header.stamp to the time' in refusal
     assert inputs.odometry.stamp.nanoseconds == NOW
 
@@ -168,14 +168,14 @@ def test_a_stamp_from_the_future_is_refused_and_counted(inputs):
 def test_simulated_time_may_trail_by_a_step_and_before_it_starts_nothing_is_of_the_future(inputs):
     assert inputs.update('odom', stamped(odometry, 0.1), 0.0, None) == ''
     assert not inputs.odometry.timed
-    assert inputs.untimed == ''  # nor is anything known to be of another clock
+    assert inputs.untimed == ''  # nor is another clock suspected
     inputs.lag = 0.1
     assert inputs.update('odom', stamped(odometry, 0.19), 0.0, clock(0.0)) == ''
     assert 'future' in inputs.update('odom', stamped(odometry, 0.3), 0.1, clock(0.0))
 
 
 def test_a_source_once_timed_stays_so(inputs):
-    """What a link held back for minutes comes in order, and must not pass for fresh."""
+    """Messages that a link held back for minutes come in order, but must not pass for fresh."""
     inputs.update('odom', stamped(odometry, 0.0), 0.0, clock(0.0))
     inputs.update('goal', stamped(goal, 0.0), 5.0, clock(1.5))
     assert 'the goal is 1.50 s old' in stale_goal(inputs, 5.0, clock(1.5))
@@ -192,12 +192,12 @@ def test_a_source_once_timed_stays_so(inputs):
 def test_a_goal_sent_by_hand_holds_and_a_source_that_streams_and_stops_is_missed(default):
     sent(default, 1.0)
     assert stale_goal(default, 1e4) == ''
-    sent(default, 60.0, 300.0, 301.5)  # once in a while is no stream
+    sent(default, 60.0, 300.0, 301.5)  # occasional goals are not a stream
     assert stale_goal(default, 1e4) == ''
     sent(default, 401.0, 401.5, 402.0)
     assert stale_goal(default, 402.9) == ''
     assert stale_goal(default, 403.1) == 'the goal is 1.10 s old'
-    sent(default, 410.0)  # now by hand
+    sent(default, 410.0)  # sent by hand again
     assert stale_goal(default, 1e4) == ''
 
 
@@ -217,7 +217,7 @@ def test_a_timeout_below_zero_is_none():
     np.testing.assert_array_equal(targets(patient, ahead(patient, 1), 1e4), [[7.0, 1.0]])
 
 
-# --- what belongs together
+# --- messages that belong together
 
 
 ALL = list(range(60))
@@ -227,14 +227,14 @@ ALL = list(range(60))
     ('shares', 'waits'),
     [
         (lambda turn: True, ALL),  # in lock-step, from the first message on
-        (lambda turn: turn % 15 != 14, ALL),  # a loss now and then
+        (lambda turn: turn % 15 != 14, ALL),  # occasional losses
         *((lambda turn, every=every: turn % every == 0, [0, 1]) for every in (2, 5, 20)),  # slower
-        (lambda turn: turn < 20, ALL[:22]),  # it stops, and is given up after one turn in vain
-        (lambda turn: not 20 <= turn < 25, [*ALL[:22], *ALL[34:]]),  # 9 of 10 again
+        (lambda turn: turn < 20, ALL[:22]),  # it stops, and is given up after one wait in vain
+        (lambda turn: not 20 <= turn < 25, [*ALL[:22], *ALL[34:]]),  # again after 9 of 10
     ],
 )
 def test_a_source_that_shares_every_stamp_is_waited_for(inputs, shares, waits):
-    """Odometry comes at 50 Hz; on some turns it waits for a goal that has not come."""
+    """Odometry comes at 50 Hz; ``waits`` lists the turns on which it waits for a goal."""
     found = []
     for turn in ALL:
         at = 1.0 + 0.02 * turn
@@ -257,9 +257,9 @@ def test_a_forecast_from_outside_is_used_while_it_is_fresh(inputs):
     inputs.update('goal_path', path(0.0, [(k, 1.0) for k in range(5)]), 0.0)
     wanted = [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]]
     np.testing.assert_allclose(targets(inputs, ahead(inputs, 3), 0.5), wanted)
-    between = targets(inputs, ahead(inputs, 2, 0.05), 0.5)  # as where the plan begins later
+    between = targets(inputs, ahead(inputs, 2, 0.05), 0.5)  # as for a plan that starts later
     np.testing.assert_allclose(between, [[1.5, 1.0], [2.5, 1.0]])
-    held = targets(inputs, np.array([-1.0, 99.0]), 0.5)  # at its ends
+    held = targets(inputs, np.array([-1.0, 99.0]), 0.5)  # held at its ends
     np.testing.assert_allclose(held, [[0.0, 1.0], [4.0, 1.0]])
     np.testing.assert_array_equal(targets(inputs, ahead(inputs, 1), 1.5), [[5.0, 0.0]])
 
@@ -302,7 +302,7 @@ def test_a_goal_typed_without_a_stamp_or_a_frame_is_of_the_moment_it_comes(input
 
 
 def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
-    """Where they lie is known, but not when they came there."""
+    """Their positions are known, but not since when."""
     moving = Inputs(settings(goal_prediction='velocity'))
     moving.update('odom', odometry(1.0), 1.0)
     for at, message in ((1.0, typed(2.0)), (1.5, typed(4.0)), (9.0, goal(9.0, 6.0))):
@@ -314,7 +314,7 @@ def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
     assert moving.missing == 'odometry on odom'
     moving.update('odom', odometry(0.5), 9.1)
     np.testing.assert_array_equal(targets(moving, np.array([19.0]), 9.1), held)
-    assert moving.update('goal', goal(0.6, 8.0), 9.2) == ''  # of whatever time
+    assert moving.update('goal', goal(0.6, 8.0), 9.2) == ''  # with any stamp
     np.testing.assert_array_equal(targets(moving, np.array([19.0]), 9.2), [[8.0, 0.0]])
     moving.latest.clear()
     moving.start_afresh()
@@ -322,7 +322,7 @@ def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
 
 
 def test_the_last_goal_of_a_stream_is_not_kept_over_a_fresh_start(inputs):
-    """It sends the next one, or has stopped."""
+    """The stream sends the next one, or has stopped."""
     sent(inputs, 1.0, 1.1, 1.2)
     inputs.start_afresh()
     assert inputs.missing == 'odometry on odom and a goal on goal or goal_path'
@@ -338,7 +338,7 @@ def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited, inputs
     assert limited.update('goal', goal(2.2, x=9.0), 1.2) == ''  # it has really moved
     np.testing.assert_array_equal(limited.forecast.at(np.array([9.9])), [[9.0, 0.0]])
     assert inputs.update('goal', goal(1.0, x=5.0), 0.0) == ''
-    assert inputs.update('goal', goal(1.1, x=-900.0), 0.1) == ''  # by default it may be anywhere
+    assert inputs.update('goal', goal(1.1, x=-900.0), 0.1) == ''  # unlimited by default
 
 
 def test_a_path_that_jumps_is_refused(limited):

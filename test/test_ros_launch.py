@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The launch files, where ROS's launch is installed (PyPI has none of it)."""
+"""The launch files, where ROS's launch is installed (it is not on PyPI)."""
 
 import importlib.util
 import json
@@ -40,7 +40,7 @@ def test_every_scenario_can_be_launched():
 
 @pytest.fixture
 def launched():
-    """Return a function that loads a launch file; skip where it could not be launched."""
+    """Return a function that loads a launch file; skip if files cannot be launched here."""
     pytest.importorskip('launch_ros', reason='launch is not installed')
     from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
@@ -59,7 +59,7 @@ def launched():
 
 
 def nodes_of(description, **told):
-    """Return the nodes that are launched, given arguments, and the launch's context."""
+    """Return the nodes launched with these arguments, and the launch context."""
     from launch.actions import OpaqueFunction
     from launch_ros.actions import Node
 
@@ -108,7 +108,7 @@ def test_a_fleet_is_as_large_as_asked_for(launched):
     assert [node.node_executable for node in nodes] == ['planner'] * 3 + ['sim'] * 3
 
 
-# As ros2 bag record, on a busy machine: it reads a topic some time after it has appeared.
+# Like ros2 bag record on a busy machine: it subscribes some time after a topic has appeared.
 RECORDER = """#!{python}
 import json, sys, time
 from importlib import import_module
@@ -140,7 +140,7 @@ Path('bag.json').write_text(json.dumps(stamps))
 
 @pytest.fixture
 def recorder(tmp_path, monkeypatch):
-    """Put another ``ros2`` first on the path; return a function that makes it the script given."""
+    """Put a fake ``ros2`` first on the path; return a function that sets its script."""
     monkeypatch.setenv('PATH', str(tmp_path), prepend=os.pathsep)
     monkeypatch.chdir(tmp_path)
 
@@ -187,7 +187,7 @@ def launched_with(name, words, domain, monkeypatch):
         ('retrieval', '/**/sim: {ros__parameters: {step: 0.1, max_ticks: 2}}', ['clock:=wall'],
          'sim-2 ended with code 1'),
         ('retrieval', '/**: {ros__parameters: {trigger: timer, max_ticks: 2}}', [],
-         'sim-2 ended with code 1'),  # soon: in lock-step odometry triggers all the same
+         'sim-2 ended with code 1'),  # soon: in lock-step odometry triggers it anyway
         ('retrieval', '/**/planner: {ros__parameters: {trigger: odom, horizon: 0}}', [],
          'planner-1 ended with code 2'),
     ],
@@ -208,9 +208,9 @@ def test_a_launch_that_fails_says_why_and_does_not_end_with_code_0(
 
 @pytest.mark.parametrize('file', FILES, ids=lambda file: file.name)
 def test_defaults_of_arguments_can_be_read(file, launched):
-    """As ros2 launch --show-args prints them."""
+    """As ``ros2 launch --show-args`` prints them."""
     for argument in launched(file).get_launch_arguments():
-        default = argument.default_value  # None if one has to be given
+        default = argument.default_value  # None for required arguments
         assert default is None or re.fullmatch(r"'[^<>]*'", default[0].describe())
         assert argument.description
 

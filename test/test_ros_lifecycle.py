@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Planner and simulator as managed nodes: real processes, real services, and errors on the way."""
+"""Planner and simulator as managed nodes: real processes and services, and failing transitions."""
 
 import itertools
 import json
@@ -23,17 +23,17 @@ DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CL
 
 
 def change_state(observer, node, **asked):
-    """Ask a node for a transition; return whether it was made."""
+    """Request a transition from a node; return True if it was made."""
     request = ChangeState.Request(transition=Transition(**asked))
     return observer.call(ChangeState, f'/{node}/change_state', request).success
 
 
 class Manager(Bench):
-    """A planner, its inputs, and who manages it: by numbers, as Nav2's manager does."""
+    """A planner, its inputs, and its manager, which uses transition ids as Nav2's does."""
 
     def __init__(self, launch, observer, parameters):
         self.times = (0.1 * k for k in itertools.count(1))
-        # However long a busy machine takes: only who manages it may stop it.
+        # Never stale, even on a busy machine: only the manager may stop it.
         patient = {'odom_timeout': 60.0, 'goal_timeout': 60.0}
         super().__init__(launch, observer, QUICK | patient | parameters)
 
@@ -46,7 +46,7 @@ class Manager(Bench):
         return response.current_state.label
 
     def feed_until(self, happened, what):
-        """Send fresh inputs again and again, though not so fast that nothing else gets its turn."""
+        """Send fresh inputs until a condition holds, with pauses for other callbacks."""
         seen = itertools.count()
 
         def fed():
@@ -63,7 +63,7 @@ class Manager(Bench):
         self.feed_until(lambda: any(map(moving, self.commands[before:])), 'a command to move')
 
     def commands_of(self, messages):
-        """Return the commands heard while so many inputs are sent, and those still on their way."""
+        """Return the commands received while ``messages`` inputs are sent, and soon afterwards."""
         before = len(self.commands)
         sent = itertools.count()
         self.feed_until(lambda: next(sent) > messages, 'the inputs taken in')
@@ -72,7 +72,7 @@ class Manager(Bench):
         return self.commands[before:]
 
     def says(self, words):
-        """Wait until the latest of the planner's diagnostics says something."""
+        """Wait until the planner's latest diagnostics contain ``words``."""
         self.until(lambda: self.health and words in self.health[-1].status[0].message, words)
 
 
@@ -85,7 +85,7 @@ def manager(shared):
 
 @pytest.fixture
 def active(manager):
-    """An active planner, whatever the test before left."""
+    """An active planner, whatever state the previous test left it in."""
     steps = {'unconfigured': (CONFIGURE, ACTIVATE), 'inactive': (ACTIVATE,), 'active': ()}
     for number in steps[manager.state]:
         assert manager.change(number)
@@ -105,7 +105,7 @@ def test_deactivated_it_is_safe_once_and_silent_and_activated_again_it_starts_af
     assert active.commands_of(5) == []
     assert active.change(ACTIVATE)
     active.says('waits for odometry on /odom and a goal on /goal or /goal_path')
-    assert not moving(active.commands[-1])  # still the last
+    assert not moving(active.commands[-1])  # still the safe command
     active.move()
 
 
@@ -142,7 +142,7 @@ def test_cleaned_up_it_has_no_topics_and_takes_on_what_has_changed(active):
 def test_a_transition_that_is_not_possible_is_refused_in_a_line_and_it_flies_on(
     active, asked, said
 ):
-    for _ in range(6):  # as often as a callback may not fail
+    for _ in range(6):  # so many failures of a callback would end the node
         assert not change_state(active.observer, 'planner', **asked)
     assert said in active.planner.output
     assert active.state == 'active'
@@ -176,7 +176,7 @@ def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
 def test_a_managed_simulator_stands_still_and_flies_again(launch, observer, again):
     clock, seen = observer.listen(Clock, '/clock'), observer.listen(Odometry, 'odom')
     captured = observer.listen(Bool, 'captured')
-    # However long a busy machine takes: what is too old would be flown differently.
+    # Never stale, even on a busy machine: stale inputs would be flown differently.
     launch('planner', {'trigger': 'odom', 'odom_timeout': 60.0, 'goal_timeout': 60.0})
     launch('sim', {'autostart': False, 'max_ticks': 3})
 
@@ -195,13 +195,13 @@ def test_a_managed_simulator_stands_still_and_flies_again(launch, observer, agai
         assert change_state(observer, 'sim', id=ACTIVATE)
     observer.until(lambda: len({m.header.stamp.sec for m in seen}) >= 8, 'the second flight')
     places = {m.header.stamp.sec: m.pose.pose.position.x for m in seen}
-    assert list(places) == list(range(8))  # time goes on
+    assert list(places) == list(range(8))  # time continues
     flown = list(places.values())
     assert flown[4:] == pytest.approx(flown[:4], abs=1e-9)
 
 
 class Worker(Managed):
-    """A node that fails where it is told to."""
+    """A node that fails in selected transitions."""
 
     def __init__(self):
         super().__init__('worker')
@@ -244,7 +244,7 @@ def state(node):
 
 
 class Panic(BaseException):
-    """As a library written in Rust raises it."""
+    """Like a panic of a library written in Rust."""
 
 
 @pytest.mark.parametrize('error', [BadInput('step', 0.0, 'above 0'), ValueError('no'), Panic('no')])

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Messages and plain types: what goes out comes back, and nothing malformed gets in."""
+"""Messages and plain types: round trips, and refusals of malformed messages."""
 
 import itertools
 import math
@@ -74,7 +74,7 @@ def test_a_body_that_pushes_along_z_is_turned_on_the_way_in_and_back_on_the_way_
         np.testing.assert_allclose(odometry.attitude[:, 0], own[:, 2], atol=1e-12)
         along = [twist.linear.z, twist.linear.y, -twist.linear.x]
         np.testing.assert_allclose(odometry.body_velocity, along, atol=1e-12)
-        # What a body sees of the world is the same, whatever its axes are called.
+        # Body rates in world axes do not depend on how the body's axes are named.
         turning = odometry.attitude @ odometry.body_rate
         meant = measured(vehicle)
         np.testing.assert_allclose(turning, own @ meant.body_rate, atol=1e-12)
@@ -107,7 +107,7 @@ def set_at(message, path, value):
 
 
 NAN, INF = math.nan, math.inf
-UPRIGHT = Quaternion(y=math.sqrt(0.5), w=math.sqrt(0.5))  # without a yaw
+UPRIGHT = Quaternion(y=math.sqrt(0.5), w=math.sqrt(0.5))  # x is vertical: no yaw
 REFUSED = [
     (odometry_message, 'header.stamp.sec', -1),
     (odometry_message, 'header.stamp.nanosec', 10**9),
@@ -171,7 +171,7 @@ def test_an_empty_frame_parameter_accepts_any():
     assert stamp.frames == Frames('map', 'r2/base')
 
 
-# --- odometry in two halves: which twist a pose goes with
+# --- odometry in two messages: which twist belongs to a pose
 
 
 def pose(milliseconds, attitude=None):
@@ -180,14 +180,14 @@ def pose(milliseconds, attitude=None):
 
 
 def twist(milliseconds):
-    """A twist whose speed is its time, by which it is known again."""
+    """Return a twist whose speed identifies it: its stamp [ms]."""
     message = TwistStamped(header=header(milliseconds * SECOND // 1000, 'base_link'))
     message.twist.linear.x = float(milliseconds)
     return message
 
 
 def joined(*halves):
-    """The stamps of odometry made of halves, as pairs of milliseconds: of its pose and twist."""
+    """Return the stamps of pose and twist in each odometry made of halves [ms]."""
     made, found = PoseTwistSynchronizer(), []
     for each in halves:
         took = made.take('pose' if isinstance(each, PoseStamped) else 'twist', each)
@@ -215,7 +215,7 @@ def test_halves_of_one_stamp_belong_together_in_any_order(order):
             [(1000, 995), (1020, 1005), (1030, 1005)],
         ),
         ([pose(1000), twist(1005), pose(1020)], [(1000, 1005), (1020, 1005)]),
-        # A pose without its twin is left out, and one that comes twice is one measurement.
+        # A pose without its twist is dropped, and one that comes twice counts once.
         (
             [twist(1000), pose(1000), pose(1020), pose(1040), twist(1040)],
             [(1000, 1000), (1040, 1040)],
@@ -252,9 +252,9 @@ def test_a_velocity_of_the_world_is_turned_into_the_body(dimension, axis):
     message.twist.twist.linear = messages.vector(own.T @ velocity)
     _, told_in_body = read_odometry(message, dimension, Frames(thrust_axis=axis))
     message.twist.twist.linear = messages.vector(velocity)
-    message.child_frame_id = 'odom'  # whatever it says
+    message.child_frame_id = 'odom'  # ignored
     frames = Frames('odom', 'base_link', axis, velocity='world')
     stamp, told_in_world = read_odometry(message, dimension, frames)
     np.testing.assert_allclose(told_in_world.body_velocity, told_in_body.body_velocity, atol=1e-12)
     np.testing.assert_array_equal(told_in_world.body_rate, told_in_body.body_rate)
-    assert stamp.frames.body == 'base_link'  # of the commands
+    assert stamp.frames.body == 'base_link'  # for commands

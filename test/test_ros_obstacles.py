@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Markers on obstacles, and plans of other vehicles: what is made of them, and what is refused."""
+"""Markers of obstacles and plans of other vehicles: the resulting hazards, and refusals."""
 
 import math
 from collections import Counter
@@ -23,7 +23,7 @@ OTHER = '/uav2/plan'
 
 
 def marker(seconds=1.0, place=(0.0, 0.0, 0.0), number=0, kind=SPHERE, **more):
-    """Return a marker; ``size`` are its three sizes, ``turned`` its attitude."""
+    """Return a marker; ``size`` has its three extents, ``turned`` is its attitude."""
     found = Marker(header=header(round(seconds * 1e9), 'odom'), ns='a', id=number, type=kind)
     found.pose = messages.pose(np.array(place), more.pop('turned', np.eye(3)))
     found.scale = messages.vector(np.array(more.pop('size', (1.0, 1.0, 1.0))))
@@ -55,7 +55,7 @@ def hazards(inputs, at=1.0):
 
 
 def inside(kind, size, rng, count=500):
-    """Return points of a shape of that kind, up to its surface, in its own axes."""
+    """Return points of a shape, up to its surface, in its own axes, shape (count, 3)."""
     points = rng.uniform(-1.0, 1.0, (count, 3))
     if kind == CUBE:
         points[: count // 2] = np.sign(points[: count // 2])
@@ -84,7 +84,7 @@ def test_bodies_are_tight_and_a_cylinder_in_space_is_the_smaller_of_sphere_and_b
     box = body_of(marker(place=(1.0, 2.0, 3.0), kind=CUBE, size=(2.0, 4.0, 6.0)), 3)
     np.testing.assert_allclose([box.minimum, box.maximum], [[0.0, 0.0, 0.0], [2.0, 4.0, 6.0]])
     disc = body_of(marker(kind=CYLINDER, size=(2.0, 3.0, 9.0)), 2)
-    assert (type(disc), disc.radius) == (Ball, 1.5)  # the longer axis; seen from above
+    assert (type(disc), disc.radius) == (Ball, 1.5)  # the longer axis, as seen from above
     assert body_of(marker(size=(1.0, 2.0, 3.0)), 3).radius == 1.5
     assert isinstance(body_of(marker(kind=CYLINDER, size=(1.0, 1.0, 9.0)), 3), Box)
     assert isinstance(body_of(marker(kind=CYLINDER, size=(1.0, 1.0, 0.01)), 3), Box)
@@ -103,7 +103,7 @@ def test_what_is_shown_of_a_body_is_read_as_that_body(dimension):
         assert body_of(shown(marker(), body), dimension) == body
 
 
-# --- what comes, goes and is refused
+# --- markers added, deleted and refused
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_a_lifetime_ends_by_the_stamps(inputs):
 
 def test_a_reset_forgets_what_moved(inputs):
     inputs.update('obstacles', array(marker(3.5), marker(1.0, number=1)), 0.0)
-    assert inputs.traffic_stamps == {'obstacles': 3_500_000_000}  # that of the first
+    assert inputs.traffic_stamps == {'obstacles': 3_500_000_000}  # the stamp of the first marker
     assert inputs.update('obstacles', array(), 0.0) == ''
     assert inputs.traffic_stamps == {'obstacles': 0}
     inputs.update(OTHER, plan(1.0), 0.0)
@@ -203,7 +203,7 @@ def test_a_reset_forgets_what_moved(inputs):
     assert inputs.traffic_stamps == {}
 
 
-# --- plans of others
+# --- plans of other vehicles
 
 
 def plan(seconds, step=0.5, speed=1.0, frame='odom'):
@@ -216,7 +216,7 @@ def test_a_plan_is_kept_clear_of_by_the_radius(inputs):
     assert inputs.update(OTHER, plan(1.0), 0.0) == ''
     (hazard,) = hazards(inputs, 1.25)
     np.testing.assert_allclose(hazard.body.centre, [0.25, 3.0])
-    assert 1.0 < hazard.body.radius <= 1.001  # plans are exact but for rounding
+    assert 1.0 < hazard.body.radius <= 1.001  # plans are exact up to rounding
 
 
 @pytest.mark.parametrize(
@@ -256,11 +256,11 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
     inputs.update('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0, 3.0):
         inputs.update('odom', odometry(second), second)
-        assert inputs.complete == (second == 1.0)  # until it is known that stamps are shared
+        assert inputs.complete == (second == 1.0)  # until stamps are known to be shared
         inputs.update('/c/plan', plan(second), second)
         assert inputs.complete == (second == 1.0)
         inputs.update('/a/plan', plan(second), second)
-        assert inputs.complete == (second == 1.0)  # until the obstacles of that stamp are there
+        assert inputs.complete == (second == 1.0)  # until the obstacles of that stamp have come
         inputs.update('obstacles', array(marker(second)), second)
         assert inputs.complete
 
@@ -268,11 +268,11 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
 @pytest.mark.parametrize(
     ('step', 'heard', 'waits'),
     [
-        (1.0, (0.7, 1.7), True),  # it has measured before, and its plan is on its way
+        (1.0, (0.7, 1.7), True),  # it measures earlier, and its plan is on its way
         (1.0, (1.3, 2.3), False),  # it measures later, and waits itself
-        (1.0, (1.0, 2.0), False),  # at the same time, and is no leader
+        (1.0, (1.0, 2.0), False),  # at the same time, and its name does not come first
         (1.0, (0.4, 1.4), False),  # it is silent
-        (0.1, (2.7, 2.8), False),  # there is no time to wait
+        (0.1, (2.7, 2.8), False),  # the steps are too short for waiting
     ],
 )
 def test_who_has_measured_before_is_waited_for_until_its_plan_is_there(step, heard, waits):

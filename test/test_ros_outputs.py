@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What a planner publishes for whom: topics by its settings, thrust, reports with their prices."""
+"""Outputs of a planner: topics by its settings, thrust, reports with prices, lines and markers."""
 
 import json
 import math
@@ -39,7 +39,7 @@ CRAFT = {
     'dimension': 3,
     'translation_order': 2,
     'thrust_axis': 'z',
-    'forward': 16.35,  # the weight is 0.6 of full thrust
+    'forward': 16.35,  # it hovers at 0.6 of full thrust
     'gravity': 9.81,
     'mass': 1.5,
 }
@@ -142,7 +142,7 @@ def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
         assert list(prices(tick(planner, FAR, left))) == [f'hull@{k}' for k in range(1, left)]
 
 
-# --- the start-up line on the vehicle, and what is doubtful about it
+# --- the start-up line on the vehicle, and warnings on doubtful settings
 
 
 WING = {
@@ -201,14 +201,14 @@ DOUBTS = [
     ({'floor.fraction': 0.9}, f'floor.fraction is 0.9 and floor.shape none: {EFFECT}'),
     (CIRCLING | {'horizon': 15, 'floor.faces': 8},
      f'floor.faces is 8 and floor.shape circle: {EFFECT}'),
-    ({'floor.fraction': Floor().fraction}, ''),  # a file of all defaults
+    ({'floor.fraction': Floor().fraction}, ''),  # as in a file of all defaults
     ({'floor.faces': 8, 'floor.shape': 'polygon'}, ''),
-    # What only the vehicle's maker knows is asked for.
+    # Values that only the vehicle's maker knows are asked for.
     (THRUST, 'max_rate is not given'),
     *((THRUST | {'max_rate': known}, '') for known in (3.84, 0.0)),
     (TORQUE, 'response.speed and response.rate are not given'),
     *((TORQUE | {'response.rate': known}, '') for known in (0.0, 0.001)),
-    # A horizon may be too short to turn round; who intercepts looks beyond it.
+    # A horizon may be too short to turn round; interception looks beyond it.
     (CIRCLING | {'horizon': 10}, 'a horizon of 5 s turns by 125 deg at most'),
     (CIRCLING | {'horizon': 10}, 'half a turn takes a horizon of 15'),
     (CIRCLING | {'horizon': 15}, ''),
@@ -223,7 +223,7 @@ def test_what_is_hardly_meant_is_doubted(given, doubt):
     assert [doubt in each for each in found] == [True] * bool(doubt)
 
 
-# --- markers: the plan, its thrust, floor and obstacles where they are; nothing left of before
+# --- markers: the plan, thrust, floor and obstacles in place, and no leftovers
 
 
 AT = Stamp(1_500_000_000, Frames('odom', 'base_link'))
@@ -238,7 +238,7 @@ def solved(dimension, **changes):
 
 
 def shown(array):
-    """Return what is added, by namespace."""
+    """Return the added markers, by namespace."""
     found = {}
     for marker in array.markers:
         if marker.action == Marker.ADD:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Parameters: each is one field, and every nonsense is refused by name."""
+"""Parameters: each row is one field, and invalid values are refused by name."""
 
 import math
 import re
@@ -176,13 +176,13 @@ SECTIONS = """
 @pytest.mark.parametrize(
     ('name', 'unused'),
     [
-        ('/planner', ['/**/plannr']),  # what is in /uav2 is for another vehicle
+        ('/planner', ['/**/plannr']),  # sections of /uav2 are for another vehicle
         ('/uav1/planner', ['/**/plannr']),
         ('/pilot', ['/**/planner', '/**/plannr', '/uav1/planner']),
     ],
 )
 def test_sections_that_no_node_takes_are_told(tmp_path, name, unused):
-    """So that a misspelt name does not mean the defaults."""
+    """Otherwise a misspelt name would silently mean the defaults."""
     file = tmp_path / 'params.yaml'
     file.write_text(SECTIONS)
     node = SimpleNamespace(kind='planner', get_fully_qualified_name=lambda: name)
@@ -215,7 +215,7 @@ def held(running, names):
 
 
 def change(running, values):
-    """Set several parameters at once; return whether it worked, and why not."""
+    """Set several parameters atomically; return success, and the reason of a refusal."""
     wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=wanted)
     return answer.result.successful, answer.result.reason
@@ -241,7 +241,7 @@ def test_live_changes_are_made_whole(running):
         assert not done
         assert culprit in reason
         assert held(running, values) == before
-    assert change(running, {'floor.shape': 'none'})[0]  # it still lives
+    assert change(running, {'floor.shape': 'none'})[0]  # the node still runs
 
 
 BOX = [1.0, 1.0, 2.0, 2.0]
@@ -249,7 +249,7 @@ BOX = [1.0, 1.0, 2.0, 2.0]
 
 @pytest.mark.parametrize('kind', ['BOOL', 'BYTE', 'INTEGER', 'STRING', 'DOUBLE'])
 def test_an_empty_list_clears_the_boxes_whatever_type_it_comes_as(running, kind):
-    """YAML's [] has no type: ros2 param set sends it as booleans."""
+    """YAML's [] has no element type: ``ros2 param set`` sends it as booleans."""
     assert change(running, {'obstacles': BOX})[0]
     empty = Parameter('obstacles', Parameter.Type[f'{kind}_ARRAY'], []).to_parameter_msg()
     answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=[empty])
@@ -261,7 +261,7 @@ def test_an_empty_list_clears_the_boxes_whatever_type_it_comes_as(running, kind)
 
 @pytest.mark.parametrize('boxes', [[], BOX])
 def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
-    """As ros2 param dump and ros2 param load have it: everything that may change, at once."""
+    """As with ``ros2 param dump`` and ``ros2 param load``: all live parameters, at once."""
     assert change(running, {'obstacles': boxes})[0] or not boxes
     names = [*(row.name for row in PLANNER if row.live), 'use_sim_time']
     values = {name: value_of(each) for name, each in zip(names, held(running, names), strict=True)}

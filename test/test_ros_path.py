@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The way of a command through the package: from odometry to ``cmd_vel`` in few files."""
+"""The path of a command through the package: from odometry to ``cmd_vel`` in few files."""
 
 import sys
 import time
@@ -26,14 +26,14 @@ from orbimpc_ros.ros.process import initialised
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
-# From odometry to the command that answers it, in the retrieval: files that it passes, calls from
-# one file to another, and those among them to a file that it has passed before.
+# From odometry to its command, in the retrieval: files on the path, calls from one file to another,
+# and the calls among them to a file passed before.
 FILES, HOPS, RETURNS = 26, 61, 36
 FRAMES = Frames('odom', 'base_link')
 
 
 class Trace:
-    """A profiler that keeps the files in which code runs from odometry to ``cmd_vel``."""
+    """A profiler that records the file of each call from odometry to ``cmd_vel``."""
 
     def __init__(self):
         self._current, self.complete = [], None
@@ -45,7 +45,7 @@ class Trace:
         caller = frame.f_back.f_code.co_filename if frame.f_back else ''
         if file.is_relative_to(PACKAGE):
             if '/rclpy/' in caller:
-                self._current = []  # another callback
+                self._current = []  # a new callback
             self._current.append(file.relative_to(PACKAGE).as_posix())
         elif frame.f_code is Publisher.publish.__code__:
             topic = frame.f_locals['self'].topic_name
@@ -66,7 +66,7 @@ def unconfigured(domain, default_context):
 
 @pytest.fixture
 def planner(unconfigured):
-    """The planner's node, configured and active, and what spins it."""
+    """The planner's node, configured and active, and its executor."""
     node, executor = unconfigured, SingleThreadedExecutor(context=unconfigured.context)
     node.begin()
     executor.add_node(node)
@@ -75,7 +75,7 @@ def planner(unconfigured):
 
 
 def message(topic):
-    """Return a message of this moment: of a vehicle at the origin, or of a goal ahead."""
+    """Return a message stamped now: odometry at the origin, or a goal ahead."""
     stamp = Stamp(time.time_ns(), FRAMES)
     if topic == 'goal':
         return messages.goal_message(stamp, np.array([5.0, 0.5]))
@@ -94,14 +94,14 @@ def spin_until(executor, happened):
 
 
 def calls_on_the_way(executor, goal, odometry):
-    """Return the file of each call from odometry to the command that answers it, in order.
+    """Return the file of each call from odometry to its command, in order.
 
-    ``goal`` and ``odometry`` are publishers: of several on a topic only one could be right.
+    ``goal`` and ``odometry`` are publishers, kept: a second one per topic would be a rival.
     """
     trace = Trace()
 
-    def answered():  # again and again: the first may be lost in discovery
-        # The goal's stamp is older: odometry that has its goal waits for nothing.
+    def answered():  # repeated, as the first may be lost in discovery
+        # The goal's stamp is older, so that odometry does not wait for one.
         goal.publish(message('goal'))
         odometry.publish(message('odom'))
         return trace.complete
@@ -118,7 +118,7 @@ def test_a_command_passes_few_files(planner):
     node, executor = planner
     goal = node.create_publisher(PoseStamped, 'goal', 1)
     odometry = node.create_publisher(Odometry, 'odom', 1)
-    calls_on_the_way(executor, goal, odometry)  # the first settles what is worked out once
+    calls_on_the_way(executor, goal, odometry)  # the first call fills caches
     calls = calls_on_the_way(executor, goal, odometry)
     way = [file for file, _ in groupby(calls)]
     assert way[0] == 'ros/process.py'  # the guard of every callback
@@ -137,7 +137,7 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
             owner, name, lambda *a, _plain=plain, _name=name: done.append(_name) or _plain(*a)
         )
     hear(node, 'goal')
-    for later in (0.0, 0.02, 0.04):  # an odometry message each 20 ms; it is watched each 50 ms
+    for later in (0.0, 0.02, 0.04):  # odometry every 20 ms; monitoring every 50 ms
         shown[0] = 100.0 + later
         hear(node, 'odom')
     assert done == ['sent', 'look', 'sent', 'sent', 'look']
@@ -147,7 +147,7 @@ def test_what_a_tick_made_in_too_long_a_time_is_not_flown(planner, monkeypatch):
     (node, _), sent, reports = planner, [], []
     monkeypatch.setattr(node._core.planner, 'sent', lambda command, _at: sent.append(command))
     hear(node, 'goal')
-    for seconds in (0.0, 1000.0, 0.0):  # between two looks at the clock
+    for seconds in (0.0, 1000.0, 0.0):  # between two readings of the clock
         monkeypatch.setattr(node._core, '_clock', count(step=seconds).__next__)
         hear(node, 'odom')
         reports.append(node._decision)
@@ -170,7 +170,7 @@ def test_a_planner_can_be_seen_before_it_compiles_and_listens_only_then(unconfig
 
 
 def test_who_may_tell_of_obstacles_has_the_planner_get_ready(planner, monkeypatch):
-    """Before the first message, which is often in flight."""
+    """It prepares when a publisher appears, as the first message is often in flight by then."""
     (node, executor), ready = planner, []
     monkeypatch.setattr(Planner, 'expect_hazards', lambda _: ready.append(True))
     executor.spin_once(timeout_sec=0.1)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Vehicles in continuous time and in engines: parameters, flights over DDS, an engine that dies."""
+"""Vehicles in continuous time and in engines: parameters, flights over DDS, a failing engine."""
 
 import math
 import time
@@ -48,7 +48,7 @@ def test_a_planner_is_told_nothing_of_wind_and_swing(name):
 @needs_machine_code
 @pytest.mark.parametrize('believed', [True, False])
 def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
-    """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""
+    """A gust of 2 m/s from the left turns the nose into it, but not the path over ground."""
     values = settings.resolve(config('cessna.yaml')) | {'sideslip': believed}
     planner = OfflinePlanner(planner_settings(values), clock=time.perf_counter)
     slip = 0.04
@@ -107,9 +107,9 @@ def test_parameters_make_the_plant_that_they_say():
     given = {'vehicle': 'continuous', 'odom_rate': 10.0, 'seed': 7, 'wind': (1.0, -2.0, 0.0)}
     given |= {'response.speed': 0.8, 'response.rate': 0.3, 'gust': 0.5, 'gust_time': 2.0}
     told, lags = sim_settings(DEFAULTS | given | own), {'speed_lag': 0.8, 'rate_lag': 0.3}
-    own |= {'gust': 0.5, 'gust_time': 2.0, 'seed': 7, 'step': 0.1}  # between odometry
+    own |= {'gust': 0.5, 'gust_time': 2.0, 'seed': 7, 'step': 0.1}  # period of odometry
     assert told.scenario.model == Plant(disturbance=(1.0, -2.0), **lags, **own)
-    assert told.command_timeout == 0.75  # of the planner's steps
+    assert told.command_timeout == 0.75  # in units of the planner's steps, 1.5
 
 
 def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():
@@ -119,7 +119,7 @@ def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():
 
 
 def test_a_vehicle_in_continuous_time_is_caught_over_dds(tmp_path, capsys):
-    """It lags, in gusts; a bag tells how slow it became, five times in each of its steps."""
+    """With lags and gusts; the bag has the least airspeed, five times per step."""
     changes = [f'--set={name}={value}' for name, value in WING.items()]
     assert cli.main(['demo', 'retrieval', '--out', str(tmp_path), *changes]) == 0
     found = messages_of(tmp_path / 'retrieval')

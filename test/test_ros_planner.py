@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner as a process: what it says while it waits, what it publishes, how it begins again."""
+"""The planner as a process: its messages while it waits, its topics, resets and signals."""
 
 import itertools
 import signal
@@ -26,12 +26,12 @@ from orbimpc_ros.ros.topics import NUMBERS
 
 
 def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
-    slow = {'step': 2.0, 'horizon': 2}  # with a second for a tick, however busy the machine is
+    slow = {'step': 2.0, 'horizon': 2}  # leaves a second per tick, for busy machines
     asked = slow | {'terminal': 'constraint', 'publish_certificate': 'true'}
     proofs = observer.listen(UInt8MultiArray, 'certificate')
     bench = Bench(launch, observer, QUICK | asked)
     observer.until_connected('certificate')
-    command = bench.fly(7.25)  # the goal is 5 m away, and 4 m are in reach
+    command = bench.fly(7.25)  # the goal is 5 m away, the reach 4 m
     assert not moving(command)
     bench.until(lambda: proofs, 'the proof')
     verdict = verified(parsed(bytes(proofs[-1].data)))
@@ -42,7 +42,7 @@ def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
 
 
 def test_a_reader_that_came_too_late_hears_the_report_when_the_answer_is_repeated(launch, observer):
-    """Nobody heard the first tick, so its report was not even made."""
+    """Nobody subscribed during the first tick, so that its report was not even made."""
     commands = observer.listen(TwistStamped, 'cmd_vel')
     sources = [observer.node.create_publisher(kind, topic, qos())
                for kind, topic in ((Odometry, 'odom'), (PoseStamped, 'goal'))]  # fmt: skip
@@ -74,7 +74,7 @@ def test_after_a_reset_it_flies_to_the_same_goal_and_disabled_it_is_safe(launch,
     flown = len(bench.commands)
 
     def goes_on():
-        bench.odometry.publish(odometry(1.0))  # an older stamp than before, and no goal again
+        bench.odometry.publish(odometry(1.0))  # an older stamp than before, and no further goal
         return any(map(moving, bench.commands[flown:]))
 
     bench.until(goes_on, 'a command to move')
@@ -87,7 +87,7 @@ def test_after_a_reset_it_flies_to_the_same_goal_and_disabled_it_is_safe(launch,
 
 
 def test_a_timer_may_be_quicker_than_a_step(launch, observer):
-    """With steps of ten minutes, commands come at all."""
+    """With steps of ten minutes, commands still come at the timer's period."""
     bench = Bench(launch, observer, {'trigger': 'timer', 'step': 600.0, 'plan_period': 0.1,
                                      'forward': 0.01, 'odom_timeout': 60.0,
                                      'goal_timeout': 60.0})  # fmt: skip
@@ -114,7 +114,7 @@ def test_a_timer_whose_clock_stands_still_is_noticed(launch, observer):
         return [told(m)['reason'] for m in bench.ticks]
 
     bench.until(lambda: told_of_later(0.01, True) and moving(bench.commands[-1]), 'a plan')
-    words = 'the clock has stood still for'  # while odometry, not much ahead of it, stays fresh
+    words = 'the clock has stood still for'  # odometry, stamped little later, stays fresh
     bench.until(lambda: any(words in reason for reason in told_of_later(1e-4, False)), words)
     assert not moving(bench.commands[-1])
 
@@ -139,7 +139,7 @@ def test_qos_is_as_documented(launch, observer):
             assert info.qos_profile.durability == DurabilityPolicy.VOLATILE
 
 
-# --- among bodies and other vehicles
+# --- among obstacles and other vehicles
 
 
 OTHER = '/uav2/plan'
@@ -147,7 +147,7 @@ FRAMES = Frames('odom', 'base_link')
 
 
 def planned_with(crowded, count, seconds):
-    """Answer odometry until a tick was planned with so many hazards."""
+    """Send odometry until a tick has been planned with ``count`` hazards."""
     stamps = iter(np.arange(seconds, seconds + 60.0, 0.05))
 
     def done():
@@ -174,17 +174,17 @@ def test_bodies_and_plans_are_planned_with_and_who_is_not_heard_is_told_of(launc
     planned_with(crowded, 2, now)
 
 
-# --- the console and /diagnostics: what it says, once, and what it does then
+# --- the console and /diagnostics: each message once, with its level and its consequences
 
 
 def said(bench, words):
-    """Wait until the console has it; return how often."""
+    """Wait until the console shows ``words``; return how often it does."""
     bench.until(lambda: words in bench.planner.output, words)
     return bench.planner.output.count(words)
 
 
 def level(bench, words):
-    """Return the level at which the diagnostics say something, waiting for it."""
+    """Wait until the diagnostics contain ``words``; return their level."""
     bench.says(words)
     return [m.status[0].level for m in bench.health if words in m.status[0].message][-1]
 
@@ -233,7 +233,7 @@ def test_numbers_come_on_topics_of_their_own(launch, observer):
     assert heard['distance'][-1].data == pytest.approx(5.0)
     cost = heard['objective'][-1].data
 
-    def on_a_tick():  # topics reach a subscriber in any order
+    def on_a_tick():  # messages of different topics come in any order
         return any(float(told(tick)['objective']) == cost for tick in bench.ticks)
 
     bench.until(on_a_tick, 'the tick of that cost')
@@ -282,4 +282,4 @@ def test_who_has_commanded_nothing_leaves_without_a_command(launch, observer):
     bench.until(own.get_subscription_count, 'this test')
     own.publish(TwistStamped())
     bench.until(lambda: bench.commands, 'whatever was commanded')
-    assert bench.commands == [TwistStamped()]  # what came before would be before it
+    assert bench.commands == [TwistStamped()]  # an earlier command would come first

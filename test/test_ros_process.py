@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A node as a process: callbacks that fail, signals at any time, nothing said on a bad start."""
+"""A node as a process: failing callbacks and starts, signals at any time, hanging shutdowns."""
 
 import re
 import signal
@@ -51,7 +51,7 @@ BROKEN = """
 
 
 def test_a_start_broken_off_is_cleared_away_and_says_why():
-    """Whatever else goes wrong meanwhile, and before the context is shut down."""
+    """Despite further errors meanwhile, and before the context is shut down."""
     done = python(BROKEN.format(refused=True, hanging=0.0))
     expected = (2, 'begins\ndestroyed True\n', 'mass is 0; allowed: 1\n')
     assert (done.returncode, done.stdout, done.stderr) == expected
@@ -91,7 +91,7 @@ def test_help_has_every_parameter_and_the_exit_codes_within_80_columns(node, row
     assert lines[-1].startswith('exit codes: 0 ')
 
 
-# A shell's background jobs and all that these start have SIGINT ignored.
+# Background jobs of a shell, and all their children, ignore SIGINT.
 BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
 
 
@@ -103,7 +103,7 @@ BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
     ],
 )
 def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
-    """Told by what Python says it has imported; the last is followed by the node's own start."""
+    """Sent when ``-X importtime`` reports an import; the last one precedes the node's own start."""
     script = f'import sys; from orbimpc_ros.ros.entry import {node}; sys.exit({node}())'
     words = [*BACKGROUND, sys.executable, '-X', 'importtime', '-c', script]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as starting:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulator as a process: faults on purpose, commands refused, and whom it waits for."""
+"""The simulator as a process: injected faults, refused commands, and readers that it waits for."""
 
 import contextlib
 import math
@@ -62,7 +62,7 @@ def test_no_fault_brings_lock_step_to_a_standstill(launch, faults):
     assert 'captured' in sim.output
 
 
-# --- who a flight waits for
+# --- readers that a flight waits for
 
 WHOLE = {
     '/clock': Clock,
@@ -74,11 +74,11 @@ WHOLE = {
     'tick': DiagnosticArray,
 }
 STEPS = 12
-LONG = LOCKSTEP | {'goal_prediction': 'hold'}  # the paper's, which catches nothing so soon
+LONG = LOCKSTEP | {'goal_prediction': 'hold'}  # the paper's prediction, without a catch so soon
 
 
 def test_whoever_is_waited_for_hears_a_flight_whole(launch, domain):
-    """As somebody who comes late to record a flight that takes a tenth of a second."""
+    """Like a recorder that starts late, while the flight takes a tenth of a second."""
     launch('planner', LONG)
     asked = {
         'wait_for': 'odom, goal, cmd_vel, rotation, plan, tick',
@@ -104,7 +104,7 @@ def test_a_simulator_says_for_whom_it_has_waited_in_vain(launch):
 
 
 def test_the_time_that_a_planner_takes_to_be_configured_is_not_counted(launch, observer):
-    """The first start compiles for minutes on a small computer."""
+    """The first start compiles for minutes on a slow computer."""
     observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
     observer.node.create_publisher(TransitionEvent, '~/transition_event', qos())
     sim = launch('sim', {'wait_timeout': 5.0})
@@ -118,7 +118,7 @@ def test_the_time_that_a_planner_takes_to_be_configured_is_not_counted(launch, o
 
 def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer):
     observer.listen(TwistStamped, 'cmd_vel')
-    # Its period is longer than the simulator's step: else it may happen to keep up.
+    # Its period is longer than the simulator's step: otherwise it might keep up by chance.
     launch('planner', LOCKSTEP | {'trigger': 'timer', 'step': 10.0})
     observer.until_connected('cmd_vel')
     sim = launch('sim', {'wait_timeout': 8.0})
@@ -128,7 +128,7 @@ def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer)
 
 
 def flown_at(launch, domain, rate):
-    """Return when each odometry of a flight was sent [ns], and where the vehicle was."""
+    """Return the times at which a flight's odometry was sent [ns], and the positions in it."""
     sent, places = [], []
 
     def heard(message, about):
@@ -151,7 +151,7 @@ def test_a_rate_slows_lock_step_and_changes_nothing_else(launch):
     sent, places = flown_at(launch, new_domain(), 5.0)
     _, quick = flown_at(launch, new_domain(), 0.0)
     assert places == quick
-    # The first step may come late, and then the next one earlier; no step comes before its time.
+    # The first step may be late, and the next one early relative to it; none is ahead of its time.
     assert sent[-1] - sent[0] > (STEPS - 2) * 0.2e9
 
 
@@ -160,7 +160,7 @@ def test_a_rate_too_slow_for_a_planners_timeouts_is_told(launch, observer):
     observer.until(lambda: 'odom_timeout and goal_timeout to more than 10 s' in sim.output)
 
 
-# --- the commands that are obeyed, and those that are refused
+# --- accepted and refused commands
 
 
 def test_bad_commands_are_refused_counted_and_not_flown(launch, observer):
@@ -201,7 +201,7 @@ def twist(speed, rate, stamp=NOW):
 
 @pytest.mark.parametrize('axis', ['x', 'z'])
 def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
-    """Along the axis that the vehicle pushes along."""
+    """Speed and force are along the thrust axis."""
     frames, rate = Frames('odom', 'base_link', axis), np.array([0.1, -0.2, 0.3])
     first, later = Stamp(NOW, frames), Stamp(NOW + 1, frames)
     message = messages.twist_message(first, 1.0, rate)
@@ -236,7 +236,7 @@ def force(newtons, stamp=NOW):
 
 
 def malformed(message, path):
-    """Return a message of which one number is none."""
+    """Return a message with one number set to NaN."""
     *way, last = path.split('.')
     setattr(reduce(getattr, way, message), last, math.nan)
     return message

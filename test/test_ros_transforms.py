@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Goals, obstacles and plans in other frames: moved by transforms, or refused in one line."""
+"""Goals, obstacles and plans in other frames: transformed, or refused in one line."""
 
 import math
 import time
@@ -21,7 +21,7 @@ from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inver
 
 OTHER = '/uav2/plan'
 QUARTER = math.pi / 2
-TURNED = f'map odom 10.0 0.0 0.0 0.0 0.0 {QUARTER}'  # odom's x is map's y
+TURNED = f'map odom 10.0 0.0 0.0 0.0 0.0 {QUARTER}'  # x of odom is y of map
 
 
 def avoiding(**given):
@@ -86,7 +86,7 @@ def test_frames_are_joined_through_what_they_have_in_common():
     np.testing.assert_allclose(found[:3, 3], [2.0, 0.0, 0.0], atol=1e-12)
 
 
-# --- what comes in another frame
+# --- messages in other frames
 
 
 def test_a_goal_is_moved_and_turned_by_a_stated_transform():
@@ -134,7 +134,7 @@ def test_a_goal_sent_once_follows_the_frame_that_it_stands_in():
     assert box.displaced.startswith('the goal stays where it was: stale transform: map -> odom')
 
 
-# --- what is refused
+# --- refusals
 
 
 def refusal(box, at=1.0, frame='map'):

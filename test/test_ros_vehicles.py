@@ -29,14 +29,14 @@ PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
 
 
 def recipe(name):
-    """The parameters that the page gives under a heading that begins so."""
+    """Return the parameters that the page gives under the heading that contains ``name``."""
     (section,) = (each for each in PAGE.read_text().split('\n## ') if name in each.splitlines()[0])
     (block,) = (each for each in blocks_of(section) if each.language == 'yaml')
     return yaml.safe_load(block.text)['/**/planner']['ros__parameters']
 
 
 def flight(parameters, plant, vehicle, goal, seconds, band=0.0):
-    """A vehicle at every tick from here on, with the commands."""
+    """Return time, vehicle and command at every tick."""
     planner, log = OfflinePlanner(settings_of(**parameters), clock=time.process_time), []
     source = parameters.get('velocity_source', 'ground')
     for k in range(round(seconds / planner.settings.period)):
@@ -82,13 +82,13 @@ def test_a_fixed_wing_meets_what_drifts_and_never_flies_too_slowly():
     assert max(abs(command.body_rate[0]) for *_, command in log) <= 0.4363 * (1.0 + 1e-9)
 
 
-UPRIGHT = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
+UPRIGHT = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # thrust is along the first axis
 
 
 @needs_machine_code
 @pytest.mark.parametrize('boxes', [False, True])
 def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
-    """At 220 deg/s, twice the lags that were given, a fifth heavier: 9 m off, among boxes too."""
+    """At most 220 deg/s, twice the configured lags, a fifth heavier: 9 m away, also among boxes."""
     parameters = recipe('multirotor')
     rng, place, around = np.random.default_rng(7), np.array([7.0, -4.0, 3.0]), []
     while boxes and len(around) < 8:
@@ -112,7 +112,7 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
 
 
 def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
-    """On the vehicle in continuous time with its lags; what a demo does over DDS."""
+    """In continuous time with lags, like the demo over DDS."""
     values = settings.resolve(settings.config('lander.yaml'))
     begun = departure(sim_settings(values).scenario)
     view = View(NO_FAULTS, 0, begun.scenario.model.step)
