@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The controllers to compare with, and the studies that they fly: laws, traffic, cones, tuning."""
+"""The baseline controllers, and the studies that they fly: laws, traffic, margins, deadlines."""
 
 import itertools
 from dataclasses import replace
@@ -33,7 +33,7 @@ def made(name, study='fixed_wing', **tuned):
 
 
 def seeing(*hazards, goal=(25.0, 0.0), velocity=(0.0, 0.0), wind=(0.0, 0.0)):
-    """The sight of a vehicle at the origin that is headed along x; the goal moves straight on."""
+    """Return the sight of a vehicle at the origin heading along x; the goal moves straight on."""
     state = replace(State.at(np.zeros(2), np.eye(2)), hazards=hazards)
 
     def ahead(times):
@@ -68,7 +68,7 @@ def test_baselines_steer_clear_of_what_is_in_the_way(name, side):
 
 
 def discs(name, index, seed=4):
-    """Centres, velocities and radii of the bodies in a flight's traffic."""
+    """Return centres, velocities and radii of a flight's traffic."""
     drawn = np.array(draws_of(name).of(seed, index)['traffic']).reshape(-1, 5)
     return drawn[:, :2], drawn[:, 2:4], drawn[:, 4]
 
@@ -77,7 +77,7 @@ def discs(name, index, seed=4):
 
 
 class Listener(Baseline):
-    """Flies straight on at full speed and remembers its inputs."""
+    """Flies straight on at full speed and records its inputs."""
 
     def __init__(self, known):
         super().__init__(known, {})
@@ -93,7 +93,7 @@ class Listener(Baseline):
 
 
 def flown_on(values, steps, clock=None, margin=0.0):
-    """Return a pilot that has flown the first steps of a flight."""
+    """Return a baseline that has flown the first steps of a flight."""
     known = planner_settings(values)
     pilot = Listener(known)
     planner = OfflinePlanner(known, clock=clock, planner=pilot)

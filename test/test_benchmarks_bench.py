@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""`orbimpc bench`: agreement of the objectives, rows, table, file and picture."""
+"""`orbimpc bench`: equal objectives of all solvers, rows, table, file and picture."""
 
 import json
 import math
@@ -20,20 +20,20 @@ FIELDS = [
     *('problem', 'contender', 'n', 'p50_ms', 'p99_ms', 'worst_gap', 'objective'),
     *('ratio_p50', 'ratio_p99', 'required'),
 ]
-PATIENCE = 600.0  # [s]: on a busy machine too
+PATIENCE = 600.0  # [s] for busy machines, too
 compiled = pytest.mark.skipif(
     not COMPILED, reason='minutes, or without a proof, in plain Python: pip install numba'
 )
 
 
 def comparison(key, horizon=None):
-    """A comparison, with fewer steps to plan than it has where others take minutes for all."""
+    """Return a comparison, with a shorter ``horizon`` if solvers would take minutes otherwise."""
     found = next(each for each in COMPARISONS if each.key == key)
     return replace(found, problem=replace(found.problem, horizon=horizon)) if horizon else found
 
 
 def solved(each, name, indices):
-    """The results of a solver on some instances; skips where it is not installed."""
+    """Return the results of a solver on some instances; skip if it is not installed."""
     if name in PACKAGES:
         pytest.importorskip(PACKAGES[name])
     solver, results = each.solver(name, PATIENCE), []
@@ -47,7 +47,7 @@ def solved(each, name, indices):
 
 # --- the same problem for all solvers
 
-WING = [0, 9, 19]  # early and late in a flight, in wind, above the floor
+WING = [0, 9, 19]  # instances early and late in a flight, in wind, above the floor
 
 
 @compiled

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The fault matrix: what the monitor notices, how rows are judged, and the short form itself."""
+"""The fault matrix: what its monitor detects, how rows are judged, and its short form."""
 
 import json
 import math
@@ -34,7 +34,7 @@ def test_the_monitor_notices_commands_beyond_limits(speed, rates, broken):
 
 
 def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
-    """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
+    """A busy planner may be safe at first, and then plan from valid odometry in its queue."""
     due = 1.0 + 0.3
 
     def unsafe(*commands, strict=True):
@@ -85,9 +85,9 @@ def test_a_row_is_as_good_as_its_worst_case(outcome, ok):
 
 @pytest.fixture(scope='module')
 def short(tmp_path_factory):
-    """Return the finished halves of the short form, one after the other, and all rows by name.
+    """Return the finished halves of the short form, run one after the other, and all rows by name.
 
-    Side by side, beside other tests, two cores are too few for nodes that start.
+    In parallel, next to other tests, two cores are too few to start their nodes.
     """
     files = [tmp_path_factory.mktemp('faults') / f'{half}.json' for half in ('even', 'odd')]
     done = []
@@ -101,7 +101,7 @@ def short(tmp_path_factory):
 
 @pytest.mark.parametrize('name', [case.name for case in MATRIX])
 def test_under_every_fault_commands_are_safe(short, name):
-    """Whatever the machine is busy with; whether it was in time, the command itself tells."""
+    """However busy the machine is; whether reactions are in time, the command itself judges."""
     done, _, rows = short
     found = rows[name]
     assert found['cases'], [err for _, _, err in done]

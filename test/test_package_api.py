@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The declared interface of the library: complete, documented, and made of values."""
+"""The declared interface of the library: complete, documented, and with value semantics."""
 
 import dataclasses
 import inspect
@@ -25,7 +25,7 @@ def test_every_name_is_documented_where_it_stands_and_on_the_page(name):
 
 @pytest.mark.parametrize('name', ['Solver', 'Planner', 'Snapshot'])
 def test_signatures_are_those_of_the_page(name):
-    """What a caller may pass, by name and default; changing it takes a deprecation."""
+    """Names and defaults of arguments are public: changing them takes a deprecation."""
     signature = inspect.signature(getattr(orbimpc_ros, name))
     words = [
         p.name if p.default is p.empty else f'{p.name}={p.default!r}'
@@ -68,5 +68,5 @@ def test_values_of_other_content_differ_and_cannot_be_changed():
     moved = dataclasses.replace(measured(), position=np.array([1e-9, 0.0]))
     assert moved != measured()
     state, zero = State.at([0.0, 0.0], np.eye(2)), State.at([-0.0, 0.0], np.eye(2))
-    assert {state: 1}[zero] == 1  # the same number with another sign
+    assert {state: 1}[zero] == 1  # equal numbers, with different signs
     assert dataclasses.replace(state, coasted=np.eye(2)) != state

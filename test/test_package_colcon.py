@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Installed, the package works from where it is installed: a colcon workspace, and a wheel."""
+"""The installed package works from where it is installed: a colcon workspace, or a wheel."""
 
 import os
 import shutil
@@ -22,7 +22,7 @@ def copied(folder):
 
 def colcon(*words, cwd):
     script = 'import sys; from colcon_core.command import main; sys.exit(main())'
-    # Packages are built with the python3 that is found first.
+    # colcon builds packages with the first python3 on the path.
     path = f'{Path(sys.executable).parent}{os.pathsep}{os.environ["PATH"]}'
     return run(
         sys.executable,
@@ -50,7 +50,7 @@ def workspace(tmp_path_factory):
 
 @pytest.fixture
 def uncompiled(tmp_path, monkeypatch):
-    """Do as where numba is not installed: compiling anew for an install space takes a minute."""
+    """Hide numba: compiling anew for an install space takes a minute."""
     (tmp_path / 'numba.py').write_text('raise ImportError("numba is left out")')
     monkeypatch.setenv('PYTHONPATH', str(tmp_path))
 
@@ -75,7 +75,7 @@ def test_ros2_run_finds_the_executables(workspace):
     where, package = found.stdout.split()
     assert where == str(prefix(workspace))
     assert package.startswith(where)
-    # As ros2 run has it: every executable file in lib/<package>.
+    # ros2 run finds every executable file in lib/<package>.
     files = (prefix(workspace) / 'lib' / NAME).iterdir()
     executable = {file.name for file in files if file.stat().st_mode & stat.S_IXUSR}
     assert executable == {'orbimpc', 'planner', 'sim'}
@@ -128,7 +128,7 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
         pytest.importorskip(tool, reason=f'{tool} is not installed (extra test)')
     sources, wheels, site = copied(tmp_path / 'sources'), tmp_path / 'wheels', tmp_path / 'site'
     pip = (sys.executable, '-m', 'pip', '-q', '--disable-pip-version-check')
-    # Without isolation nothing is fetched: the build tools are in the extra test.
+    # Without isolation nothing is downloaded: the build tools are in the extra test.
     built = run(
         *pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', wheels, sources, cwd=tmp_path
     )
@@ -149,6 +149,6 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
     assert (site / 'share' / NAME / 'launch' / 'fleet.launch.py').is_file()
     assert (site / NAME / 'py.typed').is_file()
     assert (site / NAME / 'sim' / 'engines' / 'hummingbird.xml').is_file()
-    # The folder is shared with other packages' executables: nothing there is named planner or sim.
+    # Other packages share this folder: no executable in it may be named planner or sim.
     scripts = {each.name for each in (site / 'bin').iterdir()}
     assert scripts == {'orbimpc', 'orbimpc-planner', 'orbimpc-sim'}

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The documentation is true: tables, links, commands; CI follows it by pages.py, tested here.
+"""The documentation is true: tables, links, commands; CI runs it by pages.py, tested here.
 
-Layouts for RViz, Foxglove and PlotJuggler name topics and fields that there are.
+Layouts for RViz, Foxglove and PlotJuggler name existing topics and fields.
 """
 
 import importlib.util
@@ -41,7 +41,7 @@ def test_links_lead_somewhere(page):
 
 
 def anchors(page):
-    """Return what headings of a page can be linked by, as GitHub has it."""
+    """Return the anchors of a page's headings, as GitHub forms them."""
     headings = re.findall(r'^#+ (.*)$', page.read_text(), re.MULTILINE)
     return {'#' + re.sub(r'[^\w\- ]', '', each.lower()).replace(' ', '-') for each in headings}
 
@@ -110,7 +110,7 @@ SHOWS = {
     'Path': 'nav_msgs/msg/Path',
     'Pose': 'geometry_msgs/msg/PoseStamped',
     'SetGoal': 'geometry_msgs/msg/PoseStamped',
-}  # what RViz's displays and tools are for
+}  # message types of RViz's displays and tools
 
 
 def rviz():
@@ -126,7 +126,7 @@ def plotjuggler():
 
 
 def of_rviz():
-    """Return name and type of every topic that RViz is to show or to send."""
+    """Yield name and type of every topic that RViz displays or publishes."""
     manager = rviz()['Visualization Manager']
     for each in (*manager['Displays'], *manager['Tools']):
         if 'Topic' in each:
@@ -134,7 +134,7 @@ def of_rviz():
 
 
 def require(topic, steps):
-    """Fail unless a topic's type has a field at the end of a way through fields."""
+    """Return the type of a topic's field, given the path to it; fail if there is none."""
     pytest.importorskip('rclpy')
     kind = TYPES[topic]
     for step in steps:

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Imports run one way, mpc <- loop <- ros <- sim <- tool <- benchmarks; mpc and loop need no ROS.
 
-The simulator's engines import nothing of the rest.
+The simulator's engines import no other part of the package.
 """
 
 import ast
@@ -27,20 +27,20 @@ def imports_of(file):
 
 
 def all_modules():
-    """Yield every module of the package; a package goes by its own name."""
+    """Yield the name of every module; a package counts as a module."""
     for file in PACKAGE.rglob('*.py'):
         parts = file.relative_to(PACKAGE.parent).with_suffix('').parts
         yield '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
 
 
 def imported_by(module):
-    """Return the modules of the package that a module imports, inside functions too."""
+    """Return the modules of the package that a module imports, also inside functions."""
     place = PACKAGE.parent / module.replace('.', '/')
     file = place / '__init__.py' if place.is_dir() else place.with_suffix('.py')
     known = set(all_modules())
     found = set()
     for name in imports_of(file):
-        # What is imported from a module may be a module itself, or a name inside it.
+        # A name imported from a module may be a module itself.
         found |= {name} & known or {name.rpartition('.')[0]} & known
     return found - {module}
 
@@ -53,7 +53,7 @@ def test_a_layer_imports_nothing_above_it(layer):
             parts = name.split('.')
             assert parts[0] != 'benchmarks', f'{file} imports {name}'
             assert parts[0] != 'orbimpc_ros' or parts[1] not in above, f'{file} imports {name}'
-            # What flies is told by commands alone: engines and planner share no line of code.
+            # Engines and planner share no line of code: only commands connect them.
             engine = file.is_relative_to(ENGINES) and parts[0] == 'orbimpc_ros'
             assert not engine or parts[1:3] == ['sim', 'engines'], f'{file} imports {name}'
 
@@ -70,7 +70,7 @@ def test_a_pure_layer_imports_without_ros(layer):
     assert python(script).stdout.strip() == '[]'
 
 
-# What a node's process must not load, but for the packages that lie above its own.
+# Packages that a node's process must not load: the other node, and the tool.
 FOREIGN = {'ros.planner': ('sim', 'tool'), 'sim': ('ros.planner', 'tool')}
 HEAVY = {'cvxpy', 'clarabel', 'scipy.linalg', 'matplotlib', 'PIL', 'rosbags', 'mcap'}
 
@@ -88,7 +88,7 @@ def test_a_node_loads_nothing_of_the_other_nor_of_the_tool(node):
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    """They raise an error that names the circle."""
+    """A cycle raises an error that names it."""
     TopologicalSorter({name: imported_by(name) for name in all_modules()}).prepare()
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""package.xml, setup.py and the sources agree on what the package is and needs.
+"""package.xml, setup.py and the sources agree on contents and dependencies of the package.
 
-Hints at what to install break no NumPy 1 of ROS; a line says what is missing.
+Installation hints keep the NumPy 1 of ROS; one line names what is missing.
 """
 
 import ast
@@ -21,9 +21,9 @@ from orbimpc_ros import __version__, install
 from orbimpc_ros.ros.entry import OTHERS, in_a_line
 
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
-STANDARD = sys.stdlib_module_names | {'llvmlite'}  # which numba brings
+STANDARD = sys.stdlib_module_names | {'llvmlite'}  # a dependency of numba
 
-# Who brings what the code imports: rosdep key, distribution on PyPI. None: not needed or not there.
+# Providers of imports: rosdep key, distribution on PyPI; None: not needed, or not available.
 PROVIDERS = {
     'PIL': ('python3-pil', 'pillow'),
     'clarabel': ('python3-cvxpy-pip', 'clarabel'),
@@ -37,13 +37,13 @@ PROVIDERS = {
     'scipy': ('python3-scipy', 'scipy'),
     'yaml': ('python3-yaml', 'pyyaml'),
 }
-BAGS = 'rosbag2_storage_mcap'  # of ros2 bag record, which launch files start
-# Of what is not named as its module is.
+BAGS = 'rosbag2_storage_mcap'  # for ros2 bag record, which launch files start
+# Modules of distributions that have another name.
 MODULES = {'bsk': ('Basilisk',), 'rerun-sdk': ('rerun', 'rerun_cli')}
 
 
 def setup_keyword(name):
-    """Return a literal keyword of the setup() call."""
+    """Return the literal value of a keyword of the setup() call."""
     tree = ast.parse((ROOT / 'setup.py').read_text())
     constants = {
         node.targets[0].id: node.value for node in tree.body if isinstance(node, ast.Assign)
@@ -58,7 +58,7 @@ def setup_keyword(name):
 
 
 def imported():
-    """Return the top-level modules that the package imports, its own and Python's aside."""
+    """Return the top-level modules that the package imports, except its own and Python's."""
     files = (ROOT / 'orbimpc_ros').rglob('*.py')
     found = {name.split('.')[0] for file in files for name in imports_of(file)}
     return {name for name in found if name not in STANDARD and name != 'orbimpc_ros'}
@@ -84,7 +84,7 @@ def test_the_interface_is_there_and_costs_nothing_until_it_is_used():
 
 
 def optional():
-    """Return the modules of commands that ask for an extra when they are used."""
+    """Return the modules of extras, which commands ask for when they are used."""
     extras = setup_keyword('extras_require')
     names = ('basilisk', 'bench', 'physics', 'study', 'view')
     wanted = [r for name in names for r in extras.get(name, [])]
@@ -112,7 +112,7 @@ def test_every_third_party_import_is_declared_in_setup():
 
 
 def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
-    """pip may not touch Ubuntu 24.04's own Python: what it would bring is for an environment."""
+    """pip must not touch Ubuntu 24.04's own Python: its packages are for an environment."""
     lines = (ROOT / 'requirements-jazzy.txt').read_text().splitlines()
     given = {re.split(r'[<>=]', line)[0] for line in lines if not line.startswith('#')}
     (skipped,) = re.findall(
@@ -132,7 +132,7 @@ def test_make_keeps_the_numpy_that_ros_is_compiled_for(tmp_path, numpy, kept):
     python.write_text(f'#!/bin/sh\necho {numpy}\n')
     python.chmod(0o755)
     words = ('make', '-n', '-B', 'demo', f'VENV={tmp_path}/venv', f'PYTHON={python}')
-    # Not with what the make that runs these tests was given.
+    # Without the variables of the make that runs these tests.
     alone = {k: v for k, v in os.environ.items() if k not in ('MAKEFLAGS', 'MAKEOVERRIDES', 'PINS')}
     done = run(*words, 'ROS_DISTRO=jazzy', cwd=ROOT, env=alone)
     (install,) = (line for line in done.stdout.splitlines() if 'pip install' in line)
@@ -165,7 +165,7 @@ def test_each_source_file_begins_with_its_copyright_statement():
 
 # --- what to install
 
-INSTALL = r'pip install (--constraint \S+ )?'  # which it is hangs on the NumPy installed
+INSTALL = r'pip install (--constraint \S+ )?'  # depends on the NumPy installed
 
 
 def declared(extra):
@@ -226,10 +226,10 @@ def test_the_pip_is_this_interpreters(tmp_path, monkeypatch):
     assert install.command('numba').startswith(f'{install.sys.executable} -m pip install ')
 
 
-# --- what is not installed: fast methods do without, the others say in a line what they need
+# --- missing packages: fast methods work without them, others name them in one line
 
 
-# As where only what apt has is installed.
+# An installation with the packages of apt alone.
 BARE = """
     import sys
 
@@ -248,7 +248,7 @@ BARE = """
 
 @pytest.fixture
 def bare(launch):
-    """Start a node without the packages that only general methods and the tool need."""
+    """Return a function that starts a node without packages for general methods and the tool."""
     return lambda node, *arguments: launch(BARE.format(node=node, others=OTHERS), *arguments)
 
 

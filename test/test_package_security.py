@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The SROS2 policy grants what the nodes use and nothing else; without security nothing flies."""
+"""The SROS2 policy grants exactly what the nodes use; without requested security nothing flies."""
 
 import os
 import sys
@@ -16,7 +16,7 @@ from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.tool.demo import Recorder
 
 POLICY = ROOT / 'config' / 'security' / 'policy.xml'
-# The schema's structure: elements in each, and the attributes that each must and may have.
+# Kinds of endpoints by element and attribute of the policy.
 KINDS = {
     ('topics', 'publish'): 'publisher',
     ('topics', 'subscribe'): 'subscriber',
@@ -31,7 +31,7 @@ def policy():
 
 
 def granted(policy, node):
-    """Return the full names that a node is granted, by kind of endpoint."""
+    """Return the full names granted to a node, by kind of endpoint."""
     (profile,) = policy.iterfind(f".//profile[@node='{node}']")
     found = {kind: set() for kind in KINDS.values()}
     for rules in profile:
@@ -51,10 +51,10 @@ def full(name, profile):
 
 @pytest.fixture(scope='module')
 def endpoints(shared, tmp_path_factory):
-    """Return what three real nodes have, by node and kind of endpoint.
+    """Return the endpoints of three real nodes, by node and kind.
 
-    The spacecraft has every topic of a planner; a forecast, traffic and a vehicle in continuous
-    time add the simulator's last ones.
+    The spacecraft's planner has every topic; a forecast, traffic and a vehicle in continuous
+    time add the remaining ones of the simulator.
     """
     launch, observer = shared
     launch('planner', {'publish_certificate': True}, 'spacecraft')
@@ -93,7 +93,7 @@ def endpoints(shared, tmp_path_factory):
 def test_a_node_is_granted_exactly_what_it_uses(policy, endpoints, node):
     allowed = granted(policy, node)
     if node == 'sim' and find_spec('tf2_ros') is None:
-        allowed['publisher'].discard('/tf')  # broadcast only where tf2 is installed
+        allowed['publisher'].discard('/tf')  # published only where tf2 is installed
     assert endpoints[node] == allowed
 
 
@@ -101,7 +101,7 @@ def test_a_node_is_granted_exactly_what_it_uses(policy, endpoints, node):
 
 
 def keystore(folder):
-    """Make a keystore whose files are none: it is found, and then the middleware must refuse."""
+    """Make a keystore of invalid files: the middleware finds it, and must refuse to start."""
     enclaves = folder / 'enclaves'
     enclaves.mkdir(parents=True)
     for name in (

@@ -51,7 +51,7 @@ def aircraft(heading=0.0, wind=WIND, goal=AFAR, **others):
 
 
 def flown(flight, seconds, fraction=None, turn=0.0):
-    """Return the flights, one for each step, at the speed of the start if nothing else is said."""
+    """Return the flights after each step, by default at the initial speed."""
     found, model = [flight], flight.scenario.model
     fraction = flight.scenario.start.fraction if fraction is None else fraction
     for _ in range(round(seconds / model.step)):
@@ -174,7 +174,7 @@ def multirotor(rest=FAR, aside=STILL, wind=STILL, **others):
 def test_it_hovers_where_it_starts_in_wind(hummingbird):
     flights = flown(multirotor(wind=[0.0, 2.0]), 2.0)
     vehicle = flights[-1].vehicle
-    assert np.hypot(*vehicle.position) < 0.3  # the controller has no integral
+    assert np.hypot(*vehicle.position) < 0.3  # the controller has no integral term
     assert np.hypot(*vehicle.velocity) < 0.1
     assert abs(vehicle.height) < 0.1
     assert vehicle.wind.tolist() == [0.0, 2.0]
@@ -200,7 +200,7 @@ def test_the_rope_is_let_go_aside_and_swings(hummingbird):
 def test_a_rope_that_the_hook_touches_is_caught(hummingbird):
     flights = flown(multirotor([1.0, 0.1]), 1.4, 1.0)
     caught = next(each for each in flights if each.captured)
-    assert caught.miss == pytest.approx(0.1, abs=0.06)  # off the middle of a bar of 0.3 m
+    assert caught.miss == pytest.approx(0.1, abs=0.06)  # distance from the middle of a bar of 0.3 m
     assert caught.over
     assert caught.missed_at < 1.5
     assert flights[0].captured is False
@@ -255,7 +255,7 @@ def spacecraft(goal=AWAY, velocity=REST, rate=REST, push=REST, **others):
 
 
 def falling(_time, state):
-    """Of a point around the Earth; state: place and velocity."""
+    """Return the derivative of a point's position and velocity in the Earth's gravity."""
     return np.append(state[3:], -3.986004418e14 * state[:3] / np.linalg.norm(state[:3]) ** 3)
 
 
@@ -300,7 +300,7 @@ def test_an_error_of_basilisk_is_a_failure(servicer, monkeypatch):
         flight.after(0.0, REST)
 
 
-# --- what all of them do
+# --- all engines
 
 ENGINES = {'cessna': aircraft, 'hummingbird': multirotor, 'servicer': spacecraft}
 
@@ -327,7 +327,7 @@ def test_a_seed_brings_the_same_air_and_vehicle_again(request, name, own, second
     ('name', 'own', 'there', 'seconds', 'command', 'within'),
     [
         ('cessna', {'wind': np.array([3.0, 0.0])}, [600.0, 400.0], 40.0, (0.9, -0.09), 50.0),
-        ('hummingbird', {}, [2.0, 1.0], 2.0, (1.0, -1.5), 0.15),  # the hook
+        ('hummingbird', {}, [2.0, 1.0], 2.0, (1.0, -1.5), 0.15),  # the hook's reach
     ],
 )
 def test_its_own_guidance_flies_to_a_waypoint(request, name, own, there, seconds, command, within):
@@ -348,7 +348,7 @@ def test_its_own_guidance_flies_to_a_waypoint(request, name, own, there, seconds
     ],
 )
 def test_the_planner_does_its_job(request, name, task, most):
-    """The first flight of a seed that no study has used."""
+    """On the first flight of a seed that no study has used."""
     request.getfixturevalue(name)
     row = study.flown(study.Job(task, 'orbitope', 0, draws_of(task).of(901, 0)))
     assert row['caught']

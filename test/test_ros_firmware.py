@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Autopilots of wings in plain numbers: round trips of axes and setpoints, as firmwares read them."""
+"""Autopilots of wings in plain numbers: round trips of axes, setpoints as firmwares read them."""
 
 import math
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Bags: what is written is read back, by us and by rosbags; what is damaged is refused."""
+"""Bags: round trips through our reader and rosbags, and refusals of damaged bags."""
 
 import os
 from contextlib import closing
@@ -44,7 +44,7 @@ def small(tmp_path_factory):
 
 
 def content(path):
-    """Return all that a bag holds."""
+    """Return everything in a bag: its notes, and its messages, decoded and raw."""
     return bags.notes(path), [repr(message) for message in bags.read(path)], bags.raw(path)
 
 
@@ -102,7 +102,7 @@ def test_both_storages_of_rosbag2_are_read(small, tmp_path, storage, mode):
 def test_an_empty_bag_is_a_bag(tmp_path):
     writer = BagWriter(tmp_path / 'run', TOPICS, {})
     writer.close()
-    writer.close()  # does nothing
+    writer.close()  # has no effect
     assert content(tmp_path / 'run') == ({}, [], [])
 
 
@@ -146,7 +146,7 @@ def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):
 
 
 def test_a_bag_that_is_still_written_is_read_up_to_its_last_chunk(small, tmp_path, capsys):
-    """As where its recorder is killed: what is written leaves the process chunk by chunk."""
+    """Like a bag whose recorder was killed: data leave the process chunk by chunk."""
     tick = next(each for each in bags.raw(small) if each.topic == '/tick')
     listed = (Topic(tick.topic, tick.type),)
     with closing(BagWriter(tmp_path / 'run', listed, {'parameters': '{}'})) as writer:
@@ -159,7 +159,7 @@ def test_a_bag_that_is_still_written_is_read_up_to_its_last_chunk(small, tmp_pat
     assert f'was not closed: read up to its last chunk, {len(found)}' in capsys.readouterr().err
 
 
-# --- too large, or no bag at all
+# --- too large, or not a bag
 
 
 @pytest.mark.parametrize('name', ['LARGEST_FILE', 'LARGEST_RECORD'])

@@ -20,21 +20,21 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import bags, cli, demo, history, settings
 
-LISTED = ('captured', 'cmd_thrust', 'goal_path', 'odom')  # though nothing comes on some
+LISTED = ('captured', 'cmd_thrust', 'goal_path', 'odom')  # even without messages
 
 
 ONE = ('trajectory.png', 'data.png')
 
 
 class Flown(NamedTuple):
-    """What a demo shows: its end in words, its pictures, its flights, and how these are driven."""
+    """Expected results of a demo: its outcome in words, pictures, flights, and their commands."""
 
     end: str
     pictures: tuple[str, ...] = ONE
     flights: tuple[str, ...] = ('',)
     thrust: str = ''  # axis of the force
-    least: float = 0.0  # speed [m/s] or force [N] commanded
-    rolled: bool = True  # whether the vehicle is the discrete model
+    least: float = 0.0  # least speed [m/s] or force [N] commanded
+    rolled: bool = True  # True if the vehicle is the discrete model
 
 
 PICTURE = ('trajectory.png',)
@@ -49,7 +49,7 @@ DEMOS = {
 
 
 def commanded(found, axis):
-    """Return the speeds or, along an axis, the forces commanded but the last, shape (K, 3)."""
+    """Return the commanded speeds or, along an axis, forces, except the last, shape (K, 3)."""
     if axis:
         vectors = [message.wrench.force for message in found['cmd_thrust'].values()]
     else:
@@ -64,7 +64,7 @@ def numbers(pose):
 
 @pytest.fixture(scope='module')
 def demo_of(tmp_path_factory):
-    """Return a function that returns the finished process of a demo and its folder."""
+    """Return a function that runs a demo once, and returns the finished process and its folder."""
     out = tmp_path_factory.mktemp('demo')
     return cache(lambda name: (orbimpc('demo', name, '--out', out), out / name))
 
@@ -76,7 +76,7 @@ def flown(demo_of):
 
 @pytest.mark.parametrize('name', DEMOS)
 def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, demo_of, capsys):
-    """Every odometry is answered on every topic; the last one need not have a plan to fly."""
+    """Each odometry is answered on every topic; only the last one may be without a plan."""
     shown, (done, folder) = DEMOS[name], demo_of(name)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count(shown.end) == len(shown.flights)
@@ -111,7 +111,7 @@ def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, demo_of, c
     ('name', 'changes', 'end'),
     [
         ('dubins', ('floor.shape=none', 'max_ticks=5'), 'arrived       no'),
-        # A box that its planner does not know of, on the way that it takes.
+        # A box in its way that its planner does not have.
         (
             'multirotor',
             ('sim.obstacles=[4.0, -3.0, -3.0, 4.5, 3.0, 3.0]', 'max_ticks=20'),
@@ -120,7 +120,7 @@ def test_a_demo_does_its_job_and_its_bag_tells_the_whole_flight(name, demo_of, c
     ],
 )
 def test_who_does_not_arrive_or_touches_a_box_has_failed(name, changes, end, tmp_path, monkeypatch):
-    """With a bag, a picture and logs all the same; no home folder is needed."""
+    """There is a bag, a picture and a log nevertheless; no home folder is needed."""
     monkeypatch.setenv('HOME', '/proc/nobody')
     for variable in ('ROS_LOG_DIR', 'ROS_HOME'):
         monkeypatch.delenv(variable, raising=False)
@@ -181,12 +181,12 @@ def test_frames_stamps_and_values_are_as_documented(flown):
         assert set(told['margins']) == {'hull', 'floor'}
         assert min(told['margins'].values()) >= -1e-6
     caught = [each.content.data for each in bags.read(folder / 'bag') if each.topic == '/caught']
-    assert caught[-1:] == [True]  # before, it may have said that it is not
+    assert caught[-1:] == [True]  # earlier ones may be False
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_leaves_a_readable_bag_and_no_process(tmp_path, number):
-    # In real time the flight takes many seconds: there is time to break in.
+    # In real time the flight takes many seconds, enough to interrupt it.
     words = [*TOOL, 'demo', '--out', str(tmp_path), '--set', 'clock=wall']
     child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     wait_for(lambda: (tmp_path / 'retrieval' / 'bag').exists() and len(children_of(child.pid)) == 2)
@@ -215,7 +215,7 @@ def test_a_node_that_fails_is_shown(tmp_path):
 
 @pytest.mark.skipif(shutil.which('prlimit') is None, reason='no prlimit: apt install util-linux')
 def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
-    """A limit on the size of files stands for the disk: the bag is larger than that."""
+    """A limit on file sizes, below the size of the bag, stands in for a full disk."""
     done = run('prlimit', '--fsize=40000', *TOOL, 'demo', 'retrieval', '--out', tmp_path)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == 'orbimpc: output: file too large'
@@ -227,7 +227,7 @@ def test_results_are_never_overwritten(tmp_path):
     assert names == ['retrieval', 'retrieval-2', 'retrieval-3']
 
 
-# --- a fleet: pairs of processes in namespaces, with one clock, in one bag
+# --- a fleet: two processes per namespace, with one clock, in one bag
 
 
 NAMES = ('/uav1', '/uav2')
@@ -235,15 +235,15 @@ NAMES = ('/uav1', '/uav2')
 
 @pytest.fixture(scope='module')
 def fleet(tmp_path_factory):
-    """Return the finished process of a fleet of two, twice as fast as usual, and its folder."""
+    """Return the finished process of a fleet of two, at twice the usual speed, and its folder."""
     out = tmp_path_factory.mktemp('fleet')
     words = ('--vehicles', 2, '--set', 'forward=2', '--out', out)
     return orbimpc('demo', 'fleet', *words), out / 'fleet'
 
 
 def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
-    """However long one takes: a slow machine makes a flight long, and nobody flies blind."""
-    wall, sent = itertools.count(), []  # a second passes between two looks
+    """A slow planner only makes the flight take longer: no vehicle flies without a command."""
+    wall, sent = itertools.count(), []  # one second per reading of the clock
     monkeypatch.setattr(demo, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
     recorder = SimpleNamespace(latest={}, publish_clock=sent.append)
     clock = demo.Pacer(recorder, 10.0, 0.5)
@@ -252,7 +252,7 @@ def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
         recorder.latest |= {k: round(v * SECOND) for k, v in stamps.items() if v is not None}
         clock.look(NAMES)
     assert sent == [10.0, 10.0, 10.0, 10.5, 10.5]
-    clock.look(NAMES[:1])  # the other one has landed
+    clock.look(NAMES[:1])  # the other vehicle has landed
     assert sent[-1] == 11.0
     monkeypatch.setattr(demo, 'time', SimpleNamespace(monotonic=lambda: 200.0))
     with pytest.raises(OrbimpcError, match='/uav1, /uav2: no command for'):
@@ -282,7 +282,7 @@ def test_one_bag_holds_every_vehicle_from_its_first_step_on(fleet):
 
 
 def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(fleet):
-    """As on the one /tf; planners obey, and answer in the frame of their vehicle."""
+    """As one /tf requires; planners obey, and answer in their own vehicle's frame."""
     found = {}
     for topic, content in ((each.topic, each.content) for each in bags.read(fleet[1] / 'bag')):
         if topic.endswith(('/odom', '/cmd_vel')):
@@ -301,7 +301,7 @@ def test_ropes_are_drawn_from_the_seed_alone():
             assert one[drawn] == many[name][drawn]
     frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
-    assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest there is, and on
+    assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest seed, and the next
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""From a run to its near misses, its summary and its picture."""
+"""From a run to its near misses, its summary and its pictures."""
 
 import itertools
 from dataclasses import replace
@@ -18,7 +18,7 @@ from orbimpc_ros.tool.settings import config
 
 
 def at_distances(distances, captured, **changes):
-    """Return a run whose vehicle is, tick by tick, at given distances right of a still rope."""
+    """Return a run whose vehicle is at given distances from a still rope, tick by tick."""
     positions = np.zeros((len(distances), 3))
     positions[:, 0] = distances
     own = {'capture_radius': 0.1, 'rope.center': (0.0, 0.0, 0.0)}
@@ -45,7 +45,7 @@ def test_near_misses_are_local_minima_that_came_near():
 
 
 def test_a_catch_by_contact_is_no_near_miss():
-    """An engine may see the contact a little farther from the middle than the radius."""
+    """An engine may detect contact slightly farther from the centre than the radius."""
     run = at_distances([3.0, 0.15, 0.9, 0.12], captured=True)
     run.positions[2:, 1] = [0.0, 0.13]
     assert [m.time for m in run.near_misses] == pytest.approx([11.0])
@@ -108,7 +108,7 @@ def test_what_both_nodes_and_the_simulator_alone_are_given_holds_in_either_order
 
 
 def test_a_simulator_may_have_values_of_its_own():
-    """However they were given, and through a file."""
+    """From a file or as changes, and after a round trip through a file."""
     values = settings.read(OWN)
     own = {name for name in values if name.startswith('sim.')}
     assert own == {'sim.forward', 'sim.step', 'sim.wind'}
@@ -161,7 +161,7 @@ def test_a_vehicle_of_a_fleet_is_asked_for_by_its_namespace(tmp_path):
         of_bag(fleet)
 
 
-# --- pictures: what they show, and what is written
+# --- pictures: their contents, and their files
 
 
 STILL = {'trajectory.png', 'data.png'}
@@ -179,7 +179,7 @@ def caught():
 
 
 def flight(name, positions, *changes):
-    """Return a flight of a scenario."""
+    """Return a flight of a scenario along positions."""
     return made_up(positions, settings.resolve(config(f'{name}.yaml'), changes))
 
 
@@ -239,7 +239,7 @@ def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
 
 
 def first(flight, count):
-    """Return the beginning of a flight."""
+    """Return the first ``count`` samples of a flight."""
     parts = ('times', 'positions', 'attitudes', 'velocities', 'rates', 'ropes', 'plans', 'ticks')
     return replace(flight, **{part: getattr(flight, part)[:count] for part in parts})
 
@@ -289,7 +289,7 @@ def test_two_flights_are_told_apart_by_name_and_dashes():
     drawn = [each for each in figure.axes[0].get_lines() if 'flown' in each.get_label()]
     assert len({each.get_linestyle() for each in drawn}) == 2
     shares = charts(figure)['Share of full speed, |R e₁|']
-    assert 'floor' in {text.get_text() for text in shares.texts}  # though the first has none
+    assert 'floor' in {text.get_text() for text in shares.texts}  # although the first has none
 
 
 def test_obstacles_are_where_the_parameters_say():
@@ -312,7 +312,7 @@ def test_thrust_is_shown_as_it_was_applied():
     assert {'Position [m]', 'Velocity [m/s]', 'Body rates [rad/s]', 'Thrust [N]'} <= set(shown)
     thrust = shown['Thrust [N]'].get_lines()[0]
     assert np.allclose(thrust.get_xdata(), np.arange(21))
-    assert np.allclose(thrust.get_ydata(), [0.0, *[0.25] * 20])  # a step after its command
+    assert np.allclose(thrust.get_ydata(), [0.0, *[0.25] * 20])  # one step after its command
 
 
 def test_ticks_without_a_plan_leave_holes_not_zeros(caught):

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Processes that the tool has started, and its recorder: how they end, and what is kept."""
+"""Processes started by the tool, and its recorder: how they end, and what they keep."""
 
 import os
 import random
@@ -35,12 +35,12 @@ STARTER = """
     print(node.pid, flush=True)
     time.sleep(600)
 """
-RUNS = {'planner': 'waits for odometry', 'sim': 'waits for'}  # what it says once it is up
+RUNS = {'planner': 'waits for odometry', 'sim': 'waits for'}  # output once a node is up
 
 
 @pytest.fixture
 def started(tmp_path, domain):
-    """Return a function that starts who starts a node, in a shell that ignores SIGINT."""
+    """Return a function that runs a starter of a node, in a shell that ignores SIGINT."""
     script = tmp_path / 'starter.py'
     script.write_text(textwrap.dedent(STARTER))
     starters = []
@@ -64,7 +64,7 @@ def started(tmp_path, domain):
 @pytest.mark.parametrize('begun', [True, False])
 def test_a_node_ends_when_who_started_it_is_killed(started, node, begun):
     starter, pid, log = started(node)
-    time.sleep(0.3)  # until it is tethered
+    time.sleep(0.3)  # until it is tethered to its starter
     wait_for(lambda: not begun or RUNS[node] in log.read_text())
     starter.kill()
     wait_for(lambda: not alive(pid))
@@ -90,7 +90,7 @@ def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain)
         process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         return process, process.stdout.readline()
 
-    # Beyond those that tests draw from; another suite on this machine may be at this very test.
+    # Not a domain of other tests; random, as another suite may be running this very test.
     theirs = random.randrange(102, 230)
     holder, answer = claim(theirs)
     assert answer == 'True\n'
@@ -103,16 +103,16 @@ def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain)
         process.communicate('\n')
 
 
-# --- a recorder
+# --- the recorder
 
 
 @pytest.fixture
 def recorded(domain, observer, tmp_path, monkeypatch):
-    """Return a recorder, and a function that has it record odometry messages."""
+    """Return a recorder, and a function that publishes odometry until it is recorded."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     recorder = Recorder(tmp_path / 'bag', topics_of(), {'parameters': '{}'}, planners=())
     publisher = observer.node.create_publisher(Odometry, '/odom', qos(1000))
-    recorder.spin(0.0)  # asks for odometry
+    recorder.spin(0.0)  # subscribes to odometry
     observer.until(publisher.get_subscription_count, 'the recorder')
 
     def record(messages):
@@ -125,7 +125,7 @@ def recorded(domain, observer, tmp_path, monkeypatch):
 
 
 def test_the_order_of_sending_is_kept(recorded, tmp_path):
-    """Stamps may lie; when a message was sent tells the order."""
+    """Stamps need not increase; the time of sending gives the order."""
     stamps, begun = [10, 12, 11, 11, 13], time.time_ns()
     recorder, record = recorded
     record([Odometry(header=header(stamp * SECOND, 'odom')) for stamp in stamps])

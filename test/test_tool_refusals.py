@@ -22,7 +22,7 @@ REFUSED = {
     'demo --set flor.shape=none': 'floor.shape',
     'demo --set step=fast': 'step',
     'demo --set step': 'name=value',
-    'demo --set zzzzzz=1': 'dimension',  # unlike anything
+    'demo --set zzzzzz=1': 'dimension',  # similar to no parameter
     'demo --set horizon=2.5': 'horizon',
     'demo --set floor.fraction=0.9': 'floor.fraction',  # above the limit
     'demo --set rope.center=[1.0': 'rope.center',
@@ -42,7 +42,7 @@ REFUSED = {
     f'replay {RETRIEVAL} --set wait=1': "--set: unknown parameter 'wait'",
     f'replay {RETRIEVAL} --params nowhere.yaml': 'nowhere.yaml',
     f'replay {RETRIEVAL} --namespace uav7': 'without /uav7/odom',
-    'replay "a\x1b"': 'a?: missing',  # a terminal would obey it
+    'replay "a\x1b"': 'a?: missing',  # an escape sequence
     'verify missing.json': 'No such file',
     'study --runs 0': '--runs is 0',
     'study --seed -1': '--seed is -1',
@@ -56,7 +56,7 @@ REFUSED = {
     'study nobody': 'a parameter file, or one of',
     'bench --only chess': 'chess',
     'bench --json /dev/null/x': '--json',
-    'bench --json /proc/x.json': '--json',  # a folder that takes no files
+    'bench --json /proc/x.json': '--json',  # a folder that accepts no files
     'faults --only weather': '--only',
     'faults --json /nowhere/rows.json': '--json',
 }
@@ -109,11 +109,11 @@ def test_bad_input_is_one_line_and_writes_nothing(line, culprit, tmp_path, monke
     assert (tmp_path / 'thesis.tex').read_text() == 'precious'
 
 
-# --- damaged files and shapes that blow up parsers
+# --- damaged files, and contents that blow up parsers
 
 
 def refusal(read, file):
-    """Return the line in which a file is refused; None if it is not."""
+    """Return the line with which a file is refused; None if it is accepted."""
     try:
         read(file)
     except BadInput as error:
@@ -142,7 +142,7 @@ SHAPES = {
 
 @pytest.mark.parametrize(('text', 'culprit'), SHAPES.values(), ids=SHAPES)
 def test_shapes_that_blow_up_parsers_end(tmp_path, text, culprit):
-    """No assertion on time: a parser that takes the square of this never ends."""
+    """Without an assertion on time: a parser of quadratic time would never end."""
     file = tmp_path / 'file'
     file.write_bytes(text.encode(errors='surrogateescape'))
     line = refusal(lambda path: files.read(str(path)), file)
@@ -168,7 +168,7 @@ def test_bad_parameters_of_a_file_are_named(tmp_path, text, said):
     line = refusal(settings.resolve, file)
     assert line is not None
     assert said in line
-    assert '; ' in line  # what to do about it
+    assert '; ' in line  # and a remedy
 
 
 def test_notes_of_another_version_are_told(tmp_path):

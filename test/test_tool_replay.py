@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Golden bags as regression tests, and what the replay must notice and tell."""
+"""Golden bags as regression tests, and the differences that a replay must report."""
 
 import importlib
 import math
@@ -44,7 +44,7 @@ from orbimpc_ros.tool.recording import (
 )
 from orbimpc_ros.tool.replay import distance, tolerance
 
-# Not the rope: near it, the last bits of NumPy's sums decide whether a search ends with a plan.
+# Not the rope: near it, the last bits of NumPy's sums decide whether a search finds a plan.
 ANSWERS = ('/cmd_vel', '/tick', '/rotation')
 FLIGHTS = (
     *('retrieval', 'dubins', 'spacecraft', 'obstacles', 'multirotor'),
@@ -66,7 +66,7 @@ def without(*topics):
 
 
 def quickly(name):
-    """A flight of that name, marked where plain Python would search for minutes."""
+    """Return a flight's name as a parameter, skipped if plain Python would search for minutes."""
     reason = 'searched for minutes in plain Python: pip install numba'
     slow = name in ('fixed_wing', 'cessna') and not COMPILED
     return pytest.param(name, marks=pytest.mark.skipif(slow, reason=reason))
@@ -75,7 +75,7 @@ def quickly(name):
 @pytest.mark.parametrize('name', [quickly(each) for each in FLIGHTS])
 def test_a_golden_bag_is_answered_as_it_was(replay, name):
     if name == 'multirotor' and not COMPILED:
-        # Near the goal costs are tiny, and the general program's are off by 5e-6 of them.
+        # Near the goal costs are tiny, and the general program is off by 5e-6 of them.
         pytest.skip("numba is not installed: pip install 'orbimpc_ros[fast]' runs this")
     code, out, err = replay(GOLDEN / name)
     assert code == 0, out + err
@@ -83,11 +83,11 @@ def test_a_golden_bag_is_answered_as_it_was(replay, name):
     assert err == ''
 
 
-# --- what is noticed
+# --- differences that must be reported
 
 
 def nudged(path, amount):
-    """Return a change of a number that is somewhere in a message."""
+    """Return a change that adds ``amount`` to a number in a message."""
     *way, last = path.split('.')
 
     def change(message):
@@ -98,7 +98,7 @@ def nudged(path, amount):
 
 
 def reported(key, value):
-    """Return a change of what a tick reports."""
+    """Return a change of a value that a tick reports."""
 
     def change(message):
         next(pair for pair in message.status[0].values if pair.key == key).value = value
@@ -106,7 +106,7 @@ def reported(key, value):
     return change
 
 
-# What is changed in the messages of 7 s, and the difference that follows, if one does.
+# A change of the messages at 7 s, and the difference expected from it, if any.
 SPOILT = {
     'speed': (TwistStamped, nudged('twist.linear.x', 2e-4), 'speed'),
     'a little speed': (TwistStamped, nudged('twist.linear.x', 0.5e-4), ''),
@@ -114,7 +114,7 @@ SPOILT = {
     'rotation': (QuaternionStamped, nudged('quaternion.x', 1e-3), 'rotation'),
     'objective': (DiagnosticArray, reported('objective', '1.0'), 'objective'),
     'gap': (DiagnosticArray, reported('gap', '0.5'), 'gap'),
-    'a word for a number': (DiagnosticArray, reported('gap', '"NaN"'), ''),  # it is not compared
+    'a word for a number': (DiagnosticArray, reported('gap', '"NaN"'), ''),  # not compared
     'status': (DiagnosticArray, reported('status', 'feasible'), 'status'),
     'fallback': (DiagnosticArray, reported('fallback', 'shifted plan'), 'fallback'),
     'odometry': (Odometry, nudged('pose.pose.orientation.w', 7.0), 'status optimal -> failed'),
@@ -129,7 +129,7 @@ TOPICS = {
 
 @pytest.mark.parametrize(('kind', 'change', 'said'), SPOILT.values(), ids=SPOILT)
 def test_what_was_answered_is_compared_within_its_tolerance(replay, tmp_path, kind, change, said):
-    """The ticks after one that differs are answered as they were."""
+    """Ticks after the changed one must agree with the recording again."""
 
     def apply(message):
         if message.header.stamp.sec == 7:
@@ -148,7 +148,7 @@ def test_what_was_answered_is_compared_within_its_tolerance(replay, tmp_path, ki
 
 
 def test_one_difference_does_not_cause_all_that_follow(replay, tmp_path):
-    """The thrust that odometry does not show is taken from what was really commanded."""
+    """The applied thrust, which odometry lacks, is taken from the recorded command."""
 
     def change(message):
         if message.header.stamp.sec == 4:
@@ -159,11 +159,11 @@ def test_one_difference_does_not_cause_all_that_follow(replay, tmp_path):
     code, out, _ = replay(path)
     assert code == 1
     ticks = {int(line.split()[1]) for line in out.splitlines() if line.startswith('tick')}
-    assert ticks <= {4, 5}  # its own, and the one that starts from another thrust
+    assert ticks <= {4, 5}  # its own tick, and the next one, from another thrust
 
 
 def overtaken(raw):
-    """Two goals come before each that is answered, and the counts say that neither was taken."""
+    """Send two more goals before each answered one; the counts say that neither was taken."""
     for each in raw:
         for before in (2, 1) if each.topic == '/goal' and each.stamp > 0 else ():
             message = deserialize_message(each.data, PoseStamped)
@@ -174,7 +174,7 @@ def overtaken(raw):
 
 
 def early(raw):
-    """Each goal comes before the answer before: by when it was sent it would have been known."""
+    """Send each goal before the previous answer: by send times it would have been known to it."""
     for each in raw:
         later = {'/goal': -500_000_000}.get(each.topic, 700_000_000 * (each.topic in ANSWERS))
         yield each._replace(sent=max(1, each.sent + later))
@@ -186,7 +186,7 @@ def repeated(raw):
 
 
 def halved(raw):
-    """Odometry as ArduPilot would have it: a pose, and a twist of the world."""
+    """Yield odometry as from ArduPilot: a pose, and a twist in world axes."""
     for each in raw:
         if each.topic != '/odom':
             yield each
@@ -223,11 +223,11 @@ def test_what_is_sent_otherwise_is_answered_as_it_was(
     assert code == 0, out
     assert f'replayed      {sum(each.topic == "/odom" for each in raw)} ticks' in out
     assert f'inputs        {inputs}, 0 refused' in out
-    assert len(of_bag(path).times) >= 26  # pictures read it, too
+    assert len(of_bag(path).times) >= 26  # plots can read it, too
 
 
 def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp_path, monkeypatch):
-    """A plan that is held without a solver is told from what is safe, whatever the reason reads."""
+    """A plan held without a solve is recognised by fields of its tick, not by its reason."""
     monkeypatch.syspath_prepend(str(GOLDEN))
     make = importlib.import_module('make')
     hidden = ('faults.occlusion_length=4.0', 'goal_timeout=1.5', 'max_ticks=12')
@@ -249,7 +249,7 @@ def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp
 
 
 def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
-    """What it had taken in is forgotten, so that the next answer finds no odometry."""
+    """Its inputs are forgotten, so that the next answer has no odometry."""
     recording, values = recording_of(RETRIEVAL), settings.of_bag(RETRIEVAL)
     first = recording.answers[0]
     forgotten, kept = (Cause.AFRESH, Cause.RESET), (Cause.DISABLED, 'sabotage', None)
@@ -283,7 +283,7 @@ def costing(objective, gap=None):
 
 
 DIFFERENCES = {
-    # What a turn may differ by grows as the thrust falls that it directs.
+    # The tolerance of a turn grows as the thrust along it falls.
     'full thrust': ('rotation', pointing(1.0, 1.0, 1.0), pointing(of=ASIDE), {}, True),
     'no thrust': ('rotation', pointing(1.0, 0.01, 1.0), pointing(of=ASIDE), {}, False),
     'no thrust later': ('rotation', pointing(1.0, 1.0, 0.01), pointing(of=ASIDE), {}, True),
@@ -301,10 +301,10 @@ DIFFERENCES = {
     'a small turn': ('body_rate', turn(3e-3), turn(0.0), {}, True),
     'relative': ('objective', costing(1e3), costing(1e3 + 1e-4), {}, False),
     'but near zero': ('objective', costing(0.0), costing(1e-8), {}, False),
-    # What is left unproved objectives may differ by, up to what counts as proved.
+    # Objectives may differ by their open gaps, up to the gap that counts as proved.
     'left open': ('objective', costing(1.0, 2e-5), costing(1.0 + 1e-5, 2e-5), {}, False),
     'unknown gap': ('objective', costing(1.0, math.nan), costing(1.0 + 1e-5, math.nan), {}, True),
-    # Rounding decides where a search ends, not whether a proof was found.
+    # Rounding decides where a search ends, not whether a proof is found.
     'both open': ('gap', {'gap': 0.5}, {'gap': 0.002}, {}, False),
     'then proved': ('gap', {'gap': 0.0}, {'gap': 0.002}, {}, True),
     'no bound': ('gap', {'gap': 0.5}, {'gap': math.inf}, {}, True),
@@ -354,12 +354,12 @@ def test_what_if_shows_a_tick_side_by_side(replay):
     assert not named['status'].endswith('differs')
 
 
-# --- other people's bags
+# --- bags of other recorders
 
 
 @pytest.fixture(scope='module')
 def params(tmp_path_factory):
-    """Return the retrieval's parameters as a file."""
+    """Return a file of the retrieval's parameters."""
     file = tmp_path_factory.mktemp('params') / 'mine.yaml'
     file.write_text(bags.notes(RETRIEVAL)['parameters'])
     return file
@@ -370,7 +370,7 @@ def test_a_bag_without_notes_asks_for_parameters(replay, tmp_path):
     code, out, err = replay(path)
     assert (code, out) == (2, '')
     assert 'give --params FILE or --set' in err
-    # Defaults but for what is set: the example is the paper's retrieval.
+    # Defaults except these changes: the example is the paper's retrieval.
     words = [f'--set={change}' for change in ('floor.shape=polygon', 'trigger=odom')]
     assert replay(path, *words)[0] == 0
 
@@ -396,7 +396,7 @@ def test_a_bag_without_what_is_needed_is_told(replay, tmp_path, missing, said):
     assert (code, out) == (2, '')
     assert err.count('\n') == 1
     assert said in err
-    assert '/rotation' in err  # what it has instead
+    assert '/rotation' in err  # its topics are listed
 
 
 def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
@@ -412,7 +412,7 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     assert 'without /odom; give --namespace /uav1' in err
 
 
-# --- among traffic, its goal in another frame: the same hazards, whatever came late
+# --- among traffic, the goal in another frame: the same hazards despite late messages
 
 
 OTHER = '/uav2/plan'
@@ -425,12 +425,12 @@ AVOIDING = settings_of(
 
 
 def tree(second):
-    """Return a frame that drifts."""
+    """Return the transform of a drifting frame."""
     return tf(second, 'map', 'odom', (0.5 * second, 0.3, 0.0), yaw=0.1)
 
 
 def inputs(second):
-    """Return what comes with a second's odometry, in the order in which it is sent."""
+    """Return the messages that come with a second's odometry, in the order of sending."""
     stamp, in_map = (Stamp(second * SECOND, Frames(each, 'base_link')) for each in ('odom', 'map'))
     vehicle = launched(Model(), np.array([0.5 * second, 0.0]), np.eye(2))
     away = [np.array([3.0 - 0.5 * k, -1.5]) for k in range(4)]
@@ -453,7 +453,7 @@ def inputs(second):
 def flown(late):
     """Return a recording of three ticks, and the clearance of each.
 
-    What is ``late`` was sent before one and heard after.
+    Messages on ``late`` topics were sent before a tick and heard after it.
     """
     planner = OfflinePlanner(AVOIDING, '/uav1/planner', resolved(AVOIDING, '/uav1'))
     told, answers, pending, clearances = [], [], [], []
@@ -493,7 +493,7 @@ def test_the_commands_are_those_that_were_given(late):
 
 
 def test_what_was_heard_late_makes_a_difference():
-    """Else the tests above would pass without the stamps on ``tick``."""
+    """Otherwise the tests above would pass without the stamps on ``tick``."""
     assert flown(())[1] != flown(('obstacles',))[1]
 
 

@@ -22,7 +22,7 @@ FIELDS = {
 
 
 def case(**changes):
-    """Return the square-floor case with fields replaced; dots reach inside."""
+    """Return the square-floor case with fields replaced; dotted names reach nested fields."""
     mapping = copy.deepcopy(CASES['uav_square_0'])
     for path, value in changes.items():
         *way, last = path.split('.')
@@ -99,7 +99,7 @@ def test_problems_that_are_the_same_cost_the_same(solve, same):
 
 BALL, BOX = {'centre': [2.0, 0.0], 'radius': 0.5}, {'min': [0, 3], 'max': [1, 4]}
 SPACE = {'centre': [2, 0, 0], 'radius': 1}
-# What files alone may have: values that are out of range are refused like anybody's.
+# Errors that only files can have; out of range values are refused elsewhere.
 BAD = {
     'missing horizon': ({'horizon': ...}, 'horizon'),
     'missing state': ({'state': ...}, 'state'),
@@ -158,7 +158,7 @@ def test_what_is_wrong_is_named_in_one_line(solve, problem, culprit):
     assert err.count('\n') == 1
     assert err.endswith('\n')
     assert culprit in err
-    assert '; ' in err  # what to do about it
+    assert '; ' in err  # and a remedy
 
 
 def test_a_process_reads_standard_input_and_keeps_tracebacks_to_itself():
@@ -202,7 +202,7 @@ def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
 
 
 def test_the_tool_can_be_interrupted_before_it_has_imported_what_takes_long():
-    """Until its command is looked at, an interruption would end in a traceback."""
+    """Interrupted during imports, before its command runs, the tool would print a traceback."""
     words = (
         'import sys, orbimpc_ros.tool.cli; print({"numpy", "scipy", "rclpy"} & set(sys.modules))'
     )
@@ -219,7 +219,7 @@ def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
 
 
 def test_a_search_that_would_take_hours_ends_at_its_limit_with_a_bound(tool, tmp_path):
-    """Thirty steps, sixty-four faces: more combinations than anybody can look through."""
+    """Sixty steps, twenty-four faces: too many combinations for any search."""
     floor = {'shape': 'polygon', 'faces': 24, 'fraction': 0.9}
     limits = {'horizon': 60, 'step': 0.3, 'max_rate': 0.7, 'floor': floor}
     (tmp_path / 'long.json').write_text(json.dumps(case(**limits, goal=[0.3, 0.2])))

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc study``: what flights draw, what comes of them, results that go on, reports."""
+"""``orbimpc study``: draws of flights, their results, resumed studies, and reports."""
 
 import json
 import os
@@ -53,7 +53,7 @@ def test_a_parameter_file_is_studied_with_goals_all_around_as_far_away_as_its_ow
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), np.linalg.norm(goal - start))
     assert np.linalg.norm(away.mean(axis=0)) < 0.4 * np.linalg.norm(goal - start)
     assert not away[:, 2].any()
-    among = draws_of(str(config('multirotor.yaml')))  # where a box may be anywhere
+    among = draws_of(str(config('multirotor.yaml')))  # its boxes could be around a goal
     assert among.of(0, 0)['rope.center'] == among.values['rope.center']
 
 
@@ -106,7 +106,7 @@ def test_a_row_adds_up():
     assert row['closest'] <= 0.15
     assert row['ticks'] - 1 <= row['time'] <= row['ticks']
     assert row['optimal'] <= row['ticks']
-    assert row['projection'] < 1e-12  # in the plane a rotation loses no speed
+    assert row['projection'] < 1e-12  # in the plane no speed is lost by the projection
     lost = flown(job('retrieval', 'pursuit', 0, 'max_ticks=3', 'rope.center=[50.0, 0.0, 0.0]'))
     assert (lost['caught'], lost['time'], lost['ticks']) == (False, None, 3)
     assert lost['closest'] > 30.0
@@ -122,7 +122,7 @@ def test_faults_of_the_parameter_file_are_flown():
 
 
 def test_the_end_of_an_arrival_is_reported():
-    """Of this package's vehicle, whose engine is not needed for it."""
+    """With this package's own vehicle: it takes no engine."""
     row = flown(job('servicer', OURS, 0, 'vehicle=continuous'))
     assert row['missed'] < 0.1
     assert row['speed'] < 0.05
@@ -197,7 +197,7 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     folder = tmp_path / 'study'
     flown = ('--set', 'max_ticks=2', '--runs', 20, '--workers', 1)
     words = ('study', 'retrieval', *flown, '-o', folder)
-    # Its own session: the signal goes to its workers as well, as from a terminal.
+    # In a session of its own, so that the signal reaches its workers too, as from a terminal.
     process = subprocess.Popen(
         [*TOOL, *map(str, words)],
         stdout=subprocess.PIPE,

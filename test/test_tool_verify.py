@@ -26,7 +26,7 @@ FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 
 
 def solve(tool, folder, stated):
-    """Return a problem's file, that of its certificate, and what the command answers."""
+    """Return the file of a problem, that of its certificate, and the command's output."""
     problem, made = folder / 'problem.json', folder / 'certificate.json'
     problem.write_text(json.dumps(stated))
     return problem, made, tool('solve', problem, '--certificate', made)
@@ -51,7 +51,7 @@ WALLED = CASES['uav_square_0'] | {
     [
         (CASES['uav_square_0'], too_high, {'step': 0.9}),
         (WALLED, too_high, {'obstacles': []}),
-        (FAR, without_a_pull, {'goal': [61.0, 0.0]}),  # nothing satisfies it
+        (FAR, without_a_pull, {'goal': [61.0, 0.0]}),  # infeasible
     ],
 )
 def test_a_certificate_holds_for_its_problem_until_spoilt(tool, tmp_path, stated, spoil, another):
@@ -60,7 +60,7 @@ def test_a_certificate_holds_for_its_problem_until_spoilt(tool, tmp_path, stated
     if stated is FAR:
         assert (code, out, error.count('\n')) == (3, '', 1)
         assert 'beyond what' in error
-        assert WORD not in error  # it is proved
+        assert WORD not in error  # infeasibility is proved
     else:
         assert (code, known['lower_bound']) == (0, json.loads(out)['lower_bound'])
     code, out, _ = tool('verify', made, '--problem', problem)
@@ -84,7 +84,7 @@ def test_what_is_no_certificate_is_bad_input(tool, tmp_path, text):
     file = tmp_path / 'broken.json'
     file.write_text(text)
     code, out, error = tool('verify', file)
-    assert (code, out) == (2, '')  # no head of a table without rows
+    assert (code, out) == (2, '')  # no header of an empty table
     assert error.count('\n') == 1
 
 
@@ -101,7 +101,7 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, mon
 
 
 def lost(*known):
-    """Ticks whose plans are not found again."""
+    """Yield replayed ticks without their plans."""
     for each in replayed(*known):
         yield replace(
             each, decision=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
@@ -118,7 +118,7 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path):
     too_high(spoilt)
     made, layout = (STORE.types[f'std_msgs/msg/{name}'] for name in KINDS)
     kind = made.__msgtype__
-    early = 3 * 10**9  # [ns] three ticks
+    early = 3 * 10**9  # [ns] end of three ticks
     messages = [each for each in bags.raw(GOLDEN / 'spacecraft') if each.stamp < early]
     for text in (*BROKEN, sound, json.dumps(spoilt)):
         message = made(layout([], 0), np.frombuffer(text.encode(), np.uint8))
@@ -128,12 +128,12 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path):
     code, out, _ = tool('verify', bag)
     assert code == 1
     assert f'{len(BROKEN) + 1} DOES NOT HOLD' in out
-    assert '4 holds' in out  # three of ticks
+    assert '4 holds' in out  # three of them are of ticks
 
 
 @pytest.mark.parametrize('rows', [3, 5])
 def test_where_what_a_search_left_proves_less_there_is_no_certificate(tool, monkeypatch, rows):
-    """Be it that it is weaker, or that it is refused."""
+    """Whether its bound is too weak, or it is refused."""
 
     def poor(problem, state, goals, proof):
         leaf = one(np.zeros((rows, 2)), np.zeros(rows))
@@ -171,7 +171,7 @@ def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
     assert code == 0
     assert '7 nothing claimed' in out
     assert int(re.search(r'(\d+) holds', out)[1]) >= 90  # of 103
-    # Searches round differently on other processors: the other bounds are proved but for rounding.
+    # Searches round differently on other processors: the other bounds are proved up to rounding.
     others = [line.split()[2:4] for line in out.splitlines() if 'another search' in line]
     assert all(float(claimed) - float(proved) < 1e-7 for claimed, proved in others)
     known = [json.loads(file.read_text()).get('limits', {}) for file in tmp_path.iterdir()]
@@ -213,7 +213,7 @@ def without_bounds(monkeypatch):
 
 FALSE, PLAN = 'DOES NOT HOLD: ', 'a trajectory costs'
 OTHER = 'it was about another catch, or none'
-# What a tick claims, what is missing when it is verified, and what is said of it.
+# Claims of a tick, what is missing during verification, and the expected output.
 CLAIMS = [
     (DISTURBED, {'lower_bound': BEATEN}, None, (FALSE + PLAN,)),
     (DISTURBED, {'lower_bound': BEATEN}, without_bounds, (FALSE + PLAN,)),

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The viewer: what it draws of bags, and what it refuses."""
+"""The viewer: what it draws of bags and live nodes, and what it refuses."""
 
 import re
 import signal
@@ -22,7 +22,7 @@ needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk:
 
 
 class Drawing:
-    """Takes what is drawn in the place of a recording: archetypes by entity and time."""
+    """Stands in for a recording: keeps archetypes by entity and time."""
 
     def __init__(self):
         self.drawn, self.now, self.layouts = defaultdict(list), {}, 0
@@ -40,7 +40,7 @@ class Drawing:
         pass
 
     def numbers(self, entity, which, field, place=0):
-        """Return a component of what was drawn ``which``-th, as an array."""
+        """Return a component of the ``which``-th log of an entity, as an array."""
         shown = self.drawn[entity][which][1][place]
         return np.array(getattr(shown, field).as_arrow_array().to_pylist())
 
@@ -167,7 +167,7 @@ def test_page_program_and_data_come_from_this_machine(served):
 
 
 def test_nobody_else_can_reach_it(served):
-    others = {'127.0.0.2'}  # also this machine, but another address of it
+    others = {'127.0.0.2'}  # this machine, at another address
     others |= {
         info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
     }
@@ -202,14 +202,14 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     drawing, end = Drawing(), time.monotonic() + PATIENCE
     launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
-    # No catch ends the flight while a busy machine still looks for its topics.
+    # No capture may end the flight while a busy machine is still discovering topics.
     launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500, 'capture_radius': 1e-6})
     found = drawing.drawn
     wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
 
     def going():
         assert time.monotonic() < end, 'in vain'
-        # The floor is empty until the planner has answered what its parameters are.
+        # The floor is empty until the planner has returned its parameters.
         floor = found['thrust/floor'] and drawing.numbers('thrust/floor', -1, 'strips')
         square = np.shape(floor) == (4, 2, 3)
         return not (square and all(len(found[each]) > 3 for each in wanted))

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Faults between a flight and its planner: each does what it says, from a seed alone."""
+"""Injected faults between a flight and its planner: each has its effect, by the seed alone."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ TURN = np.array([0.3])
 
 
 def views(faults, *, seed=0, ticks=400, scenario=None):
-    """Return what is seen at each tick of a flight that turns, with the flight itself."""
+    """Return the flight and the view of it at each tick of a turning flight."""
     scenario = replace(scenario or retrieval(), max_ticks=10**6, capture_radius=1e-9)
     view, flight, seen = View(faults, seed, scenario.model.step), departure(scenario), []
     for _ in range(ticks):
@@ -37,7 +37,7 @@ def test_a_seed_decides_everything():
         [[(s.time, *s.position) for s in sent] for _, sent in views(faults, seed=s)]
         for s in (3, 3, 4)
     )
-    assert str(first) == str(same)  # as text: NaN equals nothing
+    assert str(first) == str(same)  # as text, since NaN is unequal to itself
     assert str(first) != str(other)
 
 
@@ -60,9 +60,9 @@ SCENARIOS = {'in steps': retrieval(), 'continuously': replace(retrieval(), model
 @pytest.mark.parametrize('scenario', SCENARIOS.values(), ids=SCENARIOS)
 @pytest.mark.parametrize('delay', [0.2, 0.73, 1.0, 2.5])
 def test_delayed_odometry_shows_the_vehicle_where_it_was_on_its_way(delay, scenario):
-    """With the speed and the rate of that moment, not of a step."""
+    """With the speed and the rate at that moment, not at the end of a step."""
     seen = views(Faults(delay=delay), ticks=20, scenario=scenario)
-    within = 0.01 if scenario.model is LAGGING else 1e-9  # of chords
+    within = 0.01 if scenario.model is LAGGING else 1e-9  # error of chords
     passed = [each for flight, _ in seen for each in flight.trail or (flight.vehicle,)]
     for flight, sent in seen[4:]:
         (odometry,) = of_kind(sent, odometry=True)

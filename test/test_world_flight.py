@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rope, capture and scenarios: geometry against brute force, and the paper's story."""
+"""Rope, capture and scenarios: geometry against brute force, and the paper's retrieval."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ def test_closest_approach_is_the_least_of_many(n):
 
 
 def test_a_rope_swings_about_its_center():
-    """And drifts meanwhile."""
+    """It may drift as well."""
     rope = Rope(*np.array([[5.0, 0.0], [0.5, 0.25]]), 0.1, np.array([0.0, np.pi / 2]))
     drift = np.array([0.3, -0.4])
     np.testing.assert_allclose(replace(rope, velocity=drift).at(40.0), rope.at(40.0) + 40.0 * drift)
@@ -48,7 +48,7 @@ def test_a_rope_swings_about_its_center():
 
 @pytest.mark.parametrize('seed', [None, 1, 2])
 def test_the_papers_story(seed):
-    """Several near misses, then capture at about t = 24; also from starts a little off."""
+    """Several near misses, then a capture at about t = 24 s; also from perturbed starts."""
     scenario = retrieval()
     if seed is not None:
         nudge = np.random.default_rng(seed).uniform(-1e-3, 1e-3, 2)
@@ -150,7 +150,7 @@ def flown(scenario, fractions):
         ({}, [1.0, 0.5, 0.0], False),  # too far away
         ({'arrival_speed': 0.4}, [1.0, 1.0, 0.5], False),  # too fast
         ({'arrival_speed': 0.4}, [1.0, 1.0, 0.3], True),
-        ({'rope': Rope(np.array([1.0, 0.0]))}, [1.0], False),  # there, and flying on
+        ({'rope': Rope(np.array([1.0, 0.0]))}, [1.0], False),  # at the goal, but not at the end
     ],
 )
 def test_an_arrival_is_judged_at_the_end_alone_by_place_and_speed(changes, fractions, captured):
@@ -160,7 +160,7 @@ def test_an_arrival_is_judged_at_the_end_alone_by_place_and_speed(changes, fract
     assert flight.speed == pytest.approx(fractions[-1])
 
 
-# --- boxes and balls that are touched, and fleets that keep apart
+# --- contacts with boxes and balls, and distances within fleets
 
 
 def box(rng, n):
@@ -175,7 +175,7 @@ def test_a_way_touches_what_its_points_are_in(n):
     for _ in range(300):
         boxes = [box(rng, n) for _ in range(3)]
         start, end = rng.uniform(-2.0, 2.0, (2, n))
-        axis = rng.integers(n)  # along which nothing moves
+        axis = rng.integers(n)  # without motion along it
         end[axis] = start[axis]
         points = start + np.linspace(0.0, 1.0, 4001)[:, None] * (end - start)
         sampled = {k for k, each in enumerate(boxes) if each.depth(points).max() > 0.0}
@@ -212,7 +212,7 @@ def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
 
 @pytest.mark.parametrize('order', [1, 2])
 def test_what_a_plan_may_lead_inside_is_no_touch(order):
-    """Past a ball that passes, and along a wall: by the tolerance of plans, and by more."""
+    """Past a moving ball and along a wall, inside by the tolerance of plans, and by more."""
     model = replace(retrieval().model, translation_order=order, step=0.5, forward=4.0)
     unit, speed = model.length_unit, np.array([4.0, 0.0]) if order == 2 else None
     assert unit == pytest.approx(Problem(2, 1, order, step=0.5, forward=4.0).length_unit)
@@ -228,13 +228,13 @@ def test_what_a_plan_may_lead_inside_is_no_touch(order):
 
 
 def test_who_touches_traffic_has_not_caught_anything():
-    """A ball that crosses the way of a step between its ends, and one that is late."""
+    """One ball crosses the path between the ends of a step, another one comes too late."""
     crossing_by = MovingObstacle.drifting(Ball(np.array([0.5, 5.0]), 0.2), np.array([0.0, -10.0]))
     late = MovingObstacle.drifting(Ball(np.array([0.5, 50.0]), 0.2), np.array([0.0, -10.0]))
     for traffic, numbers in (((crossing_by,), {0}), ((late,), set()), ((late, crossing_by), {1})):
         scenario = replace(retrieval(), traffic=traffic, capture_radius=1e6)
         flight = departure(scenario, 100.0).after(1.0, np.zeros(1)).after(1.0, np.zeros(1))
-        assert flight.touched == numbers  # though a step ago
+        assert flight.touched == numbers  # although a step ago
         assert flight.captured == (not numbers)
 
 
@@ -286,7 +286,7 @@ def test_vehicles_are_apart_as_looking_often_finds_them():
     assert np.isinf(separations(later)[1]['a', 'b']).all()
 
 
-# --- events: what counts as caught or reached, and which goal is a new one
+# --- events: captures, arrivals, and new goals
 
 RADIUS, PATIENCE = 0.2, 1.5
 
@@ -298,7 +298,7 @@ def moving(time, x, turned=0.0):
 
 
 def noted(events, *places, goal=(0.0, 0.0), step=0.5, **given):
-    """Return what is told after measurements at places x, one a step."""
+    """Return ``caught`` and ``arrived`` after measurements at places x, one per step."""
     for k, x in enumerate(places):
         events.note(moving(step * k, x), np.array(goal), RADIUS, PATIENCE, **given)
     return events.caught, events.arrived
@@ -310,12 +310,12 @@ STAYS = round(STAY / 0.5) * (0.1,)
 @pytest.mark.parametrize(
     ('places', 'step', 'events'),
     [
-        ((-1.0, 1.0), 0.5, (True, False)),  # passed in between
+        ((-1.0, 1.0), 0.5, (True, False)),  # passed between measurements
         ((-1.0, -0.3), 0.5, (False, False)),
-        ((-1.0, 1.0), 2.0 * PATIENCE, (False, False)),  # measured too seldom to know
+        ((-1.0, 1.0), 2.0 * PATIENCE, (False, False)),  # too few measurements to tell
         ((0.1, 0.1), 2.0 * PATIENCE, (True, False)),
         (STAYS, 0.5, (True, False)),
-        ((*STAYS, 0.1), 0.5, (True, True)),  # it stays
+        ((*STAYS, 0.1), 0.5, (True, True)),  # it stays long enough
         ((*STAYS, 0.1, 0.3), 0.5, (True, False)),
     ],
 )
@@ -335,10 +335,10 @@ def test_a_catch_is_within_the_cone_of_approach(turned, caught):
 @pytest.mark.parametrize(
     ('goals', 'streams', 'new'),
     [
-        ([(1.0, 0.0), (2.0, 0.0)], False, True),  # by hand
-        ([(1.0, 0.0), (1.0, 0.0)], False, False),  # the same, told again
-        ([(1.0, 0.0), (1.1, 0.0), (1.2, 0.0)], True, False),  # it moves on
-        ([(1.0, 0.0), (1.0, 0.0), (4.0, 0.0)], True, True),  # the next one, after one that stood
+        ([(1.0, 0.0), (2.0, 0.0)], False, True),  # sent by hand
+        ([(1.0, 0.0), (1.0, 0.0)], False, False),  # the same, repeated
+        ([(1.0, 0.0), (1.1, 0.0), (1.2, 0.0)], True, False),  # a moving goal
+        ([(1.0, 0.0), (1.0, 0.0), (4.0, 0.0)], True, True),  # a new goal, after one at rest
     ],
 )
 def test_which_goal_is_a_new_one(goals, streams, new):

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Laws of the simulated vehicle: it does what the planner's dynamics say, and stays on SO(n)."""
+"""Laws of the simulated vehicle: it follows the planner's dynamics and stays on SO(n)."""
 
 import itertools
 import math
@@ -92,7 +92,7 @@ def scenario_of(plant, vehicle, goal=None):
 
 @pytest.mark.parametrize(('n', 'order'), ORDERS)
 def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
-    """Lags, gain, wind, drag and a limit of acceleration at once, any attitude."""
+    """With lags, gain, wind, drag and an acceleration limit at once, from any attitude."""
     rng = np.random.default_rng(2)
     for _ in range(5):
         own = {'max_acceleration': 4.0} if order == 1 else {'drag': 0.3}
@@ -110,7 +110,7 @@ def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
 
 
 def integrated(plant, vehicle, time, fraction, rate):
-    """Return position, velocity, attitude, body rate and fraction by SciPy, from the equations."""
+    """Return position, velocity, attitude, body rate and fraction by SciPy's integrator."""
     n, order = plant.dimension, plant.translation_order
     limit = plant.max_acceleration / (plant.forward * plant.gain) or math.inf
     pull = plant.blown
@@ -172,12 +172,12 @@ def test_each_fall_below_the_stall_speed_counts_once():
     for fraction in (1.0, 0.5, 0.4, 1.0, 10.0 / 15.0, 0.5, 1.0):
         flight = flight.after(fraction, np.zeros(1))
     assert (flight.stalls, flight.stalled) == (2, False)
-    assert 6.0 < flight.least_airspeed < 6.1  # of 0.4 * 15 m/s, after 2 s of a lag of 0.3 s
+    assert 6.0 < flight.least_airspeed < 6.1  # [m/s]: 0.4 * 15 after 2 s of a lag of 0.3 s
     assert flight.after(0.5, np.zeros(1)).stalled
 
 
 def test_a_flight_catches_between_its_steps_where_it_flew():
-    """On an arc, which is 3.7 m off the straight line from one end of the step to the other."""
+    """On an arc that is 3.7 m off the step's chord."""
     plant = plant_of(step=2.0)
     start = launched(plant, np.zeros(2), np.eye(2))
     trail = plant.flown(start, 2.0, 1.0, np.array([0.5]), 0.0)
@@ -188,7 +188,7 @@ def test_a_flight_catches_between_its_steps_where_it_flew():
     assert flight.captured
 
 
-LONG = 10_000.0  # [s]
+LONG = 10_000.0  # [s] of a long series
 
 
 def series(times, memory=3.0, seed=5):
@@ -197,7 +197,7 @@ def series(times, memory=3.0, seed=5):
 
 @pytest.mark.parametrize('memory', [0.5, 3.0])
 def test_gusts_have_the_memory_asked_for(memory):
-    """Within four standard errors of estimates from as many independent gusts as there were."""
+    """To within four standard errors, given the number of independent gusts in the series."""
     blown = series(np.arange(0.0, LONG, 0.5), memory, 7)
     error = 4.0 * np.sqrt(2.0 * memory / LONG)
     np.testing.assert_allclose(blown.mean(axis=0), 0.0, atol=error)
@@ -221,7 +221,7 @@ def test_the_first_gust_is_as_strong_as_any():
 
 
 def test_gusts_never_jump():
-    """Not between samples either, nor where one block of them ends: as rough as their law says."""
+    """Neither between samples nor between blocks of them do increments exceed the expected size."""
     steps = np.diff(series(np.arange(0.0, 100.0, 0.01)), axis=0)
     assert np.abs(steps).max() < 5.0 * np.sqrt(2.0 * 0.02 / 3.0)
 

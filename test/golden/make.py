@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Make the golden bags: ``python test/golden/make.py [FOLDER]``, from seeds, without DDS.
 
-The loop is closed as over DDS in lock-step: what the simulator would publish is what the planner's
-own parts take in, and what they answer is what the vehicle flies. One bag per flight; afterwards
-``orbimpc replay`` must find nothing that differs. Where a change of the planner is meant, the bags
-are made anew.
+The loop is closed as in lock-step over DDS: the planner's own parts take in the messages that the
+simulator would publish, and the vehicle flies their commands. There is one bag per flight; then
+``orbimpc replay`` must find no difference. After an intended change of the planner, the bags are
+made anew.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from orbimpc_ros.tool.settings import config
 FLIGHTS = {
     'retrieval': ('retrieval', ()),
     'dubins': ('dubins', ()),
-    # Off the straight line, on which half a turn may go either way.
+    # Off the straight line, on which a half turn may go either way.
     'spacecraft': ('spacecraft', ('weights.length=0.0', 'start.velocity=[0.0, 0.6, -0.4]')),
     'obstacles': (
         'retrieval',
@@ -51,12 +51,12 @@ FLIGHTS = {
         ),
     ),
     'fixed_wing': ('fixed_wing', ()),
-    # Up to the line: as it is passed, rounding decides to which side to turn. Takes JSBSim.
+    # Up to the line: beyond it, rounding decides to which side to turn. Needs JSBSim.
     'cessna': ('cessna', ('rope.center=[350.0, 60.0, 0.0]', 'max_ticks=55')),
-    'rope': ('rope', ()),  # takes MuJoCo and RotorPy
-    # As long as the arrival is exact: what comes nearest to it is known to five digits only.
+    'rope': ('rope', ()),  # needs MuJoCo and RotorPy
+    # While the arrival is exact: the nearest arrival is known to five digits only.
     'lander': ('lander', ('max_ticks=25',)),
-    'servicer': ('servicer', ('max_ticks=22',)),  # takes Basilisk
+    'servicer': ('servicer', ('max_ticks=22',)),  # needs Basilisk
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (
@@ -73,13 +73,13 @@ FLIGHTS = {
         ),
     ),
 }
-SOLVE_TIME_MS = 1.0  # noted in every tick: a measured one would differ every time
-LATER = 1000  # [ns] between two messages of a tick
-SWITCHED_OFF = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
+SOLVE_TIME_MS = 1.0  # recorded for every tick: a measured time would vary
+LATER = 1000  # [ns] between messages of a tick
+SWITCHED_OFF = range(20, 23)  # ticks of the faulty flight with the planner disabled
 
 
 def serialised(message: object, kind: str) -> bytes:
-    """Return a message in CDR, the same bytes every time: DDS leaves any memory in the padding."""
+    """Return a message in CDR, always the same bytes: DDS leaves arbitrary ones in the padding."""
     raw = serialize_message(message)
     return bytes(store().serialize_cdr(store().deserialize_cdr(raw, kind), kind))
 
@@ -94,12 +94,12 @@ def make(name: str, folder: Path) -> None:
 
 
 class Loop:
-    """The closed loop; everything said in it goes into a bag.
+    """The closed loop; all its messages go into a bag.
 
     Args:
-        values: of every parameter.
-        bag: takes the messages.
-        hostile: whether malformed messages come too, and the planner is disabled for a while.
+        values: of all parameters.
+        bag: for the messages.
+        hostile: True to send malformed messages as well, and to disable the planner for a while.
     """
 
     def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
@@ -113,7 +113,7 @@ class Loop:
         self._at = self._said = 0
 
     def fly(self) -> None:
-        """Fly until the goal is caught or the steps are used up; the last odometry is answered."""
+        """Fly until the capture or the last step; the last odometry is answered as well."""
         flight = departure(self._sim.scenario)
         while True:
             self._at = self._said = round(flight.vehicle.time * SECOND)
@@ -132,7 +132,7 @@ class Loop:
         self._bag.write(f'/{topic}', self._at, serialised(message, TYPES[topic]), self._said)
 
     def _tell(self, arriving: Iterable) -> None:
-        """Let the planner know what is seen, each under the stamp of its measurement."""
+        """Send the observations to the planner, each with the stamp of its measurement."""
         for sent in arriving:
             stamp = Stamp(round(sent.time * SECOND), self._sim.frames)
             topic, message = sensed(stamp, sent)
@@ -145,7 +145,7 @@ class Loop:
         self._pilot.inputs.update(topic, message, self._said / SECOND, self._at)
 
     def _malformed(self, message):
-        """Return a message that must be refused: of a kind that validators look for."""
+        """Return a message that must be refused, with one of the faults that validators detect."""
         wrong = type(message)(header=messages.header(self._at, self._sim.frames.world))
         kind = self._draw.integers(4)
         if kind == 0:
@@ -161,13 +161,13 @@ class Loop:
 
     def _answer(self, tick: int) -> None:
         if self._pilot.stamp != self._at:
-            return  # no odometry this time: the last command stays in force
+            return  # no odometry at this tick: the last command stays in force
         stop = DISABLED if self._hostile and tick in SWITCHED_OFF else None
         now = self._said / SECOND
         told = self._pilot.answer(self._at, now, stop=stop, solve_time_ms=SOLVE_TIME_MS)
         self._said += round(1e6 * SOLVE_TIME_MS)
         for topic, message in told.items():
-            if topic != 'plan_markers':  # large, and made of the plan
+            if topic != 'plan_markers':  # large, and derived from the plan
                 self._say(topic, message)
         model, frames = self._sim.scenario.model, self._sim.frames
         known = told['cmd_vel'], model.dimension, frames

@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Message packages for tests, of the definitions in this folder: built by rosidl's generators.
+"""Message packages for tests, built by rosidl's generators from the definitions in this folder.
 
-They have those fields of PX4's and MAVROS's own definitions that the planner reads or writes.
+They have the fields of PX4's and MAVROS's definitions that the planner reads or writes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RUNTIME = ('rosidl_runtime_c', SUPPORT, FAST, f'{FAST}pp', SEEN, 'fastcdr')
 
 
 def build(package: str, into: Path) -> None:
-    """Generate a package and compile it, for Fast DDS alone; ``into`` is then to be on the path.
+    """Generate and compile a package, for Fast DDS alone; ``into`` must then be on the path.
 
     Raises:
         subprocess.CalledProcessError: it does not compile.
@@ -47,7 +47,7 @@ def build(package: str, into: Path) -> None:
         (PY, generate_py, ([SUPPORT],)),
     ):
         resources, file = PREFIX / 'share' / library / 'resource', out / f'{library}.json'
-        here = into / SEEN / package if library == SEEN else out  # it has files of the same names
+        here = into / SEEN / package if library == SEEN else out  # its files have the same names
         places = {'template_dir': str(resources), 'output_dir': str(here)}
         file.write_text(json.dumps(arguments | places))
         generate(str(file), *more)
@@ -58,7 +58,7 @@ def build(package: str, into: Path) -> None:
 
 
 def _arguments(package: str, out: Path) -> dict[str, object]:
-    """Return what generators are given, once the definitions are those of IDL."""
+    """Convert the definitions to IDL; return the arguments of the generators."""
     from rosidl_adapter.msg import convert_msg_to_idl
     from rosidl_adapter.srv import convert_srv_to_idl
 
@@ -77,9 +77,9 @@ def _arguments(package: str, out: Path) -> dict[str, object]:
 
 
 def _compile(package: str, into: Path) -> None:
-    """Compile the types with Fast DDS's support of them, their introspection, and the module.
+    """Compile the types with their support for Fast DDS, their introspection, and the module.
 
-    The first two are looked for by name, which finds them once the package has loaded them.
+    The first two are looked up by name, which succeeds once the package has loaded them.
     """
     out, names = into / package, [f'lib{package}__{part}.so' for part in (FAST, SEEN)]
     made = sorted(map(str, (*out.rglob('*.c'), *out.rglob('*.cpp'))))
