@@ -172,7 +172,7 @@ def flights(seed: int, count: int) -> Iterator[tuple[Flight, Rng]]:
 def plans(seed: int, count: int) -> Iterator[Flight]:
     """Yield the flights of ``count`` draws that are feasible plans.
 
-    Curves that pass a body closer than their control points are not feasible.
+    Curved steps among bodies are left out: their control points need not be clear.
     """
     for drawn, _ in flights(seed, count):
         problem, state, _ = drawn.case

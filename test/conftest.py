@@ -81,7 +81,7 @@ PROC = Path('/proc/self')
 
 @pytest.fixture(autouse=True)
 def _little_memory() -> Iterator[None]:
-    """Fail a test with too high a peak memory, and return freed memory to the system."""
+    """Fail a test whose peak memory is too high, and return freed memory to the system."""
     try:
         (PROC / 'clear_refs').write_text('5')  # resets the peak
     except OSError:  # not Linux, or no permission

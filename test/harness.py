@@ -232,7 +232,7 @@ def children_of(parent: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Return True if a process runs; a zombie, as a killed parent may leave, does not."""
+    """Return True if a process runs; zombies, which a killed parent may leave, do not count."""
     try:
         os.kill(pid, 0)
         state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]

@@ -104,7 +104,7 @@ FAMILIES: dict[str, dict[str, Any]] = {
     'acceleration': {'max_acceleration': 0.2},
     'space, acceleration': {**SPACE, 'max_acceleration': 0.2},
 }
-# Not all of these are solved to optimality; those that are test certificates with partial proofs.
+# Not all of these are proved optimal; if one is, its certificate takes what the search has proved.
 OPEN: dict[str, dict[str, Any]] = {
     'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
     'circle, arrival': {**ROUND, **ARRIVES},

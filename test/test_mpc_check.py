@@ -59,7 +59,7 @@ def test_a_plan_starts_from_the_measured_state_in_all_its_parts(what):
 
 
 def test_a_rate_is_that_of_the_measured_rotation():
-    """An R_0 within tolerance of the measured one gives a rollout that departs step by step."""
+    """Otherwise an R_0 off by less than the tolerance would let the rollout drift step by step."""
     problem = Problem(rotation_order=2)
     start = State.at([0.0, 0.0], 0.5 * np.eye(2), coasted=np.eye(2))
     near = replace(start, rotation=(0.5 + 0.9e-6) * np.eye(2))
@@ -113,7 +113,7 @@ def turning(turn, speed, **given):
 
 
 def passing(first, **given):
-    """Return cases that pass a box at s_{k + 1}, or a corner right after it; another box is far."""
+    """Return cases that pass a box at s_{k + 1}, or a corner after it; a second box is far away."""
 
     def made(k, by):
         start, goals, plan = straight(Problem(), np.ones(5))
@@ -151,7 +151,7 @@ UNBOUND = {('decided speed', 0), ('turn of a body that coasts', 0), ('corner', 4
 @pytest.mark.parametrize('k', range(5))
 @pytest.mark.parametrize('kind', LIMITS)
 def test_each_limit_binds_at_every_step(kind, k):
-    """Except where the state decides the step, and beyond the last step."""
+    """A violation in any step k is refused, unless the state decides it, or it is past the end."""
     name, made = LIMITS[kind]
     for share, told in ((-1.1, []), (0.9, []), (1.1, [f'{name} violated by 1.1e-06'])):
         assert violations(*made(k, share * TOLERANCE)) == ([] if (kind, k) in UNBOUND else told)

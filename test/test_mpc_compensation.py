@@ -157,7 +157,7 @@ def settled(compensator, vehicle):
 
 @pytest.mark.parametrize('dimension', [2, 3])
 def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(dimension):
-    """For turns about one axis: attitude in any case, position at a steady rate."""
+    """Exact for turns about one axis: the attitude always, the position at a steady rate."""
     lag, ideal = 0.3, Plant(dimension, forward=2.0)
     plant = replace(ideal, speed_lag=lag, rate_lag=lag)
     rate = np.random.default_rng(1).normal(size=plant.rates)
@@ -374,7 +374,7 @@ def test_a_wind_that_turns_about_is_followed_within_two_seconds(step):
 
 @pytest.mark.parametrize('believed', [True, False])
 def test_speed_that_is_not_as_commanded_is_no_wind_where_what_is_measured_is_believed(believed):
-    """A wing commanded to 15 m/s flies at 12 m/s, and in a wind besides."""
+    """With measured airspeed trusted, flying at 12 of 15 m/s commanded adds nothing to the wind."""
     slow = replace(WING, speed_lag=0.0, gain=0.8, velocity_source='air')
     watched = Watched(slow, 1.0, 0.5, measured=believed)
     watched.watch(30, (1.0, 0.0))
@@ -390,7 +390,7 @@ def test_what_is_known_is_not_estimated_again():
 
 @pytest.mark.parametrize('order', [1, 2])
 def test_innovations_are_as_large_as_the_model_says(order):
-    """For motion drawn from the model itself they have one standard deviation."""
+    """For motion drawn from the model itself, their standard deviation is one."""
     rng, unit, noise = np.random.default_rng(4), 3.0, {1: NoiseModel(), 2: PUSHED}[order]
     problem = Problem(translation_order=order, forward=unit)
     estimator, history = Estimator(problem, 0.5), CommandHistory()

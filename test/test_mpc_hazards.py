@@ -155,7 +155,7 @@ def test_a_plan_that_hits_is_refused(hazard, hit):
 
 
 def test_a_plan_has_one_face_between_it_and_a_moving_box_in_each_step():
-    """The straight path, left of the box and then above it, is never inside, yet not feasible."""
+    """A step has one side: the straight path, left of the box and then above it, is not a plan."""
     box = MovingObstacle.drifting(Box([1.5, -9.0], [9.0, 1.2]), np.array([0.0, -1.0]))
     problem, ahead = Problem(horizon=3), np.array([1.0, 0.0])
     state, goals = State.at(0.0 * ahead, np.eye(2), hazards=(box,)), np.outer([1, 2, 3], ahead)
@@ -326,7 +326,7 @@ def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
 
 
 def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():
-    """The margin is relaxed as if the vehicle were inside; still, a stop is a hit in step 2."""
+    """The margin is relaxed as if inside, but a vehicle that stays put is still hit in step 2."""
     ball, bends = Ball([0.0, 0.0], 1.0), np.array([0.0, -0.2, 0.0, 0.2, 0.0, 0.0])
     wavering = MovingObstacle(ball, 0.5 * np.arange(6), np.column_stack([bends, 0.0 * bends]))
     problem = Problem(horizon=3)

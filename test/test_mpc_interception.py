@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Interception: catches are real, and steps that are excluded have none.
+"""Interception: catches do reach the goal, and excluded steps have no catch.
 
 The chases and their closed-form capture times are from reference/interception.json: a Dubins
 vehicle of constant airspeed and limited turn radius in wind, and a goal that moves straight on.
@@ -130,7 +130,7 @@ def catches(controller, radius, plant, vehicle, given, goal):
 @needs_machine_code
 @pytest.mark.parametrize('place', [(35.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
 def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
-    """A fifth of a step later, and again; a goal that has moved too far ends the catch."""
+    """Without time, the last catch is continued twice, unless the goal has moved too far."""
     wing = replace(WING, discretisation='exact')
 
     for moved, caught in (0.5, True), (20.0, False):
@@ -161,7 +161,7 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
 
 @needs_machine_code
 def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
-    """At 7.5 m per step, 1.5 m before the goal is a quarter into the third step."""
+    """At 7.5 m per step, a vehicle is 1.5 m before the goal a quarter into the third step."""
     problem = replace(WING, discretisation='exact')
     goal, here = np.array([18.0 + 0.3, 0.0]), odometry([0.0, 0.0], 0.0, 15.0)
     known = {'ahead': lambda times: np.tile(goal, (len(times), 1))}
@@ -171,7 +171,7 @@ def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
         controller.tick(replace(here, time=-pause), np.tile(goal, (8, 1)), **options)
         return controller.tick(here, np.tile(goal, (8, 1)), **options)
 
-    assert caught(0.1).catch.time == 1.5  # where the goal is in between is not known
+    assert caught(0.1).catch.time == 1.5  # without the goal's motion in between
     # The first shorter step would end before the next tick, when its turn is already over.
     problem = replace(problem, max_rate=0.0, discretisation='euler')
     assert caught(problem.step, **known).catch.time == 1.5
@@ -262,7 +262,7 @@ def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
 
 @needs_machine_code
 def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
-    """A vehicle that turns by a wide angle within a step ends elsewhere than the plan's chords."""
+    """Wide turns within a step lead off the plan's chords: the flown arcs must meet the goal."""
     rope = Problem(horizon=5, step=1.0, forward=1.0, floor=floor('circle', 1.0))
     rope = replace(rope, discretisation='exact')
     rng, radius, far, found = np.random.default_rng(5), 0.05, 0, 0
@@ -310,7 +310,7 @@ def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps
     assert 0.5 < tick.catch.time < 1.0
     assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
     blind = Stepped(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
-    assert not blind.catch.time < 1.0  # where the goal is in between is not known
+    assert not blind.catch.time < 1.0  # without the goal's motion in between
 
 
 # --- lower bounds of capture times

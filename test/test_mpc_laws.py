@@ -83,7 +83,7 @@ def beside(problem, state, plan):
 
 
 def test_no_legal_trajectory_costs_less_than_the_bound(solved):
-    """Compared are perturbations of the plan, small and large, that satisfy all limits."""
+    """Tested on perturbations of the plan, small and large, that satisfy all limits."""
     _, (problem, state, goals), _, plan = solved
     rng, n = np.random.default_rng(7), problem.dimension
     first = problem.rotation_order  # at order 2 the state decides R_1, except its magnitude

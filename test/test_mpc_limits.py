@@ -108,7 +108,7 @@ def test_what_is_surely_out_of_reach_is_left_out_of_the_search():
     problem, wanted = Problem(horizon=5), State.at([0.0, 0.0], np.eye(2))
     moving = [MovingObstacle.drifting(Ball([7.0, 0.0], 1.0), [v, 0.0]) for v in (0.0, -0.15, -0.25)]
     found = [clear_of_hazards(problem, replace(wanted, hazards=(each,))) for each in moving]
-    assert [len(each.hazards) for each in found] == [0, 0, 1]  # 5 m of reach, 6 m to the disc
+    assert [len(each.hazards) for each in found] == [0, 0, 1]  # reach 5 m, against 6 m less its way
     near, far = moving[2], moving[0]
     assert len(clear_of_hazards(problem, replace(wanted, hazards=(far, near))).hazards) == 2
     grown = replace(far, reserve=1.1)
@@ -213,7 +213,7 @@ def test_plans_keep_both_cones_at_every_step_and_the_check_sees_those_that_do_no
 def test_a_vehicle_with_body_rates_keeps_them_from_the_first_step_that_it_can():
     """At rotation order 2 the state decides the direction of R_1, so that R_2 is the first one."""
     problem, leaning = lander(rotation_order=2), UPRIGHT @ exp(np.array([0.0, 0.5, 0.0]))
-    sinking = [0.0, 0.0, -2.0]  # from rest, a plan has steps without thrust, and thus direction
+    sinking = [0.0, 0.0, -2.0]  # from rest, some steps would have neither thrust nor direction
     start = falling([9.0, -7.0, 15.0], sinking, attitude=leaning, coasted=leaning)
     plan = Solver(problem, coasting=True).solve(start, PAD)
     assert tilts(plan)[1:].max() <= 0.2 + 1e-5

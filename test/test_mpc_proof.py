@@ -28,7 +28,7 @@ OF_A_COST = 1e-9
 
 @cache
 def certificates(seed, count):
-    """Return ``count`` certificates of random parts with a bound, each of another flight."""
+    """Return ``count`` random certificates of bounds, each of another flight."""
     found = (adversary.judged(*each) for each in adversary.flights(seed, 10**6))
     bounds = (each for each in found if each and 'tree' in each.document)
     return list(itertools.islice(bounds, count))

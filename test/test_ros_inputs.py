@@ -58,7 +58,7 @@ def stamped(make, seconds, *arguments):
 
 
 def typed(x, frame='', make=goal):
-    """Return a message as ``ros2 topic pub`` makes it of a pose alone: without a stamp."""
+    """Return a message as ``ros2 topic pub`` makes it of a pose alone: without stamp and frame."""
     message = make(0.0, x) if make is goal else make(0.0)
     message.header.frame_id = frame
     return message
@@ -80,7 +80,7 @@ def test_what_is_missing_is_said_by_the_names_of_topics_as_they_are_resolved(def
     assert remapped.update('odom', odometry(1.0), 0.0) == ''
     assert remapped.missing == 'a goal on /boat/goal or /boat/path'
     assert remapped.update('odom', odometry(1.0), 0.1).startswith('/boat/gps refused: duplicate')
-    assert remapped.refused == {'odom: duplicate stamp': 1}  # counts keep their names
+    assert remapped.refused == {'odom: duplicate stamp': 1}  # counters are not remapped
     remapped.update('odom', odometry(2.0), 0.2, clock(0.2))
     assert remapped.untimed == '/boat/gps'
     remapped.update('goal', goal(1.0), 0.0)
@@ -102,14 +102,14 @@ def test_a_sender_whose_clock_went_back_is_heard_once_the_old_is_stale(inputs):
     inputs.update('goal', goal(100.0), 0.0)
     assert inputs.update('odom', odometry(0.0), 0.1)
     assert inputs.update('odom', odometry(0.0), 0.3) == ''
-    kept = inputs.latest['goal']  # its position holds; its stamp is of the old time
+    kept = inputs.latest['goal']  # its position still holds, its stamp does not
     assert kept.stamp.nanoseconds == 0
     assert kept.value.time == 0.0
 
 
 @pytest.mark.parametrize('refused', [False, True])
 def test_a_goal_of_the_past_leaves_odometry_as_it_is(inputs, refused):
-    """Odometry received before stays valid if an older goal is accepted, and if it is refused."""
+    """Whether the older goal is accepted or refused, odometry received before stays valid."""
     inputs.adopt(settings(**{'weights.attitude': 0.5}))
     inputs.update('goal', goal(100.0), 0.0)
     inputs.update('odom', odometry(101.0), 2.9)
@@ -302,7 +302,7 @@ def test_a_goal_typed_without_a_stamp_or_a_frame_is_of_the_moment_it_comes(input
 
 
 def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
-    """Their positions are known, but not since when."""
+    """When the goal got there is unknown, so that no velocity may be derived from it."""
     moving = Inputs(settings(goal_prediction='velocity'))
     moving.update('odom', odometry(1.0), 1.0)
     for at, message in ((1.0, typed(2.0)), (1.5, typed(4.0)), (9.0, goal(9.0, 6.0))):
@@ -322,7 +322,7 @@ def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
 
 
 def test_the_last_goal_of_a_stream_is_not_kept_over_a_fresh_start(inputs):
-    """The stream sends the next one, or has stopped."""
+    """A stream soon sends its next goal, or has stopped."""
     sent(inputs, 1.0, 1.1, 1.2)
     inputs.start_afresh()
     assert inputs.missing == 'odometry on odom and a goal on goal or goal_path'

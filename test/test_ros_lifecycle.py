@@ -244,7 +244,7 @@ def state(node):
 
 
 class Panic(BaseException):
-    """Like a panic of a library written in Rust."""
+    """Raised like the panics of libraries written in Rust: not an Exception."""
 
 
 @pytest.mark.parametrize('error', [BadInput('step', 0.0, 'above 0'), ValueError('no'), Panic('no')])

@@ -109,7 +109,7 @@ def test_parameters_make_the_plant_that_they_say():
     told, lags = sim_settings(DEFAULTS | given | own), {'speed_lag': 0.8, 'rate_lag': 0.3}
     own |= {'gust': 0.5, 'gust_time': 2.0, 'seed': 7, 'step': 0.1}  # period of odometry
     assert told.scenario.model == Plant(disturbance=(1.0, -2.0), **lags, **own)
-    assert told.command_timeout == 0.75  # in units of the planner's steps, 1.5
+    assert told.command_timeout == 0.75  # 1.5 steps of the planner
 
 
 def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():
@@ -119,7 +119,7 @@ def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():
 
 
 def test_a_vehicle_in_continuous_time_is_caught_over_dds(tmp_path, capsys):
-    """With lags and gusts; the bag has the least airspeed, five times per step."""
+    """With lags and gusts; five times per step the bag records the least airspeed so far."""
     changes = [f'--set={name}={value}' for name, value in WING.items()]
     assert cli.main(['demo', 'retrieval', '--out', str(tmp_path), *changes]) == 0
     found = messages_of(tmp_path / 'retrieval')

@@ -103,7 +103,7 @@ BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
     ],
 )
 def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
-    """Sent when ``-X importtime`` reports an import; the last one precedes the node's own start."""
+    """It is sent at an import (``-X importtime``); the last one precedes the node's own start."""
     script = f'import sys; from orbimpc_ros.ros.entry import {node}; sys.exit({node}())'
     words = [*BACKGROUND, sys.executable, '-X', 'importtime', '-c', script]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as starting:

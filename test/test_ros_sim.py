@@ -78,7 +78,7 @@ LONG = LOCKSTEP | {'goal_prediction': 'hold'}  # the paper's prediction, without
 
 
 def test_whoever_is_waited_for_hears_a_flight_whole(launch, domain):
-    """Like a recorder that starts late, while the flight takes a tenth of a second."""
+    """A recorder that starts late must not miss a flight of a tenth of a second."""
     launch('planner', LONG)
     asked = {
         'wait_for': 'odom, goal, cmd_vel, rotation, plan, tick',

@@ -282,7 +282,7 @@ def test_one_bag_holds_every_vehicle_from_its_first_step_on(fleet):
 
 
 def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(fleet):
-    """As one /tf requires; planners obey, and answer in their own vehicle's frame."""
+    """They share one /tf; planners take odometry in their vehicle's frame, and command in it."""
     found = {}
     for topic, content in ((each.topic, each.content) for each in bags.read(fleet[1] / 'bag')):
         if topic.endswith(('/odom', '/cmd_vel')):

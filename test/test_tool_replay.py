@@ -174,7 +174,7 @@ def overtaken(raw):
 
 
 def early(raw):
-    """Send each goal before the previous answer: by send times it would have been known to it."""
+    """Send each goal before the previous answer, which by send times would have known it."""
     for each in raw:
         later = {'/goal': -500_000_000}.get(each.topic, 700_000_000 * (each.topic in ANSWERS))
         yield each._replace(sent=max(1, each.sent + later))

@@ -202,7 +202,7 @@ def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
 
 
 def test_the_tool_can_be_interrupted_before_it_has_imported_what_takes_long():
-    """Interrupted during imports, before its command runs, the tool would print a traceback."""
+    """Imports before the command must be quick: interrupted during them, it prints a traceback."""
     words = (
         'import sys, orbimpc_ros.tool.cli; print({"numpy", "scipy", "rclpy"} & set(sys.modules))'
     )

@@ -133,7 +133,7 @@ def test_certificates_in_a_bag_are_verified_each_as_it_is(tool, tmp_path):
 
 @pytest.mark.parametrize('rows', [3, 5])
 def test_where_what_a_search_left_proves_less_there_is_no_certificate(tool, monkeypatch, rows):
-    """Whether its bound is too weak, or it is refused."""
+    """Whether the certificate proves too little, or is refused."""
 
     def poor(problem, state, goals, proof):
         leaf = one(np.zeros((rows, 2)), np.zeros(rows))
