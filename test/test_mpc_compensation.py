@@ -81,8 +81,8 @@ def test_an_odd_speed_is_one_through_the_air():
 def test_a_measurement_moves_on_as_the_vehicle_does(orders, source):
     """Before any command is known and with two of them, in wind or under gravity.
 
-    Some rates are near zero, where closed forms switch to series. At rotation order 1 a rate is
-    obeyed at once; at order 2 it takes effect with the next command.
+    Some rates are near zero, where closed forms switch to series. At rotation order 1 rates are
+    obeyed at once; speeds, and rates at order 2, take effect with the next command.
     """
     rng, n, order = np.random.default_rng(1), orders['dimension'], orders['translation_order']
     problem = Problem(**orders, forward=2.0)

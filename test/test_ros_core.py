@@ -240,7 +240,7 @@ def test_loiter_closes_a_level_circle_at_the_least_speed(n):
 
 
 def test_an_unknown_wind_is_estimated_planned_with_and_told():
-    """The vehicle, with a lag in speed, drifts in a cross wind on its way to a far goal."""
+    """The vehicle, with a lag in speed, drifts in a crosswind on its way to a far goal."""
     driven = Driven(disturbance='estimated', **{'response.speed': 0.1})
     wind, position, last = np.array([0.0, 0.3]), np.zeros(2), None
     for k in range(150):

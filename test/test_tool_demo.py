@@ -301,7 +301,7 @@ def test_ropes_are_drawn_from_the_seed_alone():
             assert one[drawn] == many[name][drawn]
     frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
-    assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest seed, and the next
+    assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the seed after the largest one
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
 
 
