@@ -33,24 +33,24 @@ class Faults:
 
     # fmt: off
     position_noise: float = parameter('faults.position_noise', 0.0,
-        'Noise of odometry and goal along each axis, deviation', 'm', 0.0, 1e3)
+        'Standard deviation of noise on odometry and goal along each axis', 'm', 0.0, 1e3)
     attitude_noise: float = parameter('faults.attitude_noise', 0.0,
-        'Noise of odometry about each axis, deviation', 'rad', 0.0, math.pi)
+        'Standard deviation of noise on odometry about each axis', 'rad', 0.0, math.pi)
     dropout: float = parameter('faults.dropout', 0.0,
         'Share of odometry, goals and commands that is lost', '', 0.0, 1.0)
-    delay: float = parameter('faults.delay', 0.0, 'Age of odometry when it comes', 's', 0.0, 10.0)
+    delay: float = parameter('faults.delay', 0.0, 'Age of odometry on arrival', 's', 0.0, 10.0)
     reorder: float = parameter('faults.reorder', 0.0,
-        'Share of odometry and goals that comes a step late', '', 0.0, 1.0)
+        'Share of odometry and goals that arrives a step late', '', 0.0, 1.0)
     duplicate: float = parameter('faults.duplicate', 0.0,
-        'Share of odometry and goals that comes twice', '', 0.0, 1.0)
+        'Share of odometry and goals that arrives twice', '', 0.0, 1.0)
     nan: float = parameter('faults.nan', 0.0,
         'Share of odometry and goals whose position is not a number', '', 0.0, 1.0)
     occlusion_length: float = parameter('faults.occlusion_length', 0.0,
         'How long the goal is hidden in each period', 's', 0.0, 1e6)
     occlusion_period: float = parameter('faults.occlusion_period', 10.0,
-        'The goal is hidden once in it, at a random time', 's', TINY, 1e6)
+        'Period in which the goal is hidden once, at a random time', 's', TINY, 1e6)
     clock_jump: float = parameter('faults.clock_jump', 0.0,
-        'What every stamp is off from clock_jump_tick on', 's', -1e6, 1e6)
+        'Offset of every stamp from clock_jump_tick on', 's', -1e6, 1e6)
     clock_jump_tick: int = parameter('faults.clock_jump_tick', 0,
         'Steps flown before the clock jumps', '', 0, 1_000_000)
     # fmt: on

@@ -50,14 +50,14 @@ class SimSettings(VehicleParameters):
     """
 
     # fmt: off
-    vehicle: str = parameter('vehicle', 'discrete', 'Whether the vehicle moves in the steps that '
-        'the planner believes in, or in continuous time, with lags and limits, in wind, or in an '
-        'engine: cessna is that of JSBSim, hummingbird that of RotorPy in MuJoCo, servicer a '
-        'spacecraft in Basilisk', choices=('discrete', 'continuous', *ENGINES))
-    max_rate: float = parameter('max_rate', 0.0, 'The vehicle turns no faster; 0 for no limit',
+    vehicle: str = parameter('vehicle', 'discrete', 'Motion of the vehicle: discrete, in the '
+        "planner's steps; continuous, with lags, limits and gusts; or in an engine: cessna in "
+        'JSBSim, hummingbird of RotorPy in MuJoCo, servicer, a spacecraft, in Basilisk',
+        choices=('discrete', 'continuous', *ENGINES))
+    max_rate: float = parameter('max_rate', 0.0, "Limit on the vehicle's body rate; 0 for no limit",
         'rad/s', 0.0, 1e4)
     max_acceleration: float = parameter('max_acceleration', 0.0,
-        'The speed changes no faster (translation order 1); 0 for no limit', 'm/s^2', 0.0, 1e6)
+        'Limit on the change of speed (translation order 1); 0 for no limit', 'm/s^2', 0.0, 1e6)
     speed_lag: float = parameter('response.speed', 0.0, 'Lag of speed or thrust, first order',
         's', 0.0, 10.0)
     rate_lag: float = parameter('response.rate', 0.0, 'Lag of the body rate, first order',
@@ -65,40 +65,40 @@ class SimSettings(VehicleParameters):
     gust: float = parameter('gust', 0.0,
         'Standard deviation of gusts along each axis, on top of wind', 'm/s or m/s^2', 0.0, 1e3)
     gust_time: float = parameter('gust_time', 3.0, 'Correlation time of gusts', 's', 0.1, 1e3)
-    drag: float = parameter('drag', 0.0, 'Deceleration by the own velocity (translation order 2)',
+    drag: float = parameter('drag', 0.0, 'Deceleration per unit of velocity (translation order 2)',
         '1/s', 0.0, 1e3)
-    gain: float = parameter('gain', 1.0,
-        'Speed or thrust that is reached, a share of what is commanded', '', 0.1, 10.0)
-    stall_speed: float = parameter('stall_speed', 0.0, 'Airspeed below which a vehicle is counted '
-        'as stalled on the topic truth; it flies on', 'm/s', 0.0, 1e3)
-    odom_rate: float = parameter('odom_rate', 0.0, 'Odometry, goals and ticks of the simulator in '
-        'a second of its time; 0 for one in each step', 'Hz', 0.0, 1e3)
-    clock: str = parameter('clock', 'lockstep', 'lockstep waits for each command, shared also for '
-        'the /clock that the vehicles of a fleet have in common; wall runs in real time',
+    gain: float = parameter('gain', 1.0, 'Actual speed or thrust, as a share of the commanded one',
+        '', 0.1, 10.0)
+    stall_speed: float = parameter('stall_speed', 0.0,
+        'Airspeed below which the topic truth counts a stall; flight goes on', 'm/s', 0.0, 1e3)
+    odom_rate: float = parameter('odom_rate', 0.0,
+        'Rate of odometry, goals and ticks in simulated time; 0 for one per step', 'Hz', 0.0, 1e3)
+    clock: str = parameter('clock', 'lockstep', 'lockstep waits for each command; shared also for '
+        'the common /clock of a fleet; wall runs in real time',
         choices=('lockstep', 'shared', 'wall'))
     rope_center: tuple[float, ...] = parameter('rope.center', (5.0, 0.0, 0.0),
         'Middle of the swing: x, y, z', 'm', -FAR, FAR)
     rope_amplitude: tuple[float, ...] = parameter('rope.amplitude', (0.5, 0.5, 0.0),
         'Reach of the swing: x, y, z', 'm', -FAR, FAR)
-    rope_frequency: float = parameter('rope.frequency', 0.1, 'Swings in a second', 'Hz', 0.0, 1e3)
+    rope_frequency: float = parameter('rope.frequency', 0.1, 'Swings per second', 'Hz', 0.0, 1e3)
     rope_phase: tuple[float, ...] = parameter('rope.phase',
         (5.0 * math.pi / 3.0, 3.5 * math.pi / 3.0, 0.0), 'Phase at the start: x, y, z',
         'rad', -100.0, 100.0)
     rope_velocity: tuple[float, ...] = parameter('rope.velocity', ALONG_AXES,
         'Drift of the middle: x, y, z', 'm/s', -1e3, 1e3)
-    rope_length: float = parameter('rope.length', 0.0, 'It hangs so far, half of it above the '
-        'plane of flight, for aircraft, which leave that', 'm', 0.0, FAR)
-    capture_radius: float = parameter('capture_radius', 0.2, 'The goal is caught within it',
-        'm', TINY, FAR)
+    rope_length: float = parameter('rope.length', 0.0, 'Length of the rope, half of it above the '
+        'plane of flight; for aircraft, which leave that plane', 'm', 0.0, FAR)
+    capture_radius: float = parameter('capture_radius', 0.2,
+        'Distance within which the goal is caught', 'm', TINY, FAR)
     finish: str = parameter('finish', 'capture',
-        'Whether to end with the capture, or at max_ticks by arriving', choices=FINISHES)
-    arrival_radius: float = parameter('arrival_radius', 0.05, 'At arrival the goal is within it',
-        'm', TINY, FAR)
-    arrival_speed: float = parameter('arrival_speed', 0.0,
-        'At arrival the speed is at most this; 0 for any', 'm/s', 0.0, FAR)
-    given_traffic: tuple[float, ...] = parameter('traffic', (), 'Balls, in the plane discs, that '
-        'move evenly, shown on obstacles: where each is at the start, its velocity, its radius',
-        'm, m/s', -FAR, FAR)
+        'Whether a flight ends by capture, or at max_ticks by arrival', choices=FINISHES)
+    arrival_radius: float = parameter('arrival_radius', 0.05,
+        'Largest distance to the goal at arrival', 'm', TINY, FAR)
+    arrival_speed: float = parameter('arrival_speed', 0.0, 'Largest speed at arrival; 0 for any',
+        'm/s', 0.0, FAR)
+    given_traffic: tuple[float, ...] = parameter('traffic', (), 'Balls (discs in the plane) at '
+        'constant velocity, published on obstacles: for each its position at the start, velocity '
+        'and radius', 'm, m/s', -FAR, FAR)
     start_position: tuple[float, ...] = parameter('start.position', ALONG_AXES,
         'Where the vehicle starts: x, y, z', 'm', -FAR, FAR)
     start_orientation: tuple[float, ...] = parameter('start.orientation', (0.0, 0.0, 0.0, 1.0),
@@ -110,27 +110,27 @@ class SimSettings(VehicleParameters):
     start_body_rate: tuple[float, ...] = parameter('start.body_rate', ALONG_AXES,
         'Rates about the body axes at the start', 'rad/s', -1e3, 1e3)
     max_ticks: int = parameter('max_ticks', 60, 'Steps until the flight ends', '', 1, 1_000_000)
-    seed: int = parameter('seed', 0, 'Of everything random', '', 0, 2**31 - 1)
-    given_command_timeout: float = parameter('command_timeout', 0.2, 'A command is in force for '
-        'so long, at least 1.5 steps; and a planner is given up after so long without a sign of '
-        'life', 's', 1e-3, MAX_DURATION)
+    seed: int = parameter('seed', 0, 'Seed of all random numbers', '', 0, 2**31 - 1)
+    given_command_timeout: float = parameter('command_timeout', 0.2, 'How long a command remains '
+        'in force, at least 1.5 steps, and how long a planner may be without liveliness before it '
+        'counts as lost', 's', 1e-3, MAX_DURATION)
     goal_path_steps: int = parameter('goal_path_steps', 0,
-        'Steps of the true future to publish on goal_path; 0 for none', '', 0, 10_000)
+        'Future steps of the goal to publish on goal_path; 0 for none', '', 0, 10_000)
     exit_when_done: bool = parameter('exit_when_done', False,
         'Whether to exit once the goal is caught or ticks run out')
     failsafe_fraction: float = parameter('failsafe.fraction', 0.0, 'Share of full speed or thrust '
         'while no command is in force; 0: the vehicle stops', '', 0.0, 1.0)
     failsafe_rate: float = parameter('failsafe.rate', 0.0,
-        'Turn about the body z axis meanwhile, at most pi/step', 'rad/s', -1e4, 1e4)
+        'Body rate about z while no command is in force, at most pi/step', 'rad/s', -1e4, 1e4)
     rate: float = parameter('rate', 0.0,
-        'Lock-step at so many times real time; 0 for as fast as it goes', '', 0.0, 1e6)
+        'Speed of lock-step as a multiple of real time; 0 for no limit', '', 0.0, 1e6)
     wait_subscribers: int = parameter('wait_subscribers', 1,
-        'Subscribers of odom, the planner among them, that a flight waits for', '', 1, 100)
-    given_wait_for: str = parameter('wait_for', '', 'Readers that a flight waits for beside '
-        'planner and simulator: topics, each with a count if there are more: tick, odom 2')
-    given_wait_timeout: float = parameter('wait_timeout', 120.0, 'Lock-step gives up after waiting '
-        'so long for planner and readers, while the planner is configured not counted, and for an '
-        'answer, for which it waits 20 s at most; 0 for never', 's', 0.0, MAX_DURATION)
+        'Subscribers of odom that a flight waits for, including the planner', '', 1, 100)
+    given_wait_for: str = parameter('wait_for', '', 'Other subscribers that a flight waits for: '
+        'topics, each with a count if above 1, such as: tick, odom 2')
+    given_wait_timeout: float = parameter('wait_timeout', 120.0, 'How long lock-step waits for '
+        "planner and subscribers, not counting the planner's configuration, and for an answer (20 "
+        's at most); 0 for no limit', 's', 0.0, MAX_DURATION)
     # fmt: on
     faults: Faults = NO_FAULTS  # between the vehicle and its planner
 

@@ -67,15 +67,15 @@ class PlannerSettings(VehicleParameters):
     weights_terminal: float = parameter('weights.terminal', 10.0,
         'On squared distance to the goal at the last step', '1/m^2', 0.0, 1e6, live=True)
     weights_attitude: float = parameter('weights.attitude', 0.0, 'On the squared difference '
-        "(Frobenius norm) of the last step's rotation from the goal's orientation; 0 leaves the "
-        'orientation out', '1', 0.0, 1e6, live=True)
+        "(Frobenius norm) of the last step's rotation from the goal's orientation; 0 ignores the "
+        'orientation', '1', 0.0, 1e6, live=True)
     weights_scaling: str = parameter('weights.scaling', 'paper', 'What the weights mean: paper, '
-        'sums over steps in the units above; time, integrals over the horizon, without units: the '
+        'sums over steps, each in its unit; time, dimensionless integrals over the horizon: the '
         'same at any step and speed', choices=SCALINGS, live=True)
     terminal: str = parameter('terminal', 'penalty', 'Whether the last step must reach the goal',
         choices=TERMINALS, live=True)
     horizon_mode: str = parameter('horizon_mode', 'receding',
-        'Whether the horizon moves on or shrinks to its end', choices=('receding', 'shrinking'))
+        'Whether the horizon recedes, or shrinks to a fixed end', choices=('receding', 'shrinking'))
     floor_shape: str = parameter('floor.shape', 'none',
         'Minimum speed: none, the faces of a polygon, or a circle',
         choices=tuple(SHAPES), live=True)
@@ -83,109 +83,106 @@ class PlannerSettings(VehicleParameters):
         'Faces of the polygon, or of the solid (6, 12, 20) in space', '', 3, 64, live=True)
     floor_fraction: float = parameter('floor.fraction', math.sqrt(0.3),
         'Minimum share of full speed', '', TINY, 1.0, live=True)
-    max_rate: float = parameter('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most '
-        'pi/step. Without a floor it limits changes of speed as well: R e1 moves by at most 2 '
+    max_rate: float = parameter('max_rate', 0.0, 'Limit on the body rate; 0 for none, at most '
+        'pi/step. Without a floor it also limits changes of speed: R e1 moves by at most 2 '
         'sin(step * max_rate / 2) in a step. With a floor it limits the angle of each step, at any '
-        'speeds. Of thrust in space without a floor, cones or a terminal constraint it limits '
-        'commands alone', 'rad/s', 0.0, 1e4, live=True)
-    max_acceleration: float = parameter('max_acceleration', 0.0, 'Limit of the change of speed '
+        'speed. For thrust in space without a floor, cones or a terminal constraint it limits only '
+        'commands', 'rad/s', 0.0, 1e4, live=True)
+    max_acceleration: float = parameter('max_acceleration', 0.0, 'Limit on the change of speed '
         '(translation_order 1); 0 for none. From one command to the next the speed changes by at '
         'most step * max_acceleration', 'm/s^2', 0.0, 1e6, live=True)
-    tilt: float = parameter('tilt', 0.0, 'Largest angle of the pushing axis from the vertical '
+    tilt: float = parameter('tilt', 0.0, 'Largest angle of the thrust axis from the vertical '
         '(dimension 3, translation_order 2); 0 for any', 'rad', 0.0, 0.5 * math.pi, live=True)
     glide_slope: float = parameter('glide_slope', 0.0, 'Stay in a cone above the goal, of this '
-        'angle between its side and the horizontal: at least tan(glide_slope) m up for each m '
-        'aside (dimension 3); 0 for none', 'rad', 0.0, STEEPEST_GLIDE, live=True)
+        'angle between its side and the horizontal: at least tan(glide_slope) m up per m aside '
+        '(dimension 3); 0 for none', 'rad', 0.0, STEEPEST_GLIDE, live=True)
     no_corner_cutting: bool = parameter('no_corner_cutting', False,
-        'Whether the path between two steps stays out as well', live=True)
-    obstacle_speed_limit: float = parameter('obstacle_speed_limit', 50.0, 'What jumps on the topic '
-        'obstacles faster than this is taken for a new body at rest', 'm/s', TINY, FAR, live=True)
-    obstacle_unseen_speed: float = parameter('obstacle_unseen_speed', 0.0, 'How fast what moves '
-        'may be as long as it was seen but once: it counts as larger by what that comes to in the '
-        'first 4 steps of a plan', 'm/s', 0.0, FAR, live=True)
-    obstacle_reserve: float = parameter('obstacle_reserve', 0.0, 'Kept away from what moves beyond '
-        'what is demanded, as far as a plan is found that does: from nothing at the start of a '
-        'plan to this much 4 steps later', 'm', 0.0, FAR, live=True)
+        'Whether the path between steps must avoid obstacles as well', live=True)
+    obstacle_speed_limit: float = parameter('obstacle_speed_limit', 50.0, 'Obstacles on the topic '
+        'obstacles that jump faster are taken for new bodies at rest', 'm/s', TINY, FAR, live=True)
+    obstacle_unseen_speed: float = parameter('obstacle_unseen_speed', 0.0, 'Speed assumed for an '
+        'obstacle observed only once: in the first 4 steps of a plan it is enlarged by the '
+        'distance it may have moved', 'm/s', 0.0, FAR, live=True)
+    obstacle_reserve: float = parameter('obstacle_reserve', 0.0, 'Extra clearance from moving '
+        'obstacles, as far as a plan that keeps it is found: it grows from 0 at the start of a '
+        'plan to this value 4 steps later', 'm', 0.0, FAR, live=True)
     avoid: tuple[str, ...] = parameter('avoid', (), "Topics of other vehicles' plans "
-        "(nav_msgs/Path) to stay clear of; one's own among them is passed over", words=True)
-    avoid_radius: float = parameter('avoid_radius', 0.0, 'Least distance from other vehicles, '
-        'middle to middle: the sum of both radii and of what both may be off; above 0 with avoid',
+        "(nav_msgs/Path) to stay clear of; the vehicle's own is ignored", words=True)
+    avoid_radius: float = parameter('avoid_radius', 0.0, 'Least distance between the centres of '
+        'vehicles: the sum of both radii and of both deviations from plans; above 0 with avoid',
         'm', 0.0, FAR, live=True)
-    avoid_timeout: float = parameter('avoid_timeout', 0.0, 'Another vehicle whose plan is older '
-        'than this is silent, at least 1.5 periods; 0 for 0.5 s',
-        's', 0.0, MAX_DURATION, live=True)
+    avoid_timeout: float = parameter('avoid_timeout', 0.0, 'Age of a plan from which its vehicle '
+        'counts as silent, at least 1.5 periods; 0 for 0.5 s', 's', 0.0, MAX_DURATION, live=True)
     projection: str = parameter('projection', 'thrust_aligned',
-        'How a point of the hull becomes a rotation', choices=PROJECTIONS, live=True)
-    objective: str = parameter('objective', 'track', 'Whether to be near the goal on average, or '
-        'to catch it as soon as it can be', choices=('track', 'intercept'), live=True)
-    goal_radius: float = parameter('capture_radius', 0.2, 'Within it the goal is caught: by plans '
-        '(objective intercept), and as the topics caught and arrived tell',
+        'How a point of the orbitope is projected to a rotation', choices=PROJECTIONS, live=True)
+    objective: str = parameter('objective', 'track', 'Whether to stay near the goal, or to catch '
+        'it as soon as possible', choices=('track', 'intercept'), live=True)
+    goal_radius: float = parameter('capture_radius', 0.2, 'Distance at which the goal is caught: '
+        'in plans (objective intercept), and on the topics caught and arrived',
         'm', TINY, 1e6, live=True)
     centred: bool = parameter('capture_centred', False, 'Whether plans of a catch lead through the '
-        'middle of the goal with a little to spare: they turn gently, which vehicles follow whose '
-        'turns take time to begin; otherwise they gain the last centimetre', live=True)
-    odometry: str = parameter('odometry', 'odom', 'Where odometry comes from: odom, or the halves '
-        'pose and twist, as autopilots publish them', choices=('odom', 'pose_twist'))
-    velocity_frame: str = parameter('velocity_frame', 'body', 'What the linear velocity of odom or '
-        "twist is given in: the body's axes, as ROS has it, or the world's; rates are about the "
-        "body's in any case", choices=('body', 'world'))
-    hover_thrust: float = parameter('hover_thrust', 0.0, 'Share of full thrust at which the '
-        'vehicle hovers, as its autopilot counts it (gravity above 0): thrust then carries the '
-        'thrust as such a share; 0 for none', '1', 0.0, 1.0)
-    tf: bool = parameter('tf', False, 'Whether goals, obstacles and plans of other vehicles in '
-        'other frames than frame_id are moved by what /tf and /tf_static tell')
-    transforms: tuple[str, ...] = parameter('transforms', (), 'The same by transforms that are '
-        "stated, each 'parent child x y z roll pitch yaw' [m, rad]: how the child lies in the "
-        'parent, as in tf', words=True, live=True)
+        'centre of the goal with a small margin: their gentle turns suit vehicles that are slow to '
+        'begin a turn; otherwise they gain the last centimetre', live=True)
+    odometry: str = parameter('odometry', 'odom', 'Topics of odometry: odom, or separate pose and '
+        'twist, as autopilots publish them', choices=('odom', 'pose_twist'))
+    velocity_frame: str = parameter('velocity_frame', 'body', 'Frame of the linear velocity of '
+        "odom or twist: the body's, as usual in ROS, or the world's; body rates are about body "
+        'axes in any case', choices=('body', 'world'))
+    hover_thrust: float = parameter('hover_thrust', 0.0, 'Share of full thrust at hover on the '
+        "autopilot's scale (gravity above 0): the topic thrust then carries thrust on that scale; "
+        '0 for no such topic', '1', 0.0, 1.0)
+    tf: bool = parameter('tf', False, 'Whether to transform goals, obstacles and plans of other '
+        'vehicles to frame_id by /tf and /tf_static')
+    transforms: tuple[str, ...] = parameter('transforms', (), 'Fixed transforms of messages in '
+        "other frames, each 'parent child x y z roll pitch yaw' [m, rad]: the pose of the child in "
+        'the parent, as in tf', words=True, live=True)
     transform_timeout: float = parameter('transform_timeout', 0.2,
-        'For so long the last transform of /tf holds', 's', 0.0, MAX_DURATION, live=True)
-    autopilot: str = parameter('autopilot', '', "A wing's autopilot on its own topics: PX4 in "
-        'offboard mode (px4_msgs), or ArduPlane in GUIDED through MAVROS (mavros_msgs); setpoints '
-        'leave in that mode alone', choices=('', *AUTOPILOTS))
-    gated: bool = parameter('gated', False, 'Whether commands wait for engaged (std_msgs/Bool): '
-        'none are sent before it is true, nor while it is false')
+        'How long the last transform of /tf remains valid', 's', 0.0, MAX_DURATION, live=True)
+    autopilot: str = parameter('autopilot', '', 'Fixed-wing autopilot to steer on its own topics: '
+        'PX4 in offboard mode (px4_msgs), or ArduPlane in GUIDED through MAVROS (mavros_msgs); '
+        'setpoints are sent in that mode only', choices=('', *AUTOPILOTS))
+    gated: bool = parameter('gated', False, 'Whether commands wait for the topic engaged '
+        '(std_msgs/Bool): they are sent only while it is true')
     trigger: str = parameter('trigger', 'timer', 'Whether to plan at each odometry or every period',
         choices=('timer', 'odom'))
-    plan_period: float = parameter('plan_period', 0.0, 'How often to plan (trigger timer), or how '
-        'often odometry comes (trigger odom): at most a step; 0 for a step',
-        's', 0.0, MAX_DURATION)
+    plan_period: float = parameter('plan_period', 0.0, 'Period of planning (trigger timer) or of '
+        'odometry (trigger odom), at most a step; 0 for a step', 's', 0.0, MAX_DURATION)
     response_speed: float = parameter('response.speed', 0.0, 'First-order lag of speed or thrust; '
         'a vehicle with any lag obeys at once, not at the end of a step', 's', 0.0, 10.0, live=True)
     response_rate: float = parameter('response.rate', 0.0, 'First-order lag of the body rate',
         's', 0.0, 10.0, live=True)
-    sideslip: bool = parameter('sideslip', False, 'Whether the twist of odom has the velocity '
-        'through the air with its part across the axis (velocity_source air, in the plane): a '
-        'wing is then taken to fly the way that it moves through the air, not the way its nose '
-        'points, and at the speed that is measured')
-    given_disturbance: str = parameter('disturbance', GIVEN, 'Whether wind and gravity are all '
-        'that disturbs, or more is estimated from odometry against what was commanded',
+    sideslip: bool = parameter('sideslip', False, 'Whether the twist of odom has the full velocity '
+        "through the air (velocity_source air, in the plane): a wing's heading and speed are then "
+        'those of its motion through the air, not of its nose')
+    given_disturbance: str = parameter('disturbance', GIVEN, 'Whether wind and gravity are the '
+        'only disturbance, or an additional one is estimated from odometry and commands',
         choices=DISTURBANCES, live=True)
-    goal_prediction: str = parameter('goal_prediction', 'hold', 'How the goal is expected to move: '
-        'hold, not at all; velocity, straight on; harmonic, as it swings; auto, as fits best of '
+    goal_prediction: str = parameter('goal_prediction', 'hold', 'Predicted motion of the goal: '
+        'hold, none; velocity, straight on; harmonic, an oscillation; auto, the best fit of '
         'several motions', choices=FORECASTS, live=True)
-    dry_run: bool = parameter('dry_run', False, 'Whether to plan and report, and command nothing: '
-        'there is no publisher of commands then')
-    publish_certificate: bool = parameter('publish_certificate', False, 'Whether to publish on '
-        'certificate what proves the bound of a tick, where the method leaves that, and refutes '
-        'what it excludes, where there is time')
+    dry_run: bool = parameter('dry_run', False,
+        'Whether to plan and report, but send no commands: their publishers are not created')
+    publish_certificate: bool = parameter('publish_certificate', False, 'Whether to publish proofs '
+        "on certificate: of a tick's bound, where the method leaves one, and of infeasibility or "
+        'no earlier catch, where there is time')
     given_odom_timeout: float = parameter('odom_timeout', 0.0, 'Odometry older than this is stale; '
         '0 for 0.2 s; at least 1.5 periods', 's', 0.0, MAX_DURATION, live=True)
     given_goal_timeout: float = parameter('goal_timeout', 0.0, 'A goal older than this is stale, '
-        'at least 1.5 periods; 0 for 1 s once goals stream, never for one sent by hand; below 0 '
-        'never', 's', -1.0, MAX_DURATION, live=True)
-    future_tolerance: float = parameter('future_tolerance', 0.1, 'A stamp this far ahead of the '
-        'clock is refused; simulated time may trail by a step more',
+        'at least 1.5 periods; 0 for 1 s once goals stream and never for one sent by hand; below 0 '
+        'for never', 's', -1.0, MAX_DURATION, live=True)
+    future_tolerance: float = parameter('future_tolerance', 0.1, 'A stamp farther ahead of the '
+        'clock than this is refused; in simulated time one step more is allowed',
         's', 0.0, MAX_DURATION, live=True)
     goal_jump_limit: float = parameter('goal_jump_limit', 0.0, 'A goal farther than this from the '
-        'one before is refused until that is stale; 0 for no limit', 'm', 0.0, FAR, live=True)
-    delay_compensation: bool = parameter('delay_compensation', True, 'Whether to plan from where '
-        'the vehicle is by the time the command comes, not from where it was measured', live=True)
-    given_safe_command: str = parameter('safe_command', 'auto', 'Without a plan: stop; '
-        'hold_rate_zero keeps the speed, at least that of the floor, and does not turn; loiter '
+        'last one is refused until the last one is stale; 0 for no limit', 'm', 0.0, FAR, live=True)
+    delay_compensation: bool = parameter('delay_compensation', True, 'Whether to plan from the '
+        'state predicted for the time of the command, not from the measured one', live=True)
+    given_safe_command: str = parameter('safe_command', 'auto', 'Command without a plan: stop; '
+        'hold_rate_zero keeps the speed, at least that of the floor, without turning; loiter '
         'circles; hover carries the weight at the present attitude; auto circles with a floor at '
         'translation_order 1, hovers under gravity, else stops', choices=SAFE_COMMANDS, live=True)
-    given_deadline: float = parameter('deadline', 0.0, 'Limit of a solve; 0 for half a period '
-        '(plan_period, or a step), which it must not exceed', 's', 0.0, MAX_DURATION, live=True)
+    given_deadline: float = parameter('deadline', 0.0, 'Time limit of a solve, at most half a '
+        'period (plan_period, or a step); 0 for half a period', 's', 0.0, MAX_DURATION, live=True)
     gap_tolerance: float = parameter('gap_tolerance', 1e-4,
         'Relative gap within which a plan counts as proved optimal', '', 1e-9, 1.0, live=True)
     # fmt: on

@@ -190,10 +190,10 @@ class ProcessParameters:
 
     # fmt: off
     autostart: bool = parameter('autostart', True, 'Whether to configure and activate itself at '
-        'the start; else whoever manages it does, by ~/change_state')
-    executor: str = parameter('executor', 'wait_set', "What waits for messages: wait_set, rclpy's "
-        'ordinary executor; events, its experimental one, which takes less processor time (rclpy '
-        '7.1.4 and later)', choices=('wait_set', 'events'))
+        'the start; otherwise a lifecycle manager does, by ~/change_state')
+    executor: str = parameter('executor', 'wait_set', "Executor of callbacks: wait_set, rclpy's "
+        'default; events, its experimental one, which takes less processor time (rclpy 7.1.4 and '
+        'later)', choices=('wait_set', 'events'))
     # fmt: on
 
 
@@ -212,27 +212,26 @@ class VehicleParameters(ProcessParameters):
         'm/s or m/s^2', TINY, 1e3, live=True)
     mass: float = parameter('mass', 1.0, 'Turns a thrust acceleration into a force',
         'kg', TINY, 1e6, live=True)
-    discretisation: str = parameter('discretisation', 'euler', 'Whether a step pushes along the '
-        'old axis alone, as in the paper, or is integrated exactly while that turns',
+    discretisation: str = parameter('discretisation', 'euler', 'How a step moves: euler, along the '
+        'axis at its start, as in the paper; exact, integrated while the axis turns',
         choices=('euler', 'exact'))
-    wind: tuple[float, ...] = parameter('wind', (0.0, 0.0, 0.0), 'Known wind in the world frame, '
-        'at translation order 2 an acceleration: x, y, z', 'm/s or m/s^2', -1e3, 1e3, live=True)
+    wind: tuple[float, ...] = parameter('wind', (0.0, 0.0, 0.0), 'Known wind in the world frame '
+        '(an acceleration at translation order 2): x, y, z', 'm/s or m/s^2', -1e3, 1e3, live=True)
     gravity: float = parameter('gravity', 0.0, 'Along -z (dimension 3, translation order 2); '
-        'thrust then carries it, and cmd_thrust is the whole of it', 'm/s^2', 0.0, 1e3, live=True)
+        'cmd_thrust is the whole thrust, weight included', 'm/s^2', 0.0, 1e3, live=True)
     velocity_source: str = parameter('velocity_source', 'ground',
         'Whether the twist of odom is over ground or through the air', choices=SOURCES)
     frame_id: str = parameter('frame_id', 'odom', 'World frame of poses; empty accepts any')
     child_frame_id: str = parameter('child_frame_id', 'base_link',
         'Body frame of twists; empty accepts any')
-    thrust_axis: str = parameter('thrust_axis', 'x', 'Body axis that pushes: x, or in space z, as '
-        'of a multirotor; speed, force and the start-up line are about it',
-        choices=tuple(THRUST_AXES))
-    approach_cone: float = parameter('approach.cone', 0.0, 'A catch counts only with the pushing '
-        'axis within this angle of approach.direction; 0 for any. Headings only: velocities have '
-        'no part in it', 'rad', 0.0, WIDEST_APPROACH, live=True)
-    approach_direction: tuple[float, ...] = parameter('approach.direction', (), 'Where to be '
-        "headed at a catch, in the world frame: x, y, z; empty for the goal's own pushing axis, "
-        'by its orientation', '', -FAR, FAR, live=True)
+    thrust_axis: str = parameter('thrust_axis', 'x', 'Body axis of thrust, along which speed and '
+        'force are given: x, or in space z, as for a multirotor', choices=tuple(THRUST_AXES))
+    approach_cone: float = parameter('approach.cone', 0.0, 'A catch counts only with the thrust '
+        'axis within this angle of approach.direction, whatever the velocity; 0 for any',
+        'rad', 0.0, WIDEST_APPROACH, live=True)
+    approach_direction: tuple[float, ...] = parameter('approach.direction', (), 'Heading required '
+        "at a catch, in the world frame: x, y, z; empty for the thrust axis of the goal's "
+        'orientation', '', -FAR, FAR, live=True)
     obstacles: tuple[float, ...] = parameter('obstacles', (),
         'Boxes to stay out of: lower, then upper corner of each', 'm', -FAR, FAR, live=True)
     # fmt: on
