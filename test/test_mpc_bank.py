@@ -405,7 +405,7 @@ def test_what_the_wind_does_not_allow_is_said_and_waits(wind):
 def test_a_corner_that_is_too_sharp_is_said():
     corner = Route(np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 500.0]]))
     paced = Paced(corner, 20.0, 0.0, SPEED, np.zeros(2))
-    assert 'it is rounded off' in paced.trouble(TIMES, 0.3)
+    assert 'rounded off' in paced.trouble(TIMES, 0.3)
     assert paced.trouble(TIMES[:2], 0.3) == ''  # the corner is later
     assert Paced(circle(), 0.0, 0.0, SPEED, np.zeros(2)).trouble(TIMES, 0.12) == ''
 

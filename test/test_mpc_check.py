@@ -244,7 +244,7 @@ def turned(sine):
         (lambda e: resting().off('positions', (2, 1), e), TOLERANCE, 'positions differ by 1e-06'),
         (lambda e: resting().off('velocities', (2, 1), e), TOLERANCE, 'velocities differ by 1e-0'),
         (lambda e: resting().off('rotations', (3, 1, 1), e), TOLERANCE, 'rotations differ by 1e-'),
-        (lambda e: resting(COASTING, (0.0, e)), TOLERANCE, 'R_1 strays 1e-06 from where'),
+        (lambda e: resting(COASTING, (0.0, e)), TOLERANCE, 'R_1 strays 1e-06 from the'),
         (lambda e: resting(COASTING, (-e, 0.0)), TOLERANCE, 'R_1 thrusts backwards by 1e-0'),
         (
             lambda e: resting(ARRIVING, goals=changed(REST, (4, 1), e)),
@@ -269,7 +269,7 @@ def turned(sine):
         (
             lambda e: resting(COASTING).off('projected', slice(1, None), turned(e)),
             ORTHOGONAL,
-            'the second rotation is not where the body rate',
+            'the second rotation is not the first turned',
         ),
         (
             lambda e: resting().off('projected', slice(3, None), turned(e)),

@@ -37,7 +37,7 @@ def plan_of(frames, singular_values, projection, order=1):
 def test_a_projected_mirror_is_no_rotation(broken):
     plan = solved(Problem())
     mirror = replace(plan, projected=changed(plan.projected, 1, broken))
-    assert only_complaint(Problem(), mirror) == 'a projected rotation has not determinant +1'
+    assert only_complaint(Problem(), mirror) == 'a projected rotation does not have determinant +1'
 
 
 @pytest.mark.parametrize('projection', ['nearest', 'thrust_aligned'])
@@ -52,7 +52,7 @@ def test_every_projected_rotation_is_the_projection_of_its_own(projection, order
     values = [0.5, 0.3, 0.1] if n == 3 else [0.5, 0.5]
     problem, start, goals, plan = plan_of(frames(k, n), values, projection, order)
     assert violations(problem, start, goals, plan) == []
-    told = [*['measured attitude', 'carries the first'][:order], *6 * ['strays']][k]
+    told = [*['measured attitude', 'the first turned'][:order], *6 * ['strays']][k]
     for axis, angle in itertools.product(np.eye(n * (n - 1) // 2), (1e-4, 2.0, np.pi)):
         turned = plan.projected[k] @ exp(angle * axis)
         off = replace(plan, projected=changed(plan.projected, k, turned))
@@ -90,7 +90,7 @@ def test_a_heading_is_defined_from_the_least_speed_that_has_one():
         (
             lambda e: {'rotation': exp(np.array([e]))},
             1e-9,
-            'rotation is not where the commanded rate leads',
+            'rotation does not match the commanded rate',
         ),
         (
             lambda e: {'rotation': exp(np.array([e])), 'body_rate': np.array([e])},

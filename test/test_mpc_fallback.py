@@ -127,7 +127,7 @@ def test_a_goal_beyond_all_reach_is_clamped_and_reported():
     goals = np.tile([1.0 + 3e6, 2.0 + 4e6], (5, 1))
     near, told = clamp_goal(Problem(), start, goals)
     np.testing.assert_allclose(near, np.tile([301.0, 402.0], (5, 1)))
-    assert told == 'the goal is 5e+06 m away: aimed 500 m towards it'
+    assert told == 'the goal is 5e+06 m away: planned to 500 m towards it'
     tick = Stepped(Problem()).tick(odometry((1.0, 2.0)), goals)
     assert (tick.status, tick.fallback, tick.reason) == ('optimal', '', told)
     heading = tick.plan.positions[-1] - tick.plan.positions[1]

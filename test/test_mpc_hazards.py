@@ -278,7 +278,7 @@ def test_the_clearest_way_is_flown_where_none_is_clear():
     tick = controller.tick(odometry(), FAR)
     assert tick.status in ('infeasible', 'failed')
     assert tick.fallback == 'clearest way'
-    assert 'm inside of a hazard' in tick.reason
+    assert 'm inside a hazard' in tick.reason
     assert violations(BOAT, replace(tick.state, hazards=()), FAR, tick.plan) == []
     away = np.linalg.norm(tick.plan.positions - [9.0, 1.0], axis=1)
     assert away[-1] > away[0] + 2.0  # backwards, out of it

@@ -293,10 +293,10 @@ def test_what_did_not_come_of_the_search_says_so():
     start, targets = State.at(np.zeros(3), np.eye(3)), np.tile([9.0, 2.0, 0.0], (8, 1))
     solver = Solver(problem)
     instead = solver.solve(start, targets, out_of_time=lambda: True)
-    assert instead.proof.reason.endswith('a plan that took no search stands in')
+    assert instead.proof.reason.endswith('a plan found without search is used')
     again = solver.solve(start, targets, instead, out_of_time=lambda: True)
     assert again.objective == instead.objective
-    assert again.proof.reason == 'the plan before goes on: no better one was found in time'
+    assert again.proof.reason == 'the previous plan continues: no better one was found in time'
 
 
 def test_holding_the_rotation_stands_in_for_a_method_that_fails(monkeypatch):

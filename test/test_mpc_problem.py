@@ -209,7 +209,7 @@ WINDY = State.at([0.0, 0.0], np.eye(2), velocity=[0.0, 0.0], disturbance=[0.0, -
     ('given', 'start', 'goal', 'words'),
     [
         ({'obstacles': (FAR, AHEAD)}, replace(STILL, velocity=np.eye(2)[0]), [0.0, 0.0],
-         'obstacle 1 holds s_1'),
+         'obstacle 1 contains s_1'),
         ({'terminal': 'constraint'}, WINDY, [0.0, 9.0], 'beyond what 5 steps can reach'),
     ],
 )  # fmt: skip
@@ -220,7 +220,7 @@ def test_what_the_state_or_the_wind_decides_is_blamed(order, given, start, goal,
 
 def test_a_box_that_the_wind_drives_into_is_blamed():
     problem, goals = Problem(obstacles=(Box([0.5, 0.5], [1.5, 1.5]),)), np.zeros((5, 2))
-    assert 'obstacle 0 holds s_1' in blamed(
+    assert 'obstacle 0 contains s_1' in blamed(
         problem, replace(STILL, disturbance=np.eye(2)[1]), goals
     )
     assert Solver(problem).solve(STILL, goals).status == 'optimal'
@@ -232,8 +232,8 @@ def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
     free = Problem(translation_order=order, horizon=8)
     start, goals = replace(STILL, position=np.array([0.9, 0.0])), np.zeros((8, 2))
     message = blamed(replace(free, obstacles=(around,)), start, goals)
-    assert message.startswith('obstacle 0 holds s_1, ')
-    assert message.endswith('; a box has no way out for who begins inside, unless it is a hazard')
+    assert message.startswith('obstacle 0 contains s_1, ')
+    assert message.endswith('; a box offers no way out from inside, unless it is a hazard')
     hazard = MovingObstacle.drifting(around, np.zeros(2))
     plan = Solver(free).solve(replace(start, hazards=(hazard,)), goals)
     assert plan.positions[-1, 0] <= -0.7 + 1e-6

@@ -265,7 +265,7 @@ def test_a_general_method_says_in_a_line_what_it_needs(bare):
     planner = bare('planner', {}, 'dubins')
     assert planner.wait() == 2, planner.output
     said = planner.output.strip()
-    assert said.startswith('clarabel: not installed; this problem takes a general method, which ')
+    assert said.startswith('clarabel: not installed; the general method for this problem needs ')
     assert re.search(f'{INSTALL}clarabel$', said)
 
 

@@ -143,4 +143,4 @@ class VelocityFrameCheck:
         if other > FITS_BETTER * given or given <= TELLING * speed:  # equal: all are 0 at rest
             return ''
         frame = 'world' if self._given == 'body' else 'body'
-        return f'velocities fit the way flown as those of the {frame} frame: see velocity_frame'
+        return f'velocities fit the flown path better in the {frame} frame: see velocity_frame'

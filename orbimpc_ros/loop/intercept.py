@@ -309,7 +309,7 @@ class Interception:
             return MISSED
         if _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
             return MISSED
-        answer = plan, plan.status, 'the catch planned before is flown on'
+        answer = plan, plan.status, 'the previous plan to the catch is continued'
         miss = float(np.linalg.norm(self._off(query, Target(end), plan, goals)))
         return _Attempt((task, answer), end, miss)
 

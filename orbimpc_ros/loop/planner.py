@@ -482,10 +482,10 @@ class Planner:
             return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
         instead = instead or clear_instead(wary, plan)
         if instead is plan:
-            more = '' if is_clear(task, plan) else 'it turns into a hazard, as every way does'
+            more = '' if is_clear(task, plan) else 'it turns into a hazard, as all plans found do'
             return plan, status, joined(words, more)
         instead = replace(instead, proof=plan.proof)
-        less = 'a way that can be turned in time is flown instead of a cheaper one'
+        less = 'a plan that turns in time is followed instead of a cheaper one'
         return instead, instead.status, joined(words, less)
 
     def _clear_way(self, task: Task, wary: Task, plan: Plan | None) -> Plan | None:
@@ -533,7 +533,7 @@ class Planner:
         found, catch = interception.earliest(query)
         words = ''
         if found is None and self._approach.exists:
-            unmet = f'found no turn that meets the cone of a catch before {catch.bound:.4g} s'
+            unmet = f'no catch in the cone found; none possible before {catch.bound:.4g} s'
             words = f'approach: {unmet}'
         if found is not None:
             chosen, answer = replace(found[0], state=task.state), found[1]
@@ -578,7 +578,7 @@ class Planner:
         plan, apart = clearest(task)
         if plan is None:
             return self._safe(task.state, status, reason)
-        reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')
+        reason = reason.and_so(f'the clearest plan is {-apart:.3g} m inside a hazard')
         return self._following(task, plan, status, reason, Fallback.CLEAREST_WAY)
 
     def _arrive_softly(self, task: Task, status: Status, reason: Reason) -> Decision:

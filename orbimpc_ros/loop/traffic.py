@@ -107,14 +107,14 @@ class Bodies:
         track, words = self._tracks.get(seen.name), ''
         if track is None:
             if len(self._tracks) >= MOST:
-                raise BadInput('count', seen.name, f'one of {MOST} bodies')
+                raise BadInput('count', seen.name, f'at most {MOST} bodies')
         else:
             last = track[-1]
             if seen.time < last.time:
-                raise BadInput('reordered stamp', seen.time, f'after {last.time:g} s, the last one')
+                raise BadInput('reordered stamp', seen.time, f'after the last one, {last.time:g} s')
             if seen.time == last.time:
                 if seen.body != last.body:
-                    raise BadInput('duplicate id', seen.name, 'one place at a time')
+                    raise BadInput('duplicate id', seen.name, 'one position per stamp')
                 return ''
             way = float(np.linalg.norm(centre(seen.body) - centre(last.body)))
             speed = way / (seen.time - last.time)

@@ -108,7 +108,7 @@ def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterat
     fraction = float(np.sum(plan.rotations[1] * coasted)) / problem.dimension
     stray = np.abs(plan.rotations[1] - fraction * coasted).max()
     if stray > TOLERANCE:
-        yield f'R_1 strays {stray:.2g} from where the body rate carries it'
+        yield f'R_1 strays {stray:.2g} from the rotation at the measured body rate'
     if fraction < -TOLERANCE:
         yield f'R_1 thrusts backwards by {-fraction:.2g}'
 
@@ -309,13 +309,13 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator
         yield 'a projected rotation is not orthogonal'
         return
     if np.linalg.det(turned).min() < 0.0:
-        yield 'a projected rotation has not determinant +1'
+        yield 'a projected rotation does not have determinant +1'
         return
     if np.abs(turned[0] - state.attitude).max() > ORTHOGONAL:
         yield 'the first rotation is not the measured attitude'
     coasted = state.coasted if problem.rotation_order == 2 else None
     if coasted is not None and np.abs(turned[1] - coasted).max() > ORTHOGONAL:
-        yield 'the second rotation is not where the body rate carries the first'
+        yield 'the second rotation is not the first turned at the body rate'
     stray = _off_projection(plan, 1 if coasted is None else 2)
     if stray > TOLERANCE:
         yield f'a projected rotation strays {stray:.2g} from its projection'
@@ -379,7 +379,7 @@ def command_violations(
         found.append('the commanded speed is not that of the plan')
     turned = start @ _rotation_by(problem.step * command.body_rate)
     if np.abs(turned - command.rotation).max() > ORTHOGONAL:
-        found.append('the commanded rotation is not where the commanded rate leads')
+        found.append('the commanded rotation does not match the commanded rate')
     left, whole = _angle_between(command.rotation, end), _angle_between(start, end)
     allowed = problem.step * (problem.max_rate or math.inf)
     if abs(left - max(0.0, whole - allowed)) > TOLERANCE:
@@ -428,7 +428,7 @@ def flaw(
     changed = abs(fraction - entry) if entry is not None and not stopping else 0.0
     if changed > problem.speed_change + TOLERANCE:
         most = f'{problem.speed_change:.6g} in a step'
-        return f'a speed fraction changed by {changed:.6g} is beyond {most}'
+        return f'the speed fraction changes by {changed:.6g}, more than {most}'
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'

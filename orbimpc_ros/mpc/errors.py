@@ -48,7 +48,7 @@ class BadInput(OrbimpcError, ValueError):
     @classmethod
     def without(cls, package: str) -> BadInput:
         """Return the error of a problem whose method requires a package that is not installed."""
-        needed = f'this problem takes a general method, which needs it: {command(package)}'
+        needed = f'the general method for this problem needs it: {command(package)}'
         return cls.stating(package, 'not installed', needed)
 
     @classmethod

@@ -90,7 +90,7 @@ class Route:
 
     def __post_init__(self) -> None:
         if len(self.positions) < 2 or not np.diff(self.positions, axis=0).any(axis=1).all():
-            raise BadInput('goal_path', self.positions.tolist(), '2 or more, each a new one')
+            raise BadInput('goal_path', self.positions.tolist(), '2 or more, none a repetition')
         sealed(self.positions)
 
     @cached_property
@@ -198,4 +198,4 @@ class Paced:
         if turns.max() <= SHARP * max_rate:
             return ''
         where = along[int(np.argmax(turns))] - self.along
-        return f'the path turns by {turns.max():.3g} rad/s, {where:.3g} m ahead: it is rounded off'
+        return f'the path turns by {turns.max():.3g} rad/s, {where:.3g} m ahead: rounded off'

@@ -74,7 +74,7 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
     if farthest <= largest or problem.terminal == 'constraint':
         return goals, ''
     shares = np.minimum(1.0, largest / np.maximum(distances, largest))
-    told = f'the goal is {farthest:.3g} m away: aimed {largest:.3g} m towards it'
+    told = f'the goal is {farthest:.3g} m away: planned to {largest:.3g} m towards it'
     return sealed(state.position + shares[:, None] * away), told
 
 
@@ -198,19 +198,19 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
         if not held.size:
             continue
         if held[0] < known:
-            why = 'which the state already decides'
+            why = 'which the state already determines'
         else:
-            why = f'{deep[held[0]]:.4g} m inside, where plans reach {free[held[0]]:.4g} m'
-        yield f'obstacle {i} holds s_{held[0] + 1}, {why}{_way_out(body, state)}'
+            why = f'{deep[held[0]]:.4g} m inside; plans move that by at most {free[held[0]]:.4g} m'
+        yield f'obstacle {i} contains s_{held[0] + 1}, {why}{_way_out(body, state)}'
     for i, hazard in enumerate(state.hazards):
         moved = hazard.moved(problem.step * np.arange(1, known + 1))
         inside = np.flatnonzero(hazard.body.depth(decided[:known] - moved) > 0.0)
         if inside.size:
-            yield f'hazard {i} holds s_{inside[0] + 1}, which the state already decides'
+            yield f'hazard {i} contains s_{inside[0] + 1}, which the state already determines'
 
 
 def _way_out(body: Box | Ball, state: State) -> str:
     """Return a hint about a state inside of a box; empty for other bodies and states."""
     if not isinstance(body, Box) or body.depth(state.position[None])[0] <= 0.0:
         return ''
-    return '; a box has no way out for who begins inside, unless it is a hazard'
+    return '; a box offers no way out from inside, unless it is a hazard'

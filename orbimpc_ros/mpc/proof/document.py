@@ -49,7 +49,7 @@ SOUGHT = ('problem', 'state', 'goals', 'radius')
 EACH, TERM = 100, 12  # [us] of work per number of a leaf, and per term of a Hessian
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 LARGEST = 64 << 20  # bytes of a file
-WORD = 'not proved: the word of the method'
+WORD = 'not proved: claimed by the method only'
 OutOfTime = Callable[[], bool]
 
 
@@ -214,7 +214,7 @@ def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) 
     """
     work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
     if work > LEAST_WORK + WORK * len(json.dumps(stated)):
-        raise Refused('it takes more work than a document of its length may')
+        raise Refused('it takes more work than its length allows')
     for posed, tree in zip(problems, trees, strict=True):
         exact = Verifier(posed.problem, Fraction)
         yield exact.bound(posed.state, posed.goals, tree, None, posed.limits)
@@ -256,7 +256,7 @@ def refuted_by(document: Any, count: int) -> list[Posed]:
     if 'radius' not in claim:
         if 'cone' in claim or count != 1:
             raise BadInput.stating(
-                'refuted', 'a cone, or not one tree', 'there is nothing to catch'
+                'refuted', 'a cone, or not one tree', 'allowed only with a radius'
             )
         return [posed]
     whole(count, 'the number of trees', 1, posed.problem.horizon)
@@ -472,12 +472,12 @@ def parsed(text: bytes) -> Any:
     try:
         return json.loads(text, object_pairs_hook=_without_doubles, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
-        raise Refused(f'no JSON that is a certificate: {error}') from None
+        raise Refused(f'not JSON of a certificate: {error}') from None
 
 
 def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(dict(pairs)) < len(pairs):
-        raise Refused('a name comes twice')
+        raise Refused('a name is given twice')
     return dict(pairs)
 
 

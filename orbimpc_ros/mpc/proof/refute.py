@@ -122,5 +122,5 @@ def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime) -> ProofTree:
             return tree
     if out_of_time():
         raise Unproved('no certificate: no refutation was found in time')
-    what = f'a catch at step {asked.horizon}' if asked.weights.terminal else 'all that there is'
+    what = f'a catch at step {asked.horizon}' if asked.weights.terminal else 'all trajectories'
     raise Unproved(f'no certificate: no refutation of {what} was found')

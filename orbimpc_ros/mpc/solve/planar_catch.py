@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.registry import General
 from orbimpc_ros.mpc.solve.request import Found, Request
 
-ALONE = 'no ways but those in the plane of heading and goal were looked at'
+ALONE = 'only paths in the plane of heading and goal were searched'
 
 
 class PlanarCatch:

@@ -34,9 +34,9 @@ SURELY = 1e-3  # in units of a step's length, or rad: farther beyond reach no se
 OUTWARD = 1e-9  # relative reduction of published bounds: plans satisfy constraints to a tolerance
 ROUNDED = 1e-15  # reduction in units of cost: states and goals are rounded
 NOTHING = Found(None, np.inf, -np.inf, 0)
-STANDS_IN = 'a plan that took no search stands in'
-DOUBTFUL = 'found to be infeasible, which was not verified'
-GOES_ON = 'the plan before goes on: no better one was found in time'
+STANDS_IN = 'a plan found without search is used'
+DOUBTFUL = 'found to be infeasible, but not verified'
+GOES_ON = 'the previous plan continues: no better one was found in time'
 
 
 class _Query(NamedTuple):
