@@ -216,7 +216,7 @@ def test_a_rope_that_something_else_touches_or_that_is_passed_is_not_caught(
     assert bool(lost) == is_lost
     for each in lost[:1]:
         assert each.over
-        assert outcome(each).startswith('not captured: something else of the vehicle')
+        assert outcome(each).startswith('not captured: another part of the vehicle')
 
 
 def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):

@@ -386,7 +386,7 @@ def test_a_refused_command_is_warned_of_once(wing):
     flown = wing('arduplane')
     flown.refusing = True
     engage(flown, 'arduplane')
-    said = 'arduplane: has refused command 43'
+    said = 'arduplane: refused command 43'
     flown.until(lambda: said in flown.planner.output, said)
     kinds = {each.command for each in flown.setpoints}
     assert kinds == {43000, 43002}  # no altitude: it is held
@@ -401,7 +401,7 @@ def test_a_dry_run_sends_nothing(wing):
     assert not flown.setpoints
     assert not flown.kept
     assert not flown.node.count_publishers('fmu/in/offboard_control_mode')
-    assert 'commands nothing: a dry run' in flown.planner.output
+    assert 'dry run: sends no commands' in flown.planner.output
 
 
 @pytest.mark.parametrize('name', KINDS)

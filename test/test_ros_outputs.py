@@ -163,21 +163,21 @@ AIR = {'velocity_source': 'air'}
         ({}, '', 'wind'),
         ({}, '', 'integrated exactly'),
         ({'wind': (0.3, -0.2)}, 'wind (0.3, -0.2) m/s,', ''),
-        ({'wind': (3.0, 4.0)}, 'wind (3, 4) m/s, 5 m/s in all: too much to hold a goal', ''),
+        ({'wind': (3.0, 4.0)}, 'wind (3, 4) m/s, 5 m/s in all: too much to stay at a goal', ''),
         ({'discretisation': 'exact'}, 'integrated exactly', ''),
         (AIR, 'odometry through the air,', ''),
-        ({**AIR, 'sideslip': True}, 'through the air, with its slip,', ''),
+        ({**AIR, 'sideslip': True}, 'through the air, with sideslip,', ''),
         (HOVERING, 'gravity 9.81 m/s^2: hovers at 0.491 of its thrust', ''),
         (HOVERING, 'safe command hover', ''),
-        (ROUND_FLOOR, 'cannot hover, for its least thrust is 12', ''),
-        ({**HOVERING, 'safe_command': 'stop'}, 'stop although that is to fall', ''),
+        (ROUND_FLOOR, 'cannot hover: its least thrust is 12', ''),
+        ({**HOVERING, 'safe_command': 'stop'}, 'stop although the vehicle then falls', ''),
         ({**WING, 'safe_command': 'stop'}, 'stop although that is below the floor', ''),
-        ({**HOVERING, 'thrust_axis': 'z', 'hover_thrust': 0.4}, 'told as 0.4 on thrust', ''),
-        (LANDER, 'tilted by at most 15 deg', 'to hold a goal takes'),
+        ({**HOVERING, 'thrust_axis': 'z', 'hover_thrust': 0.4}, 'sent as 0.4 on thrust', ''),
+        (LANDER, 'tilted by at most 15 deg', 'staying at a goal takes'),
         (LANDER, 'above a glide slope of 50 deg', ''),
         (
             {**LANDER, 'wind': (0.6, 0.0, 0.0)},
-            'takes a tilt of 20.32 deg: more than is allowed',
+            'takes a tilt of 20.32 deg: more than allowed',
             '',
         ),
         ({**LANDER, 'tilt': 0.0}, '', 'tilted'),
@@ -192,15 +192,15 @@ def test_the_start_up_line_says_what_moves_the_vehicle(changes, words, others):
 THRUST = {'translation_order': 2, 'dimension': 3, 'thrust_axis': 'z'}
 TORQUE = {'translation_order': 2, 'dimension': 3, 'rotation_order': 2}
 CIRCLING = {'step': 0.5, 'max_rate': math.radians(25.0), 'floor.shape': 'circle'}
-EFFECT = 'it has no effect'
+EFFECT = 'has no effect with'
 DOUBTS = [
     ({'max_rate': 25.0}, 'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant'),
     ({'max_rate': 3.0}, ''),
-    ({'approach.cone': 0.5}, f'approach.cone is 0.5 and objective track: {EFFECT}'),
+    ({'approach.cone': 0.5}, f'approach.cone 0.5 {EFFECT} objective track'),
     ({'approach.cone': 0.5, 'objective': 'intercept'}, ''),
-    ({'floor.fraction': 0.9}, f'floor.fraction is 0.9 and floor.shape none: {EFFECT}'),
+    ({'floor.fraction': 0.9}, f'floor.fraction 0.9 {EFFECT} floor.shape none'),
     (CIRCLING | {'horizon': 15, 'floor.faces': 8},
-     f'floor.faces is 8 and floor.shape circle: {EFFECT}'),
+     f'floor.faces 8 {EFFECT} floor.shape circle'),
     ({'floor.fraction': Floor().fraction}, ''),  # as in a file of all defaults
     ({'floor.faces': 8, 'floor.shape': 'polygon'}, ''),
     # Values that only the vehicle's maker knows are asked for.
@@ -209,7 +209,7 @@ DOUBTS = [
     (TORQUE, 'response.speed and response.rate are not given'),
     *((TORQUE | {'response.rate': known}, '') for known in (0.0, 0.001)),
     # A horizon may be too short to turn round; interception looks beyond it.
-    (CIRCLING | {'horizon': 10}, 'a horizon of 5 s turns by 125 deg at most'),
+    (CIRCLING | {'horizon': 10}, 'within 5 s of horizon the vehicle turns by at most 125 deg'),
     (CIRCLING | {'horizon': 10}, 'half a turn takes a horizon of 15'),
     (CIRCLING | {'horizon': 15}, ''),
     (CIRCLING | {'horizon': 10, 'floor.shape': 'none'}, ''),

@@ -149,7 +149,7 @@ def refusal(box, at=1.0, frame='map'):
 
 def test_without_transforms_another_frame_is_refused_with_the_way_out():
     said, counts = refusal(inputs())
-    assert "'map'; allowed: 'odom'; for others, tf: true (of /tf) or transforms" in said
+    assert "'map'; allowed: 'odom'; for others, set tf: true, or give transforms" in said
     assert counts == {'goal: header.frame_id': 1}
 
 
@@ -162,7 +162,7 @@ def test_a_missing_a_stale_and_an_extrapolated_transform_are_told_apart_and_coun
     said, counts = refusal(box, 2.5)
     assert 'stale transform: map -> odom is 0.5 s older than the message; at most' in said
     said, counts = refusal(box, 1.5)
-    assert 'extrapolated transform: map -> odom is known from 0.5 s later on only' in said
+    assert 'extrapolated transform: map -> odom is known only from 0.5 s later on' in said
     assert set(counts) == {
         f'goal: {each} transform' for each in ('missing', 'stale', 'extrapolated')
     }
@@ -204,7 +204,7 @@ def test_a_transform_that_is_stated_badly_is_refused(words):
 
 
 def test_a_frame_lies_in_one_other():
-    with pytest.raises(BadInput, match='odom in one parent'):
+    with pytest.raises(BadInput, match='one parent of odom'):
         settings(transforms=(TURNED, TURNED.replace('map', 'earth')))
 
 

@@ -158,4 +158,4 @@ def without_compiler() -> str:
     from orbimpc_ros import install
 
     hint = f'apt install python3-numba or {install.command("numba")}'
-    return f'numba is not installed: plans take 6 to 60 times as long; to have it, {hint}'
+    return f'numba is not installed: plans take 6 to 60 times as long; to install it: {hint}'

@@ -147,7 +147,7 @@ def read_odometry(
     unit = _quaternion(pose.orientation, 'pose.orientation')
     attitude = _attitude(unit, dimension, frames)
     if attitude is None:
-        given = 'a body x axis with a yaw, not a vertical one'
+        given = 'a body x axis that is not vertical'
         raise BadInput('pose.orientation', unit.tolist(), given)
     odometry = Odometry(
         at.nanoseconds / SECOND,

@@ -497,7 +497,7 @@ def _require_ros_words(words: Sequence[str]) -> None:
     """Reject arguments that would be ignored."""
     _, *plain = remove_ros_args(args=list(words))
     if plain:
-        problem = f'{shlex.join(plain)} is not behind --ros-args'
+        problem = f'{shlex.join(plain)} must follow --ros-args'
         hint = f'allowed: --ros-args, then {KNOWN_WORDS}'
         raise BadInput.stating('command line', problem, hint)
 

@@ -29,7 +29,7 @@ TF, TF_STATIC = '/tf', '/tf_static'
 KEPT = 10 * SECOND  # [ns] of history of each transform of /tf, as in tf2
 MOST_SAMPLES = 4096  # per transform
 MOST_FRAMES = 1024
-ON = 'tf: true (of /tf) or transforms (stated)'
+ON = 'set tf: true, or give transforms'
 FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
 
 
@@ -49,7 +49,7 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
         if parent == child or not np.isfinite(numbers).all():
             raise BadInput('transforms', line, FORM)
         if child in found:
-            raise BadInput('transforms', line, f'{child} in one parent')
+            raise BadInput('transforms', line, f'one parent of {child}')
         roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
         found[child] = Edge(parent, matrix(yaw @ pitch @ roll, numbers[:3]))
     return found
@@ -109,7 +109,7 @@ class Edge:
         k = bisect_right(self.samples, stamp, key=lambda sample: sample[0])
         if k == 0:
             before = (self.samples[0][0] - stamp) / SECOND
-            problem = f'{name} is known from {before:.3g} s later on only'
+            problem = f'{name} is known only from {before:.3g} s later on'
             hint = 'give stamps within its history'
             raise BadInput.stating('extrapolated transform', problem, hint)
         (at, found), *later = (
@@ -199,7 +199,7 @@ class Transforms:
         up, down = self._ancestry(source), self._ancestry(target)
         common = next((frame for frame in up if frame in down), None)
         if common is None:
-            hint = ON if not self._listening else 'publish it on /tf, or state it in transforms'
+            hint = ON if not self._listening else 'publish it on /tf, or give it in transforms'
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)
         rise, fall = (self._product(line[: line.index(common)], stamp) for line in (up, down))
         return inverse(fall) @ rise

@@ -72,7 +72,7 @@ class EnginePlant(Model):
         try:
             engine = class_of(self.engine)(start)
         except EngineFailure as error:
-            raise BadInput('vehicle', self.engine, f'a start that it has ({error})') from None
+            raise BadInput('vehicle', self.engine, f'a possible start ({error})') from None
         return self._read(engine, engine.motion(), vehicle.time)
 
     def released(self, vehicle: Vehicle) -> Vehicle:

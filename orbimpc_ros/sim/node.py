@@ -28,8 +28,8 @@ RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be l
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
 NO_ANSWER = (
-    'an answer to the odometry on cmd_vel, which takes a planner with trigger: odom '
-    '(a timer waits for time to go on, and time for the answer); its /diagnostics may say more'
+    'an answer to the odometry on cmd_vel: it needs a planner with trigger: odom (with timer, '
+    'planner and simulator wait for each other); see its /diagnostics'
 )
 
 

@@ -148,7 +148,7 @@ class FlightSimulation(ABC):
             return f'readers: {", ".join(missing)}'
         self._met_at = min(self._met_at, self.node.steady_now())
         waited = not readers or self.node.steady_now() - self._met_at >= MEETING
-        return '' if waited else 'the planner to meet its readers'
+        return '' if waited else 'the planner to discover its subscribers'
 
     def _count(self, topic: str) -> int:
         """Return the number of readers of a topic other than planner and this node."""

@@ -223,7 +223,7 @@ def outcome(flight: Flight) -> str:
     if not flight.captured and flight.near:
         return f'not captured: {flight.miss:.3f} m from the goal, outside the cone of approach'
     if flight.vehicle.lost:
-        return 'not captured: something else of the vehicle touched the goal first'
+        return 'not captured: another part of the vehicle touched the goal first'
     if not flight.captured:
         return 'not captured'
     when = flight.missed_at - flight.scenario.start.time

@@ -286,7 +286,7 @@ class VehicleParameters(ProcessParameters):
             return Approach(self.approach_cone)
         direction = vector(self.approach_direction, 'approach.direction', self.dimension)
         if not direction.any():
-            raise BadInput('approach.direction', direction.tolist(), 'empty, or not all of it 0')
+            raise BadInput('approach.direction', direction.tolist(), 'empty, or not all 0')
         return Approach(self.approach_cone, tuple(direction.tolist()))
 
 

@@ -359,7 +359,7 @@ class Inputs:
         odd, count = list[tuple[str, str]](), len(message.markers)  # culprits and descriptions
         if count > MOST:  # reading them all would take too long
             odd.append(
-                ('count', f' refused: count is {count}; allowed: {MOST}: the first are taken')
+                ('count', f' refused: count is {count}; allowed: {MOST}: the rest are ignored')
             )
         odd += filter(None, (self._take_marker(marker, ros) for marker in message.markers[:MOST]))
         self.traffic_stamps[OBSTACLES] = stamp_of(message)
@@ -600,7 +600,7 @@ def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerS
         BadInput: in the plane, its x axis is vertical.
     """
     if settings.wants_attitude and value.attitude is None:
-        asked = 'a body x axis with a yaw, which weights.attitude or approach.cone asks for'
+        asked = 'one that is not vertical: weights.attitude or approach.cone needs its yaw'
         raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
 
 

@@ -256,8 +256,8 @@ class PlannerNode(Managed):
         try:
             from tf2_msgs.msg import TFMessage
         except ModuleNotFoundError:
-            hint = 'install ros-<distro>-tf2-msgs, or state them in transforms, with tf: false'
-            raise BadInput.stating('tf', 'true, and tf2_msgs is missing', hint) from None
+            hint = 'install ros-<distro>-tf2-msgs, or set tf: false and give transforms'
+            raise BadInput.stating('tf', 'true, but tf2_msgs is missing', hint) from None
         kept = {TF: qos(TRANSFORMS), TF_STATIC: qos(TRANSFORMS, durability=LATCHED.durability)}
         for topic, profile in kept.items():
             self.create_subscription(TFMessage, topic, self.guard(self._hear, topic), profile)
@@ -519,10 +519,10 @@ class PlannerNode(Managed):
         """Return warnings for normal operation; empty strings are ignored."""
         inputs, now = self._core.inputs, self.steady_now()
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
-        other = f"stamps of {inputs.untimed} are not of this node's clock" if inputs.untimed else ''
+        other = f"stamps of {inputs.untimed} are not on this node's clock" if inputs.untimed else ''
         left_out = ''
         if self._decision is not None and (count := self._decision.left_out):
-            left_out = f'{count} obstacles within reach are left out: too many'
+            left_out = f'too many obstacles within reach: {count} are ignored'
         refused = self._refusal if now - self._refused_at < REFUSED else ''
         ends = self._monitor.rivals, still, other, self._frame_check.doubt
         return [*ends, *inputs.silences(), left_out, inputs.displaced, refused]
@@ -608,7 +608,7 @@ class PlannerNode(Managed):
         self.safe(reason)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._start_afresh('asked to', core.RESET)
+        self._start_afresh('requested', core.RESET)
         response.success = True
         response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
         return response

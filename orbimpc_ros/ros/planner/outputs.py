@@ -278,11 +278,11 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
         'planned at each odometry' if at_odometry else f'planned every {every}',
         response.lags and f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)',
         settings.estimated and 'disturbance estimated',
-        'time of /clock' if simulated else "the system's time",
+        'time of /clock' if simulated else 'system time',
         f'goals {_ageing(settings)}',
         f'safe command {_safe_command(settings)}',
-        settings.dry_run and 'commands nothing: a dry run',
-        settings.gated and 'commands nothing until it is engaged',
+        settings.dry_run and 'dry run: sends no commands',
+        settings.gated and 'sends no commands until engaged',
     ]
     return ', '.join(part for part in parts if isinstance(part, str) and part)
 
@@ -306,17 +306,17 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         )
     if problem.rotation_order == 2 and not {'response.speed', 'response.rate'} & given.keys():
         found.append(
-            'response.speed and response.rate are not given: the vehicle is taken to obey a step '
-            'late; one that obeys at once misses its goal by far: give it lags, such as 0.001 [s], '
-            'and discretisation exact'
+            'response.speed and response.rate are not given: the vehicle is taken to respond a '
+            'step late; one that responds at once misses its goal by far: give lags, such as 0.001 '
+            '[s], and discretisation exact'
         )
     turned = problem.horizon * problem.step * rate  # interception plans beyond the horizon
     if not settings.capture_radius and problem.turns_are_angles and turned < math.pi:
         needed = math.ceil(math.pi / (problem.step * rate))
         found.append(
-            f'a horizon of {problem.horizon * problem.step:.4g} s turns by '
-            f'{math.degrees(turned):.4g} deg at most: past a goal behind it the vehicle may not '
-            f'turn round; half a turn takes a horizon of {needed}'
+            f'within {problem.horizon * problem.step:.4g} s of horizon the vehicle turns by at '
+            f'most {math.degrees(turned):.4g} deg: it may never turn round to a goal behind it; '
+            f'half a turn takes a horizon of {needed}'
         )
     for name, used, beside in (
         ('approach.cone', settings.approach.exists, f'objective {settings.objective}'),
@@ -324,7 +324,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         ('floor.faces', 'faces' in floor.parameters, f'floor.shape {floor.shape}'),
     ):
         if not used and given.get(name, DEFAULTS[name]) != DEFAULTS[name]:
-            found.append(f'{name} is {given[name]:g} and {beside}: it has no effect')
+            found.append(f'{name} {given[name]:g} has no effect with {beside}')
     return found
 
 
@@ -350,26 +350,26 @@ def _surroundings(settings: PlannerSettings) -> list[object]:
     least = problem.least_speed * problem.forward
     hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
     if least > gravity:
-        hover = f'cannot hover, for its least thrust is {least:.4g}'
+        hover = f'cannot hover: its least thrust is {least:.4g}'
     wind = settings.disturbance.copy()
     wind[-1] += gravity
     speed, blown = float(np.linalg.norm(wind)), ''
     if speed:
         blown = f'wind ({", ".join(f"{each:.4g}" for each in wind)}) {unit}'
     if speed >= problem.forward:
-        blown += f', {speed:.4g} {unit} in all: too much to hold a goal'
+        blown += f', {speed:.4g} {unit} in all: too much to stay at a goal'
     if speed and problem.tilt:
         known = settings.disturbance
         needed = math.atan2(math.hypot(*known[:2]), -known[2])
         if needed > problem.tilt:
             degrees = f'{math.degrees(needed):.4g} deg'
-            blown += f', to hold a goal takes a tilt of {degrees}: more than is allowed'
-    slip = ', with its slip' if settings.sideslip else ''
+            blown += f', staying at a goal takes a tilt of {degrees}: more than allowed'
+    slip = ', with sideslip' if settings.sideslip else ''
     return [
         gravity and f'gravity {gravity:g} {unit}: {hover}',
-        settings.hover_thrust and f'told as {settings.hover_thrust:g} on thrust',
+        settings.hover_thrust and f'sent as {settings.hover_thrust:g} on thrust',
         blown,
-        settings.frames.velocity == 'world' and 'velocities of the world frame',
+        settings.frames.velocity == 'world' and 'velocities in the world frame',
         settings.velocity_source == 'air' and f'odometry through the air{slip}',
     ]
 
@@ -388,7 +388,7 @@ def _ageing(settings: PlannerSettings) -> str:
 def _safe_command(settings: PlannerSettings) -> str:
     kind, problem = settings.safe_command, settings.problem
     if settings.gravity and kind in ('stop', 'hold_rate_zero'):
-        return f'{kind} although that is to fall'
+        return f'{kind} although the vehicle then falls'
     if problem.floor.exists and kind == 'stop' and problem.translation_order == 1:
         return f'{kind} although that is below the floor'
     return kind

@@ -291,7 +291,7 @@ class ArduPlane(Wing):
     def _on_answer(self, future: Any) -> None:
         done = self._due.pop(0) if self._due else {}
         if not future.result().success:
-            self._warn(f'{self.name}: has refused command {done.get("command")}')
+            self._warn(f'{self.name}: refused command {done.get("command")}')
         if self._due:
             self._ask()
 

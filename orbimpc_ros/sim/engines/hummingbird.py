@@ -80,7 +80,7 @@ class Hummingbird(Engine):
     def __init__(self, start: Start) -> None:
         aside = start.goal - start.rest
         if math.hypot(*aside) > FARTHEST:
-            raise EngineFailure(f'{self.name}: a rope is let go at most {FARTHEST:g} m aside')
+            raise EngineFailure(f'{self.name}: a rope starts at most {FARTHEST:g} m from rest')
         # Problems are raised as errors, not logged to a file.
         mujoco.set_mju_user_warning(lambda _: None)
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
