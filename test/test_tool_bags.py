@@ -187,7 +187,7 @@ def test_what_is_no_bag_is_refused(tmp_path):
     assert_refused(tmp_path / 'nowhere.mcap', 'no such file; a readable file is needed')
     (tmp_path / 'notes.txt').write_text('no bag')
     assert_refused(tmp_path / 'notes.txt', 'no bag')
-    assert_refused(tmp_path, 'without a file of messages')
+    assert_refused(tmp_path, 'no file of messages')
     (tmp_path / 'bag.db3').write_bytes(b'')
     assert_refused(tmp_path / 'bag.db3')
 

@@ -252,5 +252,5 @@ def test_a_flight_that_ends_with_an_error_is_reported(monkeypatch):
 
 def test_baselines_need_a_clone(monkeypatch):
     monkeypatch.setattr(flights, 'BASELINES', 'benchmarks_that_are_not_there')
-    with pytest.raises(BadInput, match='a clone has it'):
+    with pytest.raises(BadInput, match='run it from a clone'):
         flights.baselines()

@@ -235,7 +235,7 @@ def _files(path: Path) -> list[Path]:
     else:
         raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
     if not files:
-        raise BadInput.stating(str(path), 'without a file of messages', NEEDED)
+        raise BadInput.stating(str(path), 'no file of messages', NEEDED)
     for file in files:
         with opened(file, LARGEST_FILE):
             pass

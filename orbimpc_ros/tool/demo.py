@@ -60,7 +60,7 @@ def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -
     if scenario in FLEETS:
         flights[''], own = fleet(vehicles, changes, scenario)
     elif vehicles is not None:
-        raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
+        raise BadInput.stating('--vehicles', 'not a fleet', 'give the scenario fleet or crossing')
     else:
         flights = variants(scenario, changes)
         for values in flights.values():
@@ -160,7 +160,7 @@ def clearance(flown: Mapping[str, History]) -> bool:
         if min(apart) < radius:
             print(f'COLLISION     {" and ".join(pair)} within {min(apart):.3f} m of each other')
     least = min(map(min, found.values()), default=math.inf)
-    print(f'apart         at least {least:.3f} m, {radius:g} m asked for')
+    print(f'apart         at least {least:.3f} m, {radius:g} m required')
     return least >= radius
 
 
@@ -239,7 +239,7 @@ def _starting(planners: Mapping[str, Child]) -> str:
     """Return the progress of compilation that planners reported last, before any answer."""
     printed = (each.output.splitlines() for each in planners.values())
     lines = [line for each in printed for line in each if COMPILING in line]
-    return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'the nodes start'
+    return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'starting nodes'
 
 
 class Pacer:

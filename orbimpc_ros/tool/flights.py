@@ -119,14 +119,14 @@ def baselines() -> Any:
         return import_module(BASELINES)
     except ModuleNotFoundError:
         missing = f'{BASELINES} is missing'
-        raise BadInput.stating('--controllers', missing, 'a clone has it') from None
+        raise BadInput.stating('--controllers', missing, 'run it from a clone') from None
 
 
 def _steer(flight: Flight) -> None:
     """Have the engine's own guidance fly to the current position of the goal."""
     steer_to = getattr(flight.vehicle.engine, 'steer_to', None)
     if steer_to is None:
-        raise BadInput('--controllers', WAYPOINT, 'an engine with a guidance of its own')
+        raise BadInput('--controllers', WAYPOINT, 'an engine with its own guidance')
     steer_to(flight.goal)
 
 
@@ -189,7 +189,7 @@ def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Ro
         BadInput: the file is of another study, is damaged, is missing, or exists already.
     """
     if file.exists() != resumed:
-        there = 'no study to go on with' if resumed else 'a study already'
+        there = 'no study to continue' if resumed else 'a study already'
         raise BadInput(str(file), there, 'another -o DIR' if resumed else '--resume')
     kept = _kept(file, about) if resumed else {}
     file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))

@@ -40,13 +40,13 @@ Values = Mapping[str, object]
 
 def flight(scenario: str = 'retrieval') -> LaunchDescription:
     """Return the launch of a scenario's planner and simulator, which ends with the flight."""
-    timed = 'of the planner; auto: in lock-step alone, where the simulator makes the time'
+    timed = 'of the planner; auto: only in lock-step, where the simulator publishes /clock'
     return _described(
         _flight,
-        _argument('scenario', scenario, 'what flies: a file in config/', _scenarios()),
+        _argument('scenario', scenario, 'scenario: a file in config/', _scenarios()),
         *_common("the scenario's", 'both nodes'),
         _argument(
-            'clock', 'lockstep', 'simulated time as fast as it goes, or real', ('lockstep', 'wall')
+            'clock', 'lockstep', 'simulated time as fast as possible, or real', ('lockstep', 'wall')
         ),
         _argument('use_sim_time', AUTO, timed, (AUTO, 'true', 'false', 'True', 'False')),
     )
@@ -60,8 +60,8 @@ def fleet() -> LaunchDescription:
     return _described(
         _fleet,
         *_common('config/fleet.yaml', 'the whole fleet'),
-        _argument('vehicles', '4', 'how many'),
-        _argument('seed', '0', 'of the ropes'),
+        _argument('vehicles', '4', 'number of vehicles'),
+        _argument('seed', '0', 'seed of the ropes'),
     )
 
 
@@ -69,10 +69,10 @@ def vehicle() -> LaunchDescription:
     """Return the launch of a planner alone, with the topics and parameters of an autopilot."""
     return _described(
         _pilot,
-        _argument('autopilot', None, 'what flies or drives', TOPICS),
-        _argument('params_file', '', "by default autopilot's"),
+        _argument('autopilot', None, 'vehicle or autopilot', TOPICS),
+        _argument('params_file', '', "by default the autopilot's"),
         _argument('namespace', '', 'of the planner'),
-        _switch('dry_run', 'false', 'plan and report, and command nothing'),
+        _switch('dry_run', 'false', 'plan and report, but send no commands'),
     )
 
 
@@ -130,7 +130,7 @@ def _settled(asked: dict[str, str], default: str) -> None:
     """Resolve the parameter file; refuse a missing one, which launch would ignore."""
     file = asked['params_file'] = asked['params_file'] or str(_configs() / f'{default}.yaml')
     if not Path(file).is_file():
-        raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
+        raise BadInput.stating(file, 'no such file', 'params_file must name a parameter file')
 
 
 def _outer(asked: Mapping[str, str]) -> str:
@@ -189,8 +189,8 @@ def _common(file: str, whose: str) -> list[DeclareLaunchArgument]:
     return [
         _argument('params_file', '', f'of all nodes; by default {file}'),
         _argument('namespace', '', f'of {whose}'),
-        _switch('exit_when_done', 'true', 'end with the flight, or wait for a reset'),
-        _switch('record', 'false', 'all topics by ros2 bag record into this folder'),
+        _switch('exit_when_done', 'true', 'exit after the flight, or wait for a reset'),
+        _switch('record', 'false', 'record all topics with ros2 bag into this folder'),
     ]
 
 

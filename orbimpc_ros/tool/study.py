@@ -94,7 +94,7 @@ def run(
         if cluster is not None:
             raise BadInput('--workers', workers, 'only without --cluster, which has its own')
     if resume and out is None:
-        raise BadInput('--resume', 'without -o DIR', 'the folder of the study to go on with')
+        raise BadInput('--resume', 'without -o DIR', 'the folder of the study to continue')
     draws, names = draws_of(file, changes), _controllers(controllers)
     about = {
         'version': __version__,
@@ -162,7 +162,7 @@ def _fly(
             progress.show(done, f'{done} of {total} flights')
     progress.close()
     if done < total:
-        print(f'kept {done} of {total} flights in {file.parent}; --resume goes on with them')
+        print(f'kept {done} of {total} flights in {file.parent}; --resume continues them')
         raise KeyboardInterrupt
 
 

@@ -93,7 +93,7 @@ def _file(path: Path, problem: str | None) -> TickVerdict:
     except document.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
     if problem and not _is_of(known, case_of(files.read(problem))):
-        raise BadInput.stating('certificate', 'refused', f'it is not of {problem}')
+        raise BadInput.stating('certificate', 'refused', f'it is not for {problem}')
     return row
 
 
@@ -151,15 +151,15 @@ def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
     if then.get('status') == Status.INFEASIBLE:
         row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
         if sought is None:
-            return row.failed(f'it is {tick.status} now')
+            return row.failed(f'the replay is {tick.status}')
         return _certified(row, out, lambda: refutation_of(sought))
     row = TickVerdict(number, COST, claimed)
     if claimed is None or not claimed > 0.0:
         return row
     if plan is None:
-        return row.failed(f'it is {tick.status} now')
+        return row.failed(f'the replay is {tick.status}')
     if not _is_about(then.get('earliest_catch'), tick):
-        return row.unproved('it was about another catch, or none, when its time was up')
+        return row.unproved('it planned another catch, or none, at its deadline')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
         return row.failed(f'a trajectory costs {plan.objective!r}')
     posed, proof = tick.case, replace(plan.proof, lower_bound=claimed)
@@ -184,12 +184,12 @@ def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVer
         return
     row = TickVerdict(number, CATCH, claimed)
     if catch is None:
-        yield row.failed('no catch is looked for now')
+        yield row.failed('the replay seeks no catch')
         return
     sought = catch.sought
     count = steps_before(claimed, sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
-        yield row.failed(f'a plan catches it at {catch.time!r}')
+        yield row.failed(f'a plan catches the goal at {catch.time!r}')
     elif count:
         yield _certified(row, out, lambda: catches_refuted(sought, count))
 
