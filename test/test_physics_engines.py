@@ -227,7 +227,7 @@ def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):
 
 
 def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
-    with pytest.raises(BadInput, match=r'vehicle is hummingbird; .*at most 1.2 m aside'):
+    with pytest.raises(BadInput, match=r'vehicle is hummingbird; .*at most 1.2 m from rest'):
         multirotor(aside=[1.0, 1.0])
 
 
