@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -37,7 +38,7 @@ from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
-from orbimpc_ros.mpc.proof.document import Certificate, Posed, Refutation, refuted_by
+from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
 from orbimpc_ros.mpc.proof.flight import STEP, control_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
 from orbimpc_ros.mpc.proof.stated import Body, Statement, limits_of
@@ -296,7 +297,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     sought = Sought(*case, radius=drawn.radius)
     posed = Posed(*case, limits_of(*case))
     if catches or empty:
-        known = Refutation(sought, ()).document()
+        known = refutation(sought, ())
         posed = refuted_by(known, count if catches else 1)[-1]
     part = Part(drawn, posed, rng)
     if case.problem.dimension == 2 and _sometimes(rng, 0.7):
@@ -308,9 +309,9 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     if not sound:
         return None
     tree, cost = part.tree(leaf, empty), drawn.radius**2 if catches else drawn.plan.objective
-    known = Certificate(*case, 1.0, tree).document()
+    known = certificate_of(*case, replace(UNPROVED, lower_bound=1.0, tree=tree))
     if catches or empty:
-        known = Refutation(sought, (tree,) * (count if catches else 1)).document()
+        known = refutation(sought, (tree,) * (count if catches else 1))
     return Judged(proved, 0.0 if empty else cost, known, tree, posed)
 
 

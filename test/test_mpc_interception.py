@@ -42,8 +42,8 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.reach import missed
-from orbimpc_ros.mpc.proof.document import parsed, verified
-from orbimpc_ros.mpc.proof.refute import catches_refuted
+from orbimpc_ros.mpc.proof.document import parsed, text_of, verified
+from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.vehicle import Plant, measured
 
@@ -406,8 +406,8 @@ def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
     catch, _ = hunted(problem, jumping(np.random.default_rng([seed, 79])))
     count = excluded(catch)
     if count:
-        made = catches_refuted(catch.sought, count)
-        verdict = verified(parsed(made.text().encode()))
+        made = refutation_of(catch.sought, count)
+        verdict = verified(parsed(text_of(made).encode()))
         assert verdict.holds
         assert verdict.proved == (count + 1) * problem.step
 

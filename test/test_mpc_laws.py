@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import reach
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.document import certificate_of, parsed, verified
+from orbimpc_ros.mpc.proof.document import certificate_of, parsed, text_of, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
 ROUNDING = 1e-7  # relative: the saving from constraint violations within tolerance
@@ -165,7 +165,7 @@ def test_bounds_leave_what_rounding_takes(index):
     (problem, state, goals), coasting = drawn.case, drawn.case.state.coasted is not None
     plan = Solver(problem, coasting=coasting).solve(state, goals)
     assert plan.lower_bound <= plan.objective
-    assert verified(parsed(certificate_of(*drawn.case, plan.proof).text().encode())).holds
+    assert verified(parsed(text_of(certificate_of(*drawn.case, plan.proof)).encode())).holds
 
 
 # --- certificates
@@ -181,7 +181,7 @@ def certificate(solved):
 
 def test_a_bound_is_verified_in_fractions(solved, certificate):
     if certificate is not None:
-        verdict = verified(parsed(certificate.text().encode()))
+        verdict = verified(parsed(text_of(certificate).encode()))
         assert verdict.holds
         assert verdict.claimed == max(0.0, solved.plan.lower_bound)
         assert verdict.proved <= solved.plan.objective * (1.0 + ROUNDING)
@@ -211,7 +211,7 @@ def test_a_changed_certificate_proves_nothing(solved, certificate):
     for change in (raised, near, with_another_horizon):
         if change is near and bound_to_leave:
             continue  # these vehicles cannot stay in place
-        known = copy.deepcopy(certificate.document())
+        known = copy.deepcopy(certificate)
         change(known)
         assert judged(json.dumps(known)) != 'holds', change.__name__
 
@@ -226,7 +226,7 @@ def test_a_proof_beside_a_body_depends_on_it(body):
     plan = Solver(problem).solve(state, goals)
     free = Solver(replace(problem, obstacles=())).solve(state, goals)
     assert plan.lower_bound > 1.001 * free.objective
-    known = certificate_of(problem, state, goals, plan.proof).document()
+    known = certificate_of(problem, state, goals, plan.proof)
     for each in known['limits']['bodies']:
         each.update({'radius': 0.1} if 'radius' in each else {'max': [1.3, -0.2]})
     assert judged(json.dumps(known)) == 'does not hold'

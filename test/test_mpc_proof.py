@@ -6,6 +6,7 @@ import copy
 import itertools
 import json
 import math
+from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 
@@ -16,9 +17,10 @@ from problems import floor, seeds
 
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
+from orbimpc_ros.mpc.plan import UNPROVED
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import document, sets
-from orbimpc_ros.mpc.proof.document import Certificate, Refused, verified
+from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
@@ -149,7 +151,7 @@ def document_of(horizon, shor=-1.0, leaves=1):
     nodes = [[ARCS, 1, 1, leaves, -1], *[[LEAF, 0, 0, 0, 0]] * leaves][leaves == 1 :]
     tree = leaf._replace(nodes=np.array(nodes), at=np.zeros(len(nodes)))
     case = problem, State.at(np.zeros(2), np.eye(2)), np.ones((horizon, 2))
-    return json.loads(Certificate(*case, 1.0, tree).text())
+    return json.loads(text_of(certificate_of(*case, replace(UNPROVED, lower_bound=1.0, tree=tree))))
 
 
 CONE = {'axis': [1.0, 0.0], 'angle': 1.0, 'least': 0.0, 'steps': []}

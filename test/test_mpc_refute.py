@@ -20,9 +20,16 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.document import Unproved, held_in_time, parsed, verified
-from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
+from orbimpc_ros.mpc.proof.document import (
+    Unproved,
+    held_in_time,
+    parsed,
+    refutation,
+    text_of,
+    verified,
+)
 from orbimpc_ros.mpc.proof.tree import EMPTY, one
+from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 
 WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
@@ -150,22 +157,22 @@ def sought_of(kind, seed=0):
 
 @functools.cache
 def refuted(kind):
-    """Return the refutations of problems of a kind, at least one."""
-    made = [
-        held(lambda seed=seed: refutation_of(sought_of(kind, seed))) for seed in seeds(*range(8))
+    """Return problems of a kind that are refuted, at least one, with their refutations."""
+    found = [
+        (each, held(lambda each=each: refutation_of(each)))
+        for each in map(functools.partial(sought_of, kind), seeds(*range(8)))
     ]
-    found = [each for each in made if each is not None]
+    found = [(each, made) for each, made in found if made is not None]
     assert found, f'nothing of {kind} is refuted'
     return found
 
 
 @pytest.mark.parametrize('kind', KINDS)
 def test_what_nothing_satisfies_is_refuted_and_has_no_plan(kind):
-    for made in refuted(kind):
-        verdict = verified(parsed(made.text().encode()))
+    for sought, made in refuted(kind):
+        verdict = verified(parsed(text_of(made).encode()))
         assert verdict.holds
         assert verdict.claimed == verdict.proved == np.inf
-        sought = made.sought
         with pytest.raises((Infeasible, SolverFailure)):
             Solver(sought.problem).solve(sought.state, sought.goals, None, polled(100))
 
@@ -177,7 +184,7 @@ def test_what_somebody_has_flown_is_not_refuted(seed):
     assert len(flown) > 10
     for drawn in flown:
         with pytest.raises(Unproved, match='no refutation'):
-            refutation_of(Sought(*drawn.case), polled(100))
+            refutation_of(Sought(*drawn.case), 1, polled(100))
 
 
 def among_boxes(seed):
@@ -214,28 +221,28 @@ def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
 
 def test_refutations_are_given_up_when_it_is_late():
     with pytest.raises(Unproved, match='in time'):
-        refutation_of(sought_of('run over'), lambda: True)
+        refutation_of(sought_of('run over'), 1, lambda: True)
     sought = hunting(WING, [4.0, 1.0])
-    assert judged(catches_refuted(sought, 3).text()) == 'holds'
+    assert judged(text_of(refutation_of(sought, 3))) == 'holds'
     with pytest.raises(Unproved, match='in time'):
-        catches_refuted(sought, 3, polled(2))
+        refutation_of(sought, 3, polled(2))
 
 
 @pytest.mark.parametrize(('end', 'known'), [(11.0, True), (9.0, False)])
 def test_half_of_the_time_is_left_to_go_through_what_is_made(end, known):
     sought, times = sought_of('out of reach'), itertools.chain([0.0], itertools.repeat(5.0))
-    made = held_in_time(lambda late: refutation_of(sought, late), lambda: next(times), end)
+    made = held_in_time(lambda late: refutation_of(sought, 1, late), lambda: next(times), end)
     assert (made is not None) == known
 
 
 @pytest.mark.parametrize('kind', ['out of reach', 'walled in', 'behind a wing'])
 def test_what_is_made_and_does_not_hold_is_no_refutation(kind):
-    made = refuted(kind)[0]
-    count, n = made.sought.problem.horizon, made.sought.problem.dimension
+    sought, made = refuted(kind)[0]
+    count, n = sought.problem.horizon, sought.problem.dimension
     nothing = one(np.zeros((count, n)), np.zeros(count))
     nothing = nothing._replace(nodes=np.array([[EMPTY, 0, 0, 0, 0]]))
-    for trees in ((nothing,), 2 * made.trees, ()):
-        each = replace(made, trees=trees)
+    twice = {**made, 'refuted': {'trees': 2 * made['refuted']['trees']}}
+    for each in (refutation(sought, [nothing]), twice, refutation(sought, [])):
         assert held(lambda each=each: each) is None
     assert held(lambda: made) is made
 
@@ -258,10 +265,10 @@ def test_without_clarabel_or_with_one_that_panics_nothing_is_refuted(monkeypatch
 
 def test_a_catch_is_refuted_by_its_last_heading_alone():
     with pytest.raises(Unproved, match='catch at step 2'):
-        catches_refuted(hunting(WING, [2.0, 0.0]), 2)
+        refutation_of(hunting(WING, [2.0, 0.0]), 2)
     coned = replace(WING, approach=Approach(0.2, (-1.0, 0.0)))
-    made = catches_refuted(hunting(coned, [2.0, 0.0]), 4)
-    assert judged(made.text()) == 'holds'
+    made = refutation_of(hunting(coned, [2.0, 0.0]), 4)
+    assert judged(text_of(made)) == 'holds'
 
 
 @pytest.mark.parametrize(('bound', 'count'), [(0.3, 2), (0.1, 0), (0.0, 0), (0.25, 2), (1.3, 12)])
@@ -272,12 +279,11 @@ def test_ends_before_a_time_are_counted_but_for_rounding(bound, count):
 def test_speeds_that_change_slowly_refute_a_catch():
     state = State.at(np.zeros(2), 0.1 * np.eye(2), attitude=np.eye(2))
     problem = Problem(horizon=4, max_acceleration=0.1)
-    made = catches_refuted(hunting(problem, [2.0, 0.0], state), 4)
-    assert judged(made.text()) == 'holds'
-    known = made.document()
-    assert known['limits']['speeds'] == {'entry': 0.1, 'change': 0.1}
-    del known['limits']['speeds']
-    assert judged(json.dumps(known)) == 'does not hold'
+    made = refutation_of(hunting(problem, [2.0, 0.0], state), 4)
+    assert judged(text_of(made)) == 'holds'
+    assert made['limits']['speeds'] == {'entry': 0.1, 'change': 0.1}
+    del made['limits']['speeds']
+    assert judged(text_of(made)) == 'does not hold'
 
 
 # --- mutants
@@ -286,7 +292,7 @@ def test_speeds_that_change_slowly_refute_a_catch():
 def of_catches():
     cone = Approach(0.3, (1.0, 0.0))
     problem = replace(WING, floor=Floor('circle', fraction=0.8), approach=cone)
-    return catches_refuted(hunting(problem, [1.0, 1.6]), 3).document()
+    return refutation_of(hunting(problem, [1.0, 1.6]), 3)
 
 
 def in_another_dimension(known):

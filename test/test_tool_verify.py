@@ -12,7 +12,7 @@ from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.proof.document import WORD, Certificate, Unproved
+from orbimpc_ros.mpc.proof.document import WORD, Unproved, certificate_of
 from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.tool import bags, recording
 from orbimpc_ros.tool.recording import replayed
@@ -137,7 +137,7 @@ def test_where_what_a_search_left_proves_less_there_is_no_certificate(tool, monk
 
     def poor(problem, state, goals, proof):
         leaf = one(np.zeros((rows, 2)), np.zeros(rows))
-        return Certificate(problem, state, goals, proof.lower_bound, leaf)
+        return certificate_of(problem, state, goals, replace(proof, tree=leaf))
 
     monkeypatch.setattr('orbimpc_ros.tool.verify.certificate_of', poor)
     code, out, _ = tool('verify', GOLDEN / 'retrieval', '--tick', 3)
@@ -179,7 +179,7 @@ def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
 
 
 def test_what_is_not_refuted_says_so_and_leaves_no_file(tool, tmp_path, monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute._proves', lambda *_: False)
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.refute._proves', lambda *_: False)
     problem, made, (code, _, error) = solve(tool, tmp_path, FAR)
     assert code == 3
     assert 'beyond what' in error
@@ -200,7 +200,7 @@ def test_before_which_time_nothing_catches_is_proved(tool, tmp_path):
 
 
 def without_refutations(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute._proves', lambda *_: False)
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.refute._proves', lambda *_: False)
 
 
 def without_plans(monkeypatch):

@@ -45,7 +45,7 @@ from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.solver import Solver
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
-    from orbimpc_ros.mpc.proof.document import Refutation
+    from orbimpc_ros.mpc.proof.document import Document
 
 FALLBACK_TICKS = 2  # largest number of decisions that follow the shifted previous plan
 ARRIVAL_WEIGHT = 1e4  # of the miss, if an exact arrival has become impossible
@@ -94,7 +94,7 @@ class Decision(ByContent):
     cause: Cause = Cause.NONE  # why there is no plan on fresh inputs
     catch: Intercept | None = None  # earliest catch of the goal, if sought
     infeasible: Sought | None = None  # the infeasible problem, if that is the status
-    refutation: Refutation | None = None  # proof of infeasibility, or of no earlier catch
+    refutation: Document | None = None  # proof of infeasibility, or of no earlier catch
     advanced: float = 0.0  # from the measurement to the start of the plan, without ``led`` [s]
     led: float = 0.0  # lead of the start due to the vehicle's lags [s]
     disturbance: Array | None = None  # of the plan, shape (n,) [m/s] or [m/s^2]; None for zero

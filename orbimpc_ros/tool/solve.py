@@ -16,8 +16,15 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.document import WORD, OutOfTime, Unproved, certificate_of, holds
-from orbimpc_ros.mpc.proof.refute import refutation_of
+from orbimpc_ros.mpc.proof.document import (
+    WORD,
+    OutOfTime,
+    Unproved,
+    certificate_of,
+    holds,
+    text_of,
+)
+from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files
 
@@ -48,7 +55,7 @@ def run(
     else:
         print(table(case, plan, found))
     if certificate:
-        Path(certificate).write_text(certificate_of(*case, plan.proof).text() + '\n')
+        Path(certificate).write_text(text_of(certificate_of(*case, plan.proof)) + '\n')
     return 0
 
 
@@ -59,13 +66,13 @@ def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> N
         Infeasible: it could not be proved; the message adds why.
     """
     try:
-        made = refutation_of(Sought(*case), late)
+        made = refutation_of(Sought(*case), out_of_time=late)
         if not holds(made):
             raise Unproved('the proof found does not hold in exact arithmetic')
     except (Unproved, BadInput) as error:  # BadInput if Clarabel is not installed
         raise Infeasible(f'{why}; {WORD}; {error}') from None
     if path:
-        Path(path).write_text(made.text() + '\n')
+        Path(path).write_text(text_of(made) + '\n')
 
 
 def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import document
-from orbimpc_ros.mpc.proof.document import Refutation, Unproved, certificate_of
-from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
+from orbimpc_ros.mpc.proof.document import Document, Unproved, certificate_of, refutation, text_of
+from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.files import folder_at
 
@@ -102,7 +102,7 @@ def _is_of(known: Any, case: Case) -> bool:
     made = document.statement(*case)
     if 'refuted' in known:
         known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
-        made = Refutation(Sought(*case, radius=known['refuted'].get('radius', 0.0)), ()).document()
+        made = refutation(Sought(*case, radius=known['refuted'].get('radius', 0.0)), ())
     unlimited: dict[str, Any] = {'limits': {}}
     return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 
@@ -191,23 +191,21 @@ def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVer
     if catch.time < claimed * (1.0 - TOLERANCE):
         yield row.failed(f'a plan catches the goal at {catch.time!r}')
     elif count:
-        yield _certified(row, out, lambda: catches_refuted(sought, count))
+        yield _certified(row, out, lambda: refutation_of(sought, count))
 
 
-def _certified(
-    row: TickVerdict, out: str | None, make: Callable[[], document.Certificate | Refutation]
-) -> TickVerdict:
+def _certified(row: TickVerdict, out: str | None, make: Callable[[], Document]) -> TickVerdict:
     """Return the verdict on a claim by making and verifying its certificate."""
     try:
-        made = make()
-        found = _verified(row.tick, document.parsed(made.text().encode()))
+        made = text_of(make())
+        found = _verified(row.tick, document.parsed(made.encode()))
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
     except document.Refused as error:
         return row.unproved(f'refused: {error}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-        (folder_at(Path(out)) / name).write_text(made.text() + '\n')
+        (folder_at(Path(out)) / name).write_text(made + '\n')
     if found.outcome == FAILS:  # not refuted: no trajectory is known to cost less
         return found.unproved(f'another search proves {found.proved!r}')
     return found

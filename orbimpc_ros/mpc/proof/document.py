@@ -12,10 +12,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,12 +45,12 @@ MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', '
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
-SOUGHT = ('problem', 'state', 'goals', 'radius')
 EACH, TERM = 100, 12  # [us] of work per number of a leaf, and per term of a Hessian
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 LARGEST = 64 << 20  # bytes of a file
 WORD = 'not proved: claimed by the method only'
 OutOfTime = Callable[[], bool]
+Document = dict[str, Any]  # a certificate as the plain values of its format
 
 
 class Refused(ValueError):
@@ -59,68 +59,6 @@ class Refused(ValueError):
 
 class Unproved(OrbimpcError):
     """There is no certificate: for a class of problems, or for a claim."""
-
-
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """A proof that no trajectory of a problem costs less than a bound.
-
-    Attributes:
-        problem: that was solved.
-        state: where plans start.
-        goals: g_1..g_N, shape (N, n) [m].
-        lower_bound: as published.
-        tree: proof of the bound.
-    """
-
-    problem: Problem
-    state: State
-    goals: Array
-    lower_bound: float
-    tree: ProofTree
-
-    def document(self) -> dict[str, Any]:
-        """Return the certificate as the plain values of its format."""
-        known = statement(self.problem, self.state, self.goals)
-        claim = {'lower_bound': self.lower_bound, 'tree': _plain_tree(self.tree)}
-        return {'format': FORMAT, **known, **claim}
-
-    def text(self) -> str:
-        """Return the certificate as JSON on one line."""
-        return _line(self.document())
-
-
-@dataclass(frozen=True, eq=False)
-class Refutation:
-    """A proof that no trajectory of a problem is feasible, or that none catches its goal.
-
-    Attributes:
-        sought: the problem, state, goals and the radius of a catch.
-        trees: one; for catches, one for the end of each step from the first on.
-    """
-
-    sought: Sought
-    trees: tuple[ProofTree, ...]
-
-    def document(self) -> dict[str, Any]:
-        """Return the refutation as the plain values of its format."""
-        problem, state, goals, radius = (getattr(self.sought, name) for name in SOUGHT)
-        refuted: dict[str, Any] = {'trees': [_plain_tree(each) for each in self.trees]}
-        if radius:
-            refuted['radius'] = radius
-            if problem.approach.exists:
-                last = limits_of(problem, state, goals).cones[-1]
-                refuted['cone'] = {
-                    'axis': list(last.axis),
-                    'angle': last.angle,
-                    'least': last.least,
-                }
-            problem = replace(problem, approach=Approach())
-        return {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
-
-    def text(self) -> str:
-        """Return the refutation as JSON on one line."""
-        return _line(self.document())
 
 
 class Posed(NamedTuple):
@@ -280,10 +218,54 @@ def _catch(posed: Posed, k: int, radius: float, last: Any) -> Posed:
     return Posed(problem, posed.state, posed.goals[:k], fewer, Fraction(radius) ** 2)
 
 
+# --- certificates
+
+
+def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -> Document:
+    """Return a proof that no trajectory costs less than a plan's bound, by its search's tree.
+
+    Args:
+        problem: that was solved.
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        proof: of the plan.
+
+    Raises:
+        Unproved: the search left no tree.
+    """
+    if proof.tree is None:
+        raise Unproved('no certificate: the search left no proof of its bound')
+    claim = {'lower_bound': max(0.0, proof.lower_bound), 'tree': _plain_tree(proof.tree)}
+    return {'format': FORMAT, **statement(problem, state, goals), **claim}
+
+
+def refutation(sought: Sought, trees: Sequence[ProofTree]) -> Document:
+    """Return a proof that no trajectory of a problem is feasible, or that none catches its goal.
+
+    Args:
+        sought: the problem, state, goals and the radius of a catch.
+        trees: one; for catches, one for the end of each step from the first on.
+    """
+    problem, state, goals = sought.problem, sought.state, sought.goals
+    refuted: dict[str, Any] = {'trees': [_plain_tree(each) for each in trees]}
+    if sought.radius:
+        refuted['radius'] = sought.radius
+        if problem.approach.exists:
+            refuted['cone'] = _plain_cone(limits_of(problem, state, goals).cones[-1])
+            del refuted['cone']['steps']
+        problem = replace(problem, approach=Approach())
+    return {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
+
+
+def text_of(document: Document) -> str:
+    """Return a certificate as JSON on one line."""
+    return json.dumps(document, allow_nan=False, separators=(',', ':'))
+
+
 # --- problems
 
 
-def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
+def statement(problem: Problem, state: State, goals: Array) -> Document:
     """Return a certificate's problem, state, goals and limits as plain values."""
     weights, floor = problem.weights, problem.floor
     made: dict[str, Any] = {name: getattr(problem, name) for name in MODEL}
@@ -301,10 +283,7 @@ def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
 def _plain_limits(limits: Limits) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if limits.cones:
-        found['cones'] = [
-            {**each._asdict(), 'axis': list(each.axis), 'steps': list(each.steps)}
-            for each in limits.cones
-        ]
+        found['cones'] = [_plain_cone(each) for each in limits.cones]
     if limits.glide_slope:
         found['glide_slope'] = {'angle': limits.glide_slope, 'eased': limits.eased.tolist()}
     if limits.change < math.inf:
@@ -312,6 +291,10 @@ def _plain_limits(limits: Limits) -> dict[str, Any]:
     if limits.bodies:
         found['bodies'] = [_plain_body(each) for each in limits.bodies]
     return found
+
+
+def _plain_cone(cone: Cone) -> dict[str, Any]:
+    return {**cone._asdict(), 'axis': list(cone.axis), 'steps': list(cone.steps)}
 
 
 def _plain_body(body: Body) -> dict[str, Any]:
@@ -322,10 +305,6 @@ def _plain_body(body: Body) -> dict[str, Any]:
     if body.shifts.any() or body.grown.any():
         made |= {'shifts': body.shifts.tolist(), 'grown': body.grown.tolist()}
     return made
-
-
-def _line(document: dict[str, Any]) -> str:
-    return json.dumps(document, allow_nan=False, separators=(',', ':'))
 
 
 def _posed(document: Any) -> Posed:
@@ -487,8 +466,6 @@ def _no_number(word: str) -> Any:
 
 # --- certificates with a deadline
 
-Made = TypeVar('Made', Certificate, Refutation)
-
 
 def patient() -> bool:
     """Return False, for callers without a deadline."""
@@ -496,8 +473,8 @@ def patient() -> bool:
 
 
 def held_in_time(
-    make: Callable[[OutOfTime], Made], clock: Callable[[], float], end: float
-) -> Made | None:
+    make: Callable[[OutOfTime], Document], clock: Callable[[], float], end: float
+) -> Document | None:
     """Return a certificate that is made and holds; None if there is none in time.
 
     To verify a certificate takes no longer than to make it, which also verifies each leaf: each
@@ -519,26 +496,9 @@ def held_in_time(
         return None
 
 
-def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate:
-    """Return the certificate of a plan's bound, with the tree of its search.
-
-    Args:
-        problem: that was solved.
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, n) [m].
-        proof: of the plan.
-
-    Raises:
-        Unproved: the search left no tree.
-    """
-    if proof.tree is None:
-        raise Unproved('no certificate: the search left no proof of its bound')
-    return Certificate(problem, state, goals, max(0.0, proof.lower_bound), proof.tree)
-
-
-def holds(made: Certificate | Refutation) -> bool:
+def holds(made: Document) -> bool:
     """Return whether a certificate holds, verified from its text."""
     try:
-        return verified(parsed(made.text().encode())).holds
+        return verified(parsed(text_of(made).encode())).holds
     except Refused:
         return False

@@ -28,7 +28,6 @@ from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, sil
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.proof.document import Refutation
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
@@ -769,22 +768,19 @@ class Core:
         The claim is infeasibility or, with ``catches``, that there is no catch before some time.
         The command has already been sent, without waiting for the proof.
         """
-        nothing, catch = decision.infeasible, decision.catch if catches else None
-        count = 0 if catch is None else steps_before(catch.bound, catch.sought.problem.step)
-        if nothing is None and not count:
+        sought, count = decision.infeasible, 1
+        if sought is None and catches and decision.catch is not None:
+            sought = decision.catch.sought
+            count = steps_before(decision.catch.bound, sought.problem.step)
+        if sought is None or not count:
             return decision
         # Imported by the first decision that needs it: it saves a tenth of a second at the start.
         from orbimpc_ros.mpc.proof.document import WORD, held_in_time
-        from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of
+        from orbimpc_ros.mpc.solve.refute import refutation_of
 
-        def made(late: Callable[[], bool]) -> Refutation:
-            if nothing is not None:
-                return refutation_of(nothing, late)
-            assert catch is not None
-            return catches_refuted(catch.sought, count, late)
-
-        refutation = held_in_time(made, self._deadline.clock, self._deadline.end)
+        known, claim = (self._deadline.clock, self._deadline.end), (sought, count)
+        refutation = held_in_time(lambda late: refutation_of(*claim, late), *known)
         reason = decision.reason
-        if nothing is not None and refutation is None:
+        if decision.infeasible is not None and refutation is None:
             reason = joined(reason, WORD)
         return replace(decision, refutation=refutation, reason=reason)

@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.document import Certificate, Refutation, certificate_of
+from orbimpc_ros.mpc.proof.document import Document, certificate_of, text_of
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
@@ -235,8 +235,8 @@ def refutation_messages(decision: Decision) -> dict[str, Any]:
     return {} if made is None else {'certificate': _proof(made)}
 
 
-def _proof(made: Certificate | Refutation) -> UInt8MultiArray:
-    return UInt8MultiArray(data=array('B', made.text().encode()))
+def _proof(made: Document) -> UInt8MultiArray:
+    return UInt8MultiArray(data=array('B', text_of(made).encode()))
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:

@@ -17,11 +17,12 @@ import numpy as np
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import (
+    Document,
     OutOfTime,
     Posed,
-    Refutation,
     Unproved,
     patient,
+    refutation,
     refuted_by,
 )
 from orbimpc_ros.mpc.proof.flight import flown_by, set_arrival
@@ -33,48 +34,26 @@ from orbimpc_ros.mpc.solve.request import Request
 TOLERANCE = 1e-6  # of a search, which stops long before
 
 
-def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
-    """Return a proof of infeasibility.
+def refutation_of(sought: Sought, count: int = 1, out_of_time: OutOfTime = patient) -> Document:
+    """Return a proof of infeasibility, or that nothing catches the goal at the first steps.
 
     Args:
-        sought: the problem, state and goals.
+        sought: the problem, state, goals and the radius of a catch, if any.
+        count: number of steps at whose ends there is no catch; 1 without a catch.
         out_of_time: polled before each node; True gives up.
-
-    Raises:
-        Unproved: no proof was found.
-    """
-    return _refuting(sought, 1, out_of_time)
-
-
-def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient) -> Refutation:
-    """Return a proof that no trajectory catches the goal at the ends of the first steps.
-
-    Args:
-        sought: the problem, state, goals and the radius of a catch.
-        count: number of steps.
-        out_of_time: as for :func:`refutation_of`.
-
-    Raises:
-        Unproved: no proof was found for one of the steps.
-    """
-    return _refuting(sought, count, out_of_time)
-
-
-def _refuting(sought: Sought, count: int, out_of_time: OutOfTime) -> Refutation:
-    """Return a refutation of all trajectories, or of catches at the first steps.
 
     Raises:
         Unproved: no proof was found for one of the claims.
     """
-    made, trees = Refutation(sought, ()), list[ProofTree]()
-    for posed in refuted_by(made.document(), count):
+    trees = list[ProofTree]()
+    for posed in refuted_by(refutation(sought, trees), count):
         if out_of_time():
             raise Unproved('no certificate: no refutation was found in time')
         tree = _leaf(posed)
         if not _proves(posed, tree):
             tree = _found(sought, posed, out_of_time)
         trees.append(tree)
-    return replace(made, trees=tuple(trees))
+    return refutation(sought, trees)
 
 
 def _proves(posed: Posed, tree: ProofTree) -> bool:
