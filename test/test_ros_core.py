@@ -63,7 +63,7 @@ class Driven(OfflinePlanner):
     def messages(self, report, at=1.0, **given):
         """Return the messages published for a report on odometry of a time; all by default."""
         known = self.settings, Stamp(stamp(at), FRAMES), report, '/planner'
-        return report_messages(*known, oriented=True, **given)
+        return report_messages(*known, **given)
 
     def safe(self, cause=Cause.DISABLED):
         return self.decide(0.0, stop=Reason(cause, 'a test wants it'))
@@ -324,7 +324,7 @@ def test_only_what_somebody_listens_to_is_made():
     driven = Driven()
     report = driven.tick(1.0)
     everything = driven.messages(report)
-    assert everything.keys() == {'tick', 'plan', 'plan_markers', 'rotation'}
+    assert everything.keys() == {'tick', 'plan', 'plan_markers'}
     assert driven.messages(report, heard={'plan', 'odom'}) == {'plan': everything['plan']}
     assert driven.messages(report, heard=()) == {}
 

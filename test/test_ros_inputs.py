@@ -75,7 +75,7 @@ def sent(inputs, *times):
 
 def test_what_is_missing_is_said_by_the_names_of_topics_as_they_are_resolved(default):
     names = {'odom': '/boat/gps', 'goal': '/boat/goal', 'goal_path': '/boat/path'}
-    remapped = Inputs(default.settings, names)
+    remapped = Inputs(default.settings, lambda topic: names.get(topic, topic))
     assert remapped.missing == 'odometry on /boat/gps and a goal on /boat/goal or /boat/path'
     assert remapped.update('odom', odometry(1.0), 0.0) == ''
     assert remapped.missing == 'a goal on /boat/goal or /boat/path'

@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp, header, read_obstacle, shown
 from orbimpc_ros.ros.planner.core import Inputs, others
+from orbimpc_ros.tool.offline import resolving
 
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
 OTHER = '/uav2/plan'
@@ -44,7 +45,7 @@ def body_of(given, dimension):
 @pytest.fixture
 def inputs():
     given = settings(avoid=(OTHER,), avoid_radius=1.0, forward=20.0)
-    return Inputs(given, others=(OTHER,))
+    return Inputs(given)
 
 
 def hazards(inputs, at=1.0):
@@ -246,13 +247,13 @@ def test_a_fleet_may_share_its_list_of_plans():
     def resolve(name):
         return name if name.startswith('/') else f'/uav1/{name}'
 
-    avoid = ('/uav1/plan', 'plan', OTHER, OTHER, 'that/plan')
-    assert others(avoid, '/uav1/plan', resolve) == (OTHER, '/uav1/that/plan')
+    given = settings(avoid=('/uav1/plan', 'plan', OTHER, OTHER, 'that/plan'), avoid_radius=1.0)
+    assert others(given, resolve) == (OTHER, '/uav1/that/plan')
 
 
 def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
     topics = '/a/plan', '/c/plan'
-    inputs = Inputs(settings(avoid=topics, avoid_radius=1.0), {'plan': '/b/plan'}, topics)
+    inputs = Inputs(settings(avoid=topics, avoid_radius=1.0), resolving('/b'))
     inputs.update('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0, 3.0):
         inputs.update('odom', odometry(second), second)
@@ -277,7 +278,7 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
 )
 def test_who_has_measured_before_is_waited_for_until_its_plan_is_there(step, heard, waits):
     given = settings(avoid=(OTHER,), avoid_radius=1.0, step=step)
-    inputs = Inputs(given, {'plan': '/uav1/plan'}, (OTHER,))
+    inputs = Inputs(given, resolving('/uav1'))
     inputs.update('goal', goal(0.5), 0.0)
     came = [(at, OTHER, plan) for at in heard] + [(at, 'odom', odometry) for at in (1.0, 2.0)]
     for at, topic, make in sorted(came, key=lambda each: each[:2]):

@@ -3,7 +3,7 @@
 
 import sys
 import time
-from itertools import count, groupby
+from itertools import groupby
 from operator import le
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from orbimpc_ros.sim.vehicle import Model, launched, measured
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,
 # and the calls among them to a file passed before.
-FILES, HOPS, RETURNS = 26, 61, 36
+FILES, HOPS, RETURNS = 26, 60, 35
 FRAMES = Frames('odom', 'base_link')
 
 
@@ -144,11 +144,20 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
 
 
 def test_what_a_tick_made_in_too_long_a_time_is_not_flown(planner, monkeypatch):
-    (node, _), sent, reports = planner, [], []
+    (node, _), sent, reports, shown, durations = planner, [], [], [100.0], [0.0, 1000.0, 0.0, 0.0]
+    step = node._core.planner.step
+
+    def lasting(*inputs):
+        decision = step(*inputs)
+        shown[0] += durations.pop(0)
+        return decision
+
+    monkeypatch.setattr(node, 'steady_now', lambda: shown[0])
+    monkeypatch.setattr(node._core, '_clock', lambda: shown[0])
+    monkeypatch.setattr(node._core.planner, 'step', lasting)
     monkeypatch.setattr(node._core.planner, 'sent', lambda command, _at: sent.append(command))
-    hear(node, 'goal')
-    for seconds in (0.0, 1000.0, 0.0):  # between two readings of the clock
-        monkeypatch.setattr(node._core, '_clock', count(step=seconds).__next__)
+    for _ in range(3):
+        hear(node, 'goal')
         hear(node, 'odom')
         reports.append(node._decision)
     assert [each.command for each in reports] == sent

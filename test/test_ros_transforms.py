@@ -29,7 +29,7 @@ def avoiding(**given):
 
 
 def inputs(**given):
-    return Inputs(avoiding(**given), others=(OTHER,))
+    return Inputs(avoiding(**given))
 
 
 def in_map(seconds):

@@ -34,7 +34,7 @@ from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag
-from orbimpc_ros.tool.offline import OfflinePlanner, resolved
+from orbimpc_ros.tool.offline import OfflinePlanner
 from orbimpc_ros.tool.recording import (
     RecordedTick,
     Recording,
@@ -455,7 +455,7 @@ def flown(late):
 
     Messages on ``late`` topics were sent before a tick and heard after it.
     """
-    planner = OfflinePlanner(AVOIDING, '/uav1/planner', resolved(AVOIDING, '/uav1'))
+    planner = OfflinePlanner(AVOIDING, '/uav1/planner')
     told, answers, pending, clearances = [], [], [], []
 
     def hear(each):
@@ -500,7 +500,7 @@ def test_what_was_heard_late_makes_a_difference():
 def test_frames_that_are_not_heard_make_a_difference():
     recording, deaf = flown(())[0], replace(AVOIDING, tf=False)
     (refused,) = next(iter(replayed(recording, deaf, simulated=False))).refusals
-    assert refused.startswith('goal refused: header.frame_id')
+    assert refused.startswith('/uav1/goal refused: header.frame_id')
 
 
 def test_frames_are_read_from_a_bag(tmp_path):

@@ -59,10 +59,6 @@ class Odometry(ByContent):
     body_velocity: Array
     body_rate: Array
 
-    def __post_init__(self) -> None:
-        for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
-            array.setflags(write=False)
-
 
 @dataclass(frozen=True, eq=False)
 class WindReport(ByContent):

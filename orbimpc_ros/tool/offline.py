@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.core import PLAN, Core, others, planner_of
+from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
@@ -28,13 +28,9 @@ EPOCH = 1_700_000_000 * SECOND  # start of flights in this process, so that stam
 Clock = Callable[[], float]
 
 
-def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
-    """Return the full names of the topics of other vehicles' plans, as a node resolves them."""
-
-    def resolve(topic: str) -> str:
-        return topic if topic.startswith('/') else f'{namespace}/{topic}'
-
-    return others(settings.avoid, resolve(PLAN), resolve)
+def resolving(namespace: str) -> Callable[[str], str]:
+    """Return a function that makes a topic's full name, like a node in the namespace."""
+    return lambda topic: topic if topic.startswith('/') else f'{namespace}/{topic}'
 
 
 class OfflinePlanner(Core):
@@ -42,8 +38,7 @@ class OfflinePlanner(Core):
 
     Args:
         settings: of the planner.
-        node: its name.
-        avoided: topics of other vehicles' plans, by their full names.
+        node: its name, with its namespace.
         clock: for deadlines [s]; None to solve without deadlines, so that results do not depend on
             the machine.
         planner: that decides; by default the planner of the package.
@@ -56,12 +51,12 @@ class OfflinePlanner(Core):
         self,
         settings: PlannerSettings,
         node: str = '/planner',
-        avoided: Sequence[str] = (),
         clock: Clock | None = None,
         planner: Planner | None = None,
     ) -> None:
         chosen = planner_of(settings)[1] if planner is None else planner
-        super().__init__(settings, chosen, clock=clock, others=avoided)
+        resolve = resolving(node.rpartition('/')[0])
+        super().__init__(settings, chosen, clock=clock, resolve=resolve)
         self._node = node
         self.decision: Decision | None = None
 
@@ -97,10 +92,9 @@ class OfflinePlanner(Core):
             decision = replace(decision, solve_time_ms=solve_time_ms)
         self.decision = decision
         at = Stamp(stamp, self.settings.frames if known is None else known.stamp.frames)
-        oriented = known is not None
         return {
-            **command_messages(self.settings, at, decision.command),
-            **report_messages(self.settings, at, decision, self._node, oriented=oriented),
+            **command_messages(self.settings, at, decision.command, oriented=known is not None),
+            **report_messages(self.settings, at, decision, self._node),
         }
 
     def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:

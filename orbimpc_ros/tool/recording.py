@@ -26,7 +26,7 @@ from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import Message, fields, point, stamp_of
-from orbimpc_ros.tool.offline import OfflinePlanner, resolved
+from orbimpc_ros.tool.offline import OfflinePlanner
 
 CLOCK = '/clock'
 TREE = tuple(topic.name for topic in topics.TREE)
@@ -177,8 +177,7 @@ def replayed(
         settings: of the planner.
         simulated: whether its time came from ``/clock``.
     """
-    avoided = resolved(settings, recording.namespace)
-    planner = OfflinePlanner(settings, f'{recording.namespace}/planner', avoided)
+    planner = OfflinePlanner(settings, f'{recording.namespace}/planner')
     feed = Feed(planner, recording, simulated)
     for recorded in recording.answers:
         refusals = tuple(feed.until(recorded))

@@ -19,8 +19,9 @@ from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
+from orbimpc_ros.ros.planner.core import others
 from orbimpc_ros.tool import history, settings
-from orbimpc_ros.tool.offline import resolved
+from orbimpc_ros.tool.offline import resolving
 from orbimpc_ros.tool.recording import Answer, Recording, ReplayedTick, recording_of, replayed
 
 LINES = 20  # differences printed individually
@@ -73,7 +74,7 @@ def opened(
             raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
         values = settings.changed(settings.read('{}') if noted is None else noted, changes)
     planner = planner_settings(values)
-    recording = recording_of(path, namespace, resolved(planner, namespace))
+    recording = recording_of(path, namespace, others(planner, resolving(namespace)))
     return recording, planner, bool(values.get('use_sim_time', recording.simulated))
 
 

@@ -12,7 +12,7 @@ import math
 import statistics
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -54,7 +54,6 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
 GOALS = ('goal', 'goal_path')
 OBSTACLES, PLAN = 'obstacles', 'plan'
 TRANSFORMS = (TF, TF_STATIC)
-NAMED = (*READ, *messages.POSE_TWIST, OBSTACLES, PLAN)  # topics whose resolved names are needed
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
 RESET = Reason(Cause.RESET, 'reset')
 DISABLED = Reason(Cause.DISABLED, 'disabled')
@@ -104,10 +103,10 @@ class Inputs:
 
     Args:
         settings: dimension, frames, timeouts and limits.
-        names: resolved names of topics, by their names here.
-        others: resolved topics of other vehicles' plans.
+        resolve: makes a topic's full name.
 
     Attributes:
+        others: topics of other vehicles' plans, without one's own.
         lag: how far the ROS clock may trail: simulated time advances only with messages [s].
         latest: message of each topic that has one.
         forecast: predicts the goal from its sightings.
@@ -123,14 +122,9 @@ class Inputs:
             they plan one after the other, in the order of the names of their plans.
     """
 
-    def __init__(
-        self,
-        settings: PlannerSettings,
-        names: Mapping[str, str] | None = None,
-        others: Iterable[str] = (),
-    ) -> None:
-        self.settings, self.others, self.lag = settings, tuple(others), 0.0
-        self.names = {each: each for each in NAMED} | dict(names or {})
+    def __init__(self, settings: PlannerSettings, resolve: Callable[[str], str] = str) -> None:
+        self.settings, self._resolve, self.lag = settings, resolve, 0.0
+        self.others = others(settings, resolve)
         self.latest: dict[str, Received[Any]] = {}
         self.forecast = FORECASTS[settings.goal_prediction]()
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
@@ -139,7 +133,7 @@ class Inputs:
         self.bodies, self._synchronizer = Bodies(), messages.PoseTwistSynchronizer()
         self.agents: dict[str, AgentTrajectory] = {}
         self.traffic_stamps: dict[str, int] = {}
-        self.leaders = tuple(name for name in self.others if name < self.names[PLAN])
+        self.leaders = tuple(name for name in self.others if name < resolve(PLAN))
         self._periods: dict[str, int] = {}  # period of another vehicle's plans [ns]
         self._timed: set[str] = set()  # topics with stamps on the node's own clock
         # Topics that share the stamp of the latest odometry, and whether they did before.
@@ -185,7 +179,7 @@ class Inputs:
                 self._take_plan(topic, message, ros)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
-            return f'{self.names.get(topic, topic)} refused: {error}'
+            return f'{self._named(topic)} refused: {error}'
         time = self._time
         self._shares.update(t for t, stamp in self._stamps.items() if stamp == time)
         return odd
@@ -364,7 +358,7 @@ class Inputs:
         self.traffic_stamps[OBSTACLES] = stamp_of(message)
         self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
         more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
-        return f'{self.names[OBSTACLES]}{odd[0][1]}{more}' if odd else ''
+        return f'{self._named(OBSTACLES)}{odd[0][1]}{more}' if odd else ''
 
     def _take_marker(self, marker: Any, ros: int | None) -> tuple[str, str] | None:
         """Take in a marker; return culprit and description if it is rejected or unusual."""
@@ -478,20 +472,24 @@ class Inputs:
         """Describe the missing inputs without which there is no plan; empty if complete."""
         latest, absent = self.latest, []
         if 'odom' not in latest:
-            absent.append(f'odometry on {self.names["odom"]}')
+            absent.append(f'odometry on {self._named("odom")}')
         goals = [latest[topic] for topic in GOALS if topic in latest]
         if not goals:
-            absent.append(f'a goal on {self.names["goal"]} or {self.names["goal_path"]}')
+            absent.append(f'a goal on {" or ".join(map(self._named, GOALS))}')
         elif self.settings.wants_attitude and all(g.value.attitude is None for g in goals):
-            topics = f'{self.names["goal"]} or {self.names["goal_path"]}'
-            absent.append(f'a goal with a yaw on {topics}')
+            absent.append(f'a goal with a yaw on {" or ".join(map(self._named, GOALS))}')
         return ' and '.join(absent)
+
+    def _named(self, topic: str) -> str:
+        """Return the full name of a topic, or of the two that odometry comes on."""
+        halves = topic == 'odom' and self.settings.odometry == 'pose_twist'
+        return ' and '.join(map(self._resolve, messages.POSE_TWIST if halves else (topic,)))
 
     @property
     def untimed(self) -> str:
         """Return the sources whose stamps are not on this node's clock."""
         found = (t for t in READ if t in self.latest and self.latest[t].timed is False)
-        return ', '.join(self.names[topic] for topic in found)
+        return ', '.join(map(self._named, found))
 
     # --- inputs of decisions
 
@@ -603,15 +601,10 @@ def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerS
         raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
 
 
-def others(avoid: Iterable[str], own: str, resolve: Callable[[str], str]) -> tuple[str, ...]:
-    """Return the topics of other vehicles' plans, without one's own: a fleet may share its list.
-
-    Args:
-        avoid: topics, as given.
-        own: the topic of one's own plans.
-        resolve: makes a topic's full name.
-    """
-    return tuple(name for name in dict.fromkeys(map(resolve, avoid)) if name != own)
+def others(settings: PlannerSettings, resolve: Callable[[str], str]) -> tuple[str, ...]:
+    """Return the topics of other vehicles' plans, without one's own: a fleet may share its list."""
+    named = dict.fromkeys(map(resolve, settings.avoid))
+    return tuple(name for name in named if name != resolve(PLAN))
 
 
 def _place(value: GoalObservation | GoalTrajectory, time: float) -> Array:
@@ -644,8 +637,7 @@ class Core:
         clock: of deadlines [s]; None for solves without a deadline, so that results do not depend
             on the machine.
         counted: whether deadlines are measured by work instead while goals come with odometry.
-        names: resolved names of topics, by their names here.
-        others: resolved topics of other vehicles' plans.
+        resolve: makes a topic's full name.
 
     Attributes:
         settings: of the planner.
@@ -654,7 +646,6 @@ class Core:
         counts: ``deadline misses``, decisions that exceeded their deadline; ``overruns``, decisions
             that exceeded their period.
         seen: snapshot of the last decision.
-        outdated: why the last plan, which took too long, may not be followed; None if it may.
     """
 
     def __init__(
@@ -665,15 +656,13 @@ class Core:
         simulated: bool = True,
         clock: Callable[[], float] | None = time.perf_counter,
         counted: bool = False,
-        names: Mapping[str, str] | None = None,
-        others: Sequence[str] = (),
+        resolve: Callable[[str], str] = str,
     ) -> None:
         self.settings, self.planner = settings, planner
-        self.inputs = Inputs(settings, names, others)
+        self.inputs = Inputs(settings, resolve)
         self.counts = Counter({'deadline misses': 0, 'overruns': 0})
         self._recent: deque[float] = deque(maxlen=RECENT)  # durations of decisions [s]
         self.seen = Snapshot()
-        self.outdated: Reason | None = None
         self._simulated, self._counted = simulated, counted
         self._clock, self._unlimited = clock or time.perf_counter, clock is None
         self._deadline = Deadline(self._clock, math.inf)  # of the last decision
@@ -738,10 +727,6 @@ class Core:
         took = self._clock() - begun
         if decision.state is None:
             return decision
-        self.outdated = None
-        if snapshot.odometry_age + took > self.settings.odom_timeout:
-            later = ros if ros is None or self._simulated else ros + round(took * SECOND)
-            self.outdated = self.unsafe(now + took, later)
         self._recent.append(took)
         self.counts['deadline misses'] += took > self.settings.deadline
         self.counts['overruns'] += took > self.settings.period

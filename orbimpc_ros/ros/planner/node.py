@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -161,17 +161,13 @@ class PlannerNode(Managed):
             known = settings.frames, self._switched, partial(self._log, warn=True)
             self._wing = WINGS[settings.autopilot](self, *known)
         settings, planner = planner_of(settings)
-        names = {topic: self.resolve_topic_name(topic) for topic in core.NAMED}
-        if settings.odometry == 'pose_twist':
-            names['odom'] = ' and '.join(map(self.resolve_topic_name, POSE_TWIST))
         self._frame_check = VelocityFrameCheck(settings.frames.velocity)
         self._core = Core(
             settings,
             planner,
             simulated=self._time.simulated,
             counted=self._time.simulated,
-            names=names,
-            others=core.others(settings.avoid, names[core.PLAN], self.resolve_topic_name),
+            resolve=self.resolve_topic_name,
         )
         self._core.inputs.lag = settings.step if self._time.simulated else 0.0
         self._create_subscriptions(settings)
@@ -183,7 +179,6 @@ class PlannerNode(Managed):
 
     def activate(self) -> None:
         """Plan and command, based on messages from now on."""
-        self._patience.cancel()
         self._core.inputs.latest.clear()  # including a goal sent by hand
         self._core.start_afresh()
         self._begin_anew()
@@ -200,18 +195,17 @@ class PlannerNode(Managed):
     # --- wiring
 
     def _create_publishers(self, settings: PlannerSettings) -> None:
+        kinds = {topic: (message_of(topic), qos(lease=LIFE)) for topic in outputs.outputs(settings)}
+        kinds |= dict.fromkeys(EVENTS, (Bool, LATCHED))
+        kinds |= {f'~/{name}': (Float64, qos()) for name in NUMBERS}
+        kinds['/diagnostics'] = message_of('/diagnostics'), qos()
         self._publishers_of: dict[str, Publisher] = {
-            topic: self.create_publisher(
-                message_of(topic), topic, qos(lease=LIFE), event_callbacks=UNSENT
-            )
-            for topic in outputs.outputs(settings)
+            topic: self.create_publisher(kind, topic, profile, event_callbacks=UNSENT)
+            for topic, (kind, profile) in kinds.items()
         }
         self._begin_anew()
-        self._event_publishers = {n: self.create_publisher(Bool, n, LATCHED) for n in EVENTS}
         self._events, self._shown = Events(), dict[str, bool]()
         self._publish_events()
-        self._numbers = {n: self.create_publisher(Float64, f'~/{n}', qos()) for n in NUMBERS}
-        self._health = self.create_publisher(message_of('/diagnostics'), '/diagnostics', qos())
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as last published
 
     def _begin_anew(self) -> None:
@@ -220,6 +214,7 @@ class PlannerNode(Managed):
         self._stamp = Stamp(0)  # of the answered odometry
         self._answered = -1  # stamp of the last answered odometry [ns]
         self._decision: Decision | None = None  # the last one
+        self._waits = 0  # checks until odometry waits no longer for its companions
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
         odometry = POSE_TWIST if settings.odometry == 'pose_twist' else ('odom',)
@@ -266,10 +261,8 @@ class PlannerNode(Managed):
         if settings.trigger == 'timer':
             # In ROS time: simulated time sets the pace. All monitoring uses the steady clock.
             self.create_timer(settings.period, self.at_work(self._on_timer))
-        self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
-        self._patience.cancel()
         self._watch_period = min(WATCH, 0.5 * settings.period)
-        self._watchman = self.every(self._watch_period, self._watch)
+        self._watchman = self.every(self._watch_period, self._on_watch)
         # In all states: an inactive planner reports that it is inactive.
         self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
 
@@ -316,11 +309,15 @@ class PlannerNode(Managed):
 
     def _wait(self) -> None:
         """Let new odometry wait for a while for messages that belong to it."""
-        if self._core.inputs.missing:
+        inputs = self._core.inputs
+        if inputs.missing:
             self._show_changes()
-        elif self._patience.is_canceled():
-            self._waits = self._patience_left
-            self._patience.reset()
+        elif not self._waits:
+            leaders = set(inputs.leaders).intersection(inputs.companions)
+            standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
+            patience = standing if self._time.simulated else GOAL_PATIENCE
+            # Counted in checks, at least two: after a stall, queued messages come first.
+            self._waits = math.ceil(patience / self._watch_period)
 
     def _on_engaged(self, message: Bool) -> None:
         """Start to command, from a fresh state, or fall silent at once."""
@@ -353,23 +350,7 @@ class PlannerNode(Managed):
             return
         self._send(self._first)
         if self._decision is not None:
-            self._tell(self._decision, self._heard)  # also for new subscribers
-
-    @property
-    def _patience_left(self) -> int:
-        """Return the number of timer calls for which odometry waits for its companions."""
-        inputs = self._core.inputs
-        leaders = set(inputs.leaders).intersection(inputs.companions)
-        standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
-        patience = standing if self._time.simulated else GOAL_PATIENCE
-        return round(patience / (0.5 * GOAL_PATIENCE))
-
-    def _on_patience(self) -> None:
-        # On the second call at the earliest: after a stall, queued messages come first.
-        self._waits -= 1
-        if self._waits == 0:
-            self._patience.cancel()
-            self._plan_if_nothing_is_missing()
+            self._report(self._decision)  # also for new subscribers
 
     def _on_timer(self) -> None:
         now, late = self._time.nanoseconds / SECOND, LATE * self._core.settings.period
@@ -387,12 +368,13 @@ class PlannerNode(Managed):
 
     def _answer(self, decision: Decision) -> None:
         """Publish the decision on the latest odometry, and monitor while there is time."""
-        self._patience.cancel()
-        odometry, outdated = self._core.inputs.latest['odom'], self._core.outdated
-        if decision.state is not None and outdated is not None:
-            decision = self._core.decide(self.steady_now(), self.ros_now, outdated)
-        self._publish(odometry.stamp, decision)
-        self._answered = odometry.stamp.nanoseconds
+        self._waits = 0
+        stamp = self._core.inputs.latest['odom'].stamp
+        age = self._core.seen.odometry_age + 1e-3 * decision.solve_time_ms
+        if decision.state is not None and age > self._core.settings.odom_timeout:  # meanwhile
+            decision = self._core.decide(self.steady_now(), self.ros_now, self._stop())
+        self._publish(stamp, decision)
+        self._answered = stamp.nanoseconds
         self._look_for_events()
         # The next odometry must not wait and is farthest away now: monitor if that is due soon.
         if self.steady_now() - self._watched >= 0.5 * self._watch_period:
@@ -429,32 +411,30 @@ class PlannerNode(Managed):
 
     def _publish(self, stamp: Stamp, decision: Decision) -> None:
         command, settings = decision.command, self._core.settings
-        self._first = outputs.command_messages(settings, stamp, command)
+        oriented = 'odom' in self._core.inputs.latest
+        self._first = outputs.command_messages(settings, stamp, command, oriented=oriented)
         self._send(self._first)
         if self._wing is not None and self._gate and not settings.dry_run:
             of_plan = settings.problem.forward, settings.problem.step, settings.period
             self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
         if self._engaged and not settings.dry_run:
             self._core.planner.sent(command, self._time.nanoseconds / SECOND)
-        self._stamp, heard = stamp, self._heard
-        self._tell(decision, heard - outputs.CLAIMS)  # sent after the commands
-        self._decision = self._core.proved(decision, catches='certificate' in heard)
-        self._tell(self._decision, heard & outputs.CLAIMS)
-        self._publish_numbers(outputs.numbers(self._decision))
+        self._stamp = stamp
+        self._decision = self._core.proved(decision, catches=self._is_heard('certificate'))
+        self._report(self._decision)
         self._show_changes()
 
-    @property
-    def _heard(self) -> frozenset[str]:
-        """Return the topics that have subscribers."""
-        ends = self._publishers_of.items()
-        return frozenset(topic for topic, each in ends if each.get_subscription_count())
+    def _is_heard(self, topic: str) -> bool:
+        """Return True if a topic has subscribers."""
+        publisher = self._publishers_of.get(topic)
+        return publisher is not None and publisher.get_subscription_count() > 0
 
-    def _tell(self, decision: Decision, topics: Set[str]) -> None:
+    def _report(self, decision: Decision) -> None:
         """Publish reports of a decision on topics that have subscribers."""
-        known, name = self._core.inputs.odometry is not None, self.get_fully_qualified_name()
-        made = self._core.settings, self._stamp, decision, name
-        self._send(outputs.report_messages(*made, oriented=known, heard=topics))
-        if 'certificate' in topics:
+        known = self._core.settings, self._stamp, decision, self.get_fully_qualified_name()
+        heard = [*filter(self._is_heard, self._publishers_of)]
+        self._send(outputs.report_messages(*known, heard))
+        if 'certificate' in heard:
             self._send(outputs.refutation_messages(decision))
 
     def _send(self, messages: Mapping[str, Any]) -> None:
@@ -463,12 +443,6 @@ class PlannerNode(Managed):
             if wanted and topic in self._publishers_of:  # no commands on a dry run
                 self._publishers_of[topic].publish(message)
         self._sent_at = self.steady_now()
-
-    def _publish_numbers(self, found: Mapping[str, float]) -> None:
-        """Publish numbers, each on its own topic, if it has subscribers."""
-        for name, number in found.items():
-            if self._numbers[name].get_subscription_count():
-                self._numbers[name].publish(Float64(data=float(number)))
 
     def _look_for_events(self) -> None:
         """Check whether the latest odometry shows that the goal is caught or reached."""
@@ -481,18 +455,26 @@ class PlannerNode(Managed):
             approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
         within = settings.goal_radius, settings.odom_timeout, approach
         self._events.note(known.value, goal, *within)
-        self._publish_numbers({'distance': math.dist(known.value.position, goal)})
+        self._send({'~/distance': Float64(data=math.dist(known.value.position, goal))})
         self._publish_events()
 
     def _publish_events(self) -> None:
         """Publish events that have changed."""
-        for name, publisher in self._event_publishers.items():
+        for name in EVENTS:
             holds = getattr(self._events, name)
             if holds != self._shown.get(name):
-                publisher.publish(Bool(data=holds))
+                self._publishers_of[name].publish(Bool(data=holds))
                 self._shown[name] = holds
 
     # --- watching
+
+    def _on_watch(self) -> None:
+        """Let odometry wait no longer if its time is up, else monitor."""
+        waited, self._waits = self._waits, max(0, self._waits - 1)
+        if waited == 1:
+            self._plan_if_nothing_is_missing()
+        else:
+            self._watch()
 
     def _watch(self) -> None:
         """Repeat the safe command every period while it is not safe to follow a plan."""
@@ -568,7 +550,7 @@ class PlannerNode(Managed):
         }
         now, name = self._time.nanoseconds, self.get_fully_qualified_name()
         message = health_message(now, name, 'condition', self._level, '; '.join(parts), values)
-        self._health.publish(message)
+        self._publishers_of['/diagnostics'].publish(message)
 
     def _log(self, text: str, *, warn: bool = False) -> None:
         """Log a line, unless the same, apart from numbers, was logged recently."""
@@ -600,7 +582,7 @@ class PlannerNode(Managed):
 
     def _start_afresh(self, why: str, reason: Reason = core.AFRESH) -> None:
         self.get_logger().warning(f'{reason.words}: {why}')
-        self._patience.cancel()
+        self._waits = 0
         self._core.start_afresh(wind=reason is core.RESET)
         self._answered = -1
         self._events.begin()

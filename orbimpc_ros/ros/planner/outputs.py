@@ -12,7 +12,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Path
-from std_msgs.msg import UInt8MultiArray
+from std_msgs.msg import Float64, UInt8MultiArray
 
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.loop.traffic import clearance
@@ -29,11 +29,9 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 
-# Topics of decisions, and of commands to the vehicle.
+# Topics of decisions, and of commands to the vehicle, which are sent first.
 REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
 COMMANDS = ('cmd_vel', 'rotation', 'cmd_thrust', 'thrust')
-TOPICS = frozenset({*REPORTS, *COMMANDS})
-CLAIMS = frozenset({'tick', 'certificate'})  # sent after proofs
 UNHEARD: dict[str, Any] = {'goal_stamps': {}, 'goal_counts': {}, 'traffic_stamps': {}}
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient above which a plan is not optimal
 LONGEST = 60  # steps; prices of longer plans take milliseconds
@@ -157,16 +155,26 @@ def outputs(settings: PlannerSettings) -> list[str]:
     return [topic for topic in topics if wanted.get(topic, True)]
 
 
-def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) -> dict[str, Any]:
-    """Return the messages to the vehicle, by topic; they are sent first."""
+def command_messages(
+    settings: PlannerSettings, stamp: Stamp, command: Command, *, oriented: bool = True
+) -> dict[str, Any]:
+    """Return the messages to the vehicle, by topic; they are sent first.
+
+    Args:
+        settings: source of the problem.
+        stamp: of the answered odometry.
+        command: to send.
+        oriented: whether the vehicle's attitude is known, so that one can be commanded.
+    """
     problem = settings.problem
     pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
-    if problem.translation_order == 1:
-        return {'cmd_vel': messages.twist_message(stamp, pushed, command.body_rate)}
-    found = {
-        'cmd_thrust': messages.wrench_message(stamp, settings.mass * pushed),
-        'cmd_vel': messages.twist_message(stamp, 0.0, command.body_rate),
-    }
+    speed = 0.0 if problem.inertial else pushed
+    found: dict[str, Any] = {}
+    if problem.inertial:
+        found['cmd_thrust'] = messages.wrench_message(stamp, settings.mass * pushed)
+    found['cmd_vel'] = messages.twist_message(stamp, speed, command.body_rate)
+    if oriented:
+        found['rotation'] = messages.rotation_message(stamp, command)
     if settings.hover_thrust:
         share = settings.hover_thrust * pushed / settings.gravity
         head = messages.header(stamp.nanoseconds, stamp.frames.body)
@@ -179,9 +187,7 @@ def report_messages(
     stamp: Stamp,
     decision: Decision,
     node: str,
-    *,
-    oriented: bool,
-    heard: Collection[str] = TOPICS,
+    heard: Collection[str] = REPORTS,
 ) -> dict[str, Any]:
     """Return the messages to all other receivers, by topic.
 
@@ -190,10 +196,13 @@ def report_messages(
         stamp: of the answered odometry.
         decision: the answer.
         node: name of the planner.
-        oriented: whether the vehicle's attitude is known, so that one can be commanded.
         heard: topics with subscribers; others are not computed.
     """
-    made: dict[str, Any] = {}
+    made: dict[str, Any] = {
+        f'~/{name}': Float64(data=float(number))
+        for name, number in numbers(decision).items()
+        if f'~/{name}' in heard
+    }
     if 'tick' in heard:
         made['tick'] = tick_message(stamp.nanoseconds, node, decision)
     if 'plan' in heard:
@@ -203,8 +212,6 @@ def report_messages(
         made['plan_markers'] = plan_markers(stamp, *known)
     if 'certificate' in heard and settings.publish_certificate:
         made['certificate'] = _certificate(decision)
-    if 'rotation' in heard and oriented:
-        made['rotation'] = messages.rotation_message(stamp, decision.command)
     return {topic: message for topic, message in made.items() if message is not None}
 
 
