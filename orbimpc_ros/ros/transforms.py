@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import islice
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Transform
@@ -25,12 +27,58 @@ from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND
 
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters.planner import PlannerSettings
+
 TF, TF_STATIC = '/tf', '/tf_static'
-KEPT = 10 * SECOND  # [ns] of history of each transform of /tf, as in tf2
-MOST_SAMPLES = 4096  # per transform
+MOST_SAMPLES = 4096  # kept of each transform
 MOST_FRAMES = 1024
 ON = 'set tf: true, or give transforms'
 FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
+
+
+@dataclass
+class Edge:
+    """The transform of a frame to its parent.
+
+    Attributes:
+        parent: frame.
+        fixed: whether it is permanent.
+        samples: stamps [ns] and transforms, in order of time.
+    """
+
+    parent: str
+    fixed: bool
+    samples: deque[tuple[int, Transform]] = field(
+        default_factory=lambda: deque(maxlen=MOST_SAMPLES)
+    )
+
+    def at(self, stamp: int, patience: float, name: str) -> Array:
+        """Return the matrix at a stamp [ns]; the latest one for a stamp of 0, as in tf2.
+
+        Raises:
+            BadInput: the stamp is before the first sample or too long after the last, or the
+                transform is not valid.
+        """
+        if self.fixed or not stamp:
+            stamp = self.samples[-1][0]
+        k = bisect_right(self.samples, stamp, key=lambda sample: sample[0])
+        if k == 0:
+            before = (self.samples[0][0] - stamp) / SECOND
+            problem = f'{name} is known only from {before:.3g} s later on'
+            hint = 'give stamps within its history'
+            raise BadInput.stating('extrapolated transform', problem, hint)
+        (at, found), *later = (
+            (stamp, matrix(*messages.read_transform(transform, name)))
+            for stamp, transform in islice(self.samples, k - 1, k + 1)
+        )
+        for end, then in later:
+            return between(found, then, (stamp - at) / (end - at))
+        if (age := (stamp - at) / SECOND) > patience:
+            problem = f'{name} is {age:.3g} s older than the message'
+            hint = f'at most transform_timeout, {patience:g} s'
+            raise BadInput.stating('stale transform', problem, hint)
+        return found
 
 
 def stated(lines: Iterable[str]) -> dict[str, Edge]:
@@ -51,7 +99,9 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
         if child in found:
             raise BadInput('transforms', line, f'one parent of {child}')
         roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
-        found[child] = Edge(parent, matrix(yaw @ pitch @ roll, numbers[:3]))
+        turned = messages.quaternion(yaw @ pitch @ roll)
+        transform = Transform(translation=messages.vector(numbers[:3]), rotation=turned)
+        found[child] = Edge(parent, True, deque([(0, transform)]))
     return found
 
 
@@ -62,12 +112,6 @@ def matrix(rotation: Array, translation: Array) -> Array:
     return made
 
 
-def inverse(transform: Array) -> Array:
-    """Return the inverse, the matrix from the parent to the child."""
-    back = transform[:3, :3].T
-    return matrix(back, -back @ transform[:3, 3])
-
-
 def between(first: Array, then: Array, share: float) -> Array:
     """Return the transform interpolated between two, at a share of the way."""
     turn = log(first[:3, :3].T @ then[:3, :3])
@@ -75,80 +119,23 @@ def between(first: Array, then: Array, share: float) -> Array:
     return matrix(first[:3, :3] @ exp(share * turn), first[:3, 3] + share * way)
 
 
-@dataclass
-class Edge:
-    """The transform of a frame to its parent.
-
-    Attributes:
-        parent: frame.
-        fixed: the matrix of a permanent transform.
-        samples: stamps [ns] and transforms of ``/tf``, in order of time.
-    """
-
-    parent: str
-    fixed: Array | None = None
-    samples: list[tuple[int, Transform]] = field(default_factory=list)
-
-    def note(self, stamp: int, transform: Transform) -> None:
-        """Take in a sample if it is later than the last."""
-        if self.samples and stamp <= self.samples[-1][0]:
-            return
-        self.samples.append((stamp, transform))
-        old = bisect_right(self.samples, stamp - KEPT - 1, key=lambda sample: sample[0])
-        del self.samples[: max(old, len(self.samples) - MOST_SAMPLES)]
-
-    def at(self, stamp: int, patience: float, name: str) -> Array:
-        """Return the matrix at a stamp [ns]; the latest one for a stamp of 0, as in tf2.
-
-        Raises:
-            BadInput: the stamp is before the first sample or too long after the last.
-        """
-        if self.fixed is not None:
-            return self.fixed
-        stamp = stamp or self.samples[-1][0]
-        k = bisect_right(self.samples, stamp, key=lambda sample: sample[0])
-        if k == 0:
-            before = (self.samples[0][0] - stamp) / SECOND
-            problem = f'{name} is known only from {before:.3g} s later on'
-            hint = 'give stamps within its history'
-            raise BadInput.stating('extrapolated transform', problem, hint)
-        (at, found), *later = (
-            (stamp, matrix(*messages.read_transform(transform, name)))
-            for stamp, transform in self.samples[k - 1 : k + 1]
-        )
-        for end, then in later:
-            return between(found, then, (stamp - at) / (end - at))
-        if (age := (stamp - at) / SECOND) > patience:
-            problem = f'{name} is {age:.3g} s older than the message'
-            hint = f'at most transform_timeout, {patience:g} s'
-            raise BadInput.stating('stale transform', problem, hint)
-        return found
-
-
 class Transforms:
     """The known transforms, and their application to messages.
 
-    Args:
-        stated: transforms from parameters, by child.
-        patience: validity of the last transform of ``/tf`` [s].
-        listening: whether there is a subscription to ``/tf``.
+    Attributes:
+        settings: with stated transforms, and how long the last transform of ``/tf`` holds.
     """
 
-    def __init__(self, stated: Mapping[str, Edge], patience: float, listening: bool) -> None:
+    def __init__(self, settings: PlannerSettings) -> None:
         self._edges: dict[str, Edge] = {}
-        self._listening = listening
-        self.adopt(stated, patience)
-
-    def adopt(self, stated: Mapping[str, Edge], patience: float) -> None:
-        """Replace the transforms from parameters and the patience."""
-        self._stated, self._patience = stated, patience
+        self.settings = settings
 
     def forget(self) -> None:
         """Forget all transforms except permanent ones."""
-        self._edges = {child: each for child, each in self._edges.items() if each.fixed is not None}
+        self._edges = {child: each for child, each in self._edges.items() if each.fixed}
 
     def hear(self, topic: str, message: Any) -> None:
-        """Take in a tf2_msgs/TFMessage.
+        """Take in a tf2_msgs/TFMessage; samples out of order are ignored.
 
         Raises:
             BadInput: a transform has no valid stamp or frame, or there are too many frames.
@@ -157,16 +144,14 @@ class Transforms:
             parent, child = each.header.frame_id, each.child_frame_id
             if not parent or not child or parent == child:
                 raise BadInput('frames', f'{parent!r} and {child!r}', 'two different names')
-            known = self._edges.get(child)
+            known, fixed = self._edges.get(child), topic == TF_STATIC
             if known is None and len(self._edges) >= MOST_FRAMES:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
-            if topic == TF_STATIC:
-                fixed = matrix(*messages.read_transform(each.transform, f'{parent} -> {child}'))
-                self._edges[child] = Edge(parent, fixed)
-                continue
-            if known is None or known.parent != parent or known.fixed is not None:
-                known = self._edges[child] = Edge(parent)
-            known.note(messages.nanoseconds(each.header.stamp, 'header.stamp'), each.transform)
+            stamp = messages.nanoseconds(each.header.stamp, 'header.stamp')
+            if known is None or fixed or known.fixed or known.parent != parent:
+                known = self._edges[child] = Edge(parent, fixed)
+            if not known.samples or stamp > known.samples[-1][0]:
+                known.samples.append((stamp, each.transform))
 
     def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
         """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
@@ -180,7 +165,7 @@ class Transforms:
             BadInput: there is no transform, or none at that time, or the message is not valid.
         """
         found = message.header.frame_id
-        if not (self._listening or self._stated):
+        if not (self.settings.tf or self.settings.transforms):
             raise BadInput('header.frame_id', repr(found), f'{frame!r}; for others, {ON}')
         stamp = messages.nanoseconds(message.header.stamp, 'header.stamp')
         move = self.between(frame, found, stamp if at is None else at)
@@ -199,10 +184,10 @@ class Transforms:
         up, down = self._ancestry(source), self._ancestry(target)
         common = next((frame for frame in up if frame in down), None)
         if common is None:
-            hint = ON if not self._listening else 'publish it on /tf, or give it in transforms'
+            hint = 'publish it on /tf, or give it in transforms' if self.settings.tf else ON
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)
         rise, fall = (self._product(line[: line.index(common)], stamp) for line in (up, down))
-        return inverse(fall) @ rise
+        return np.asarray(np.linalg.solve(fall, rise))
 
     def _ancestry(self, frame: str) -> list[str]:
         """Return a frame, its parent, and so on to the root; a cycle is followed only once."""
@@ -212,7 +197,7 @@ class Transforms:
         return line
 
     def _edge(self, child: str) -> Edge | None:
-        return self._stated.get(child) or self._edges.get(child)
+        return self.settings.stated_transforms.get(child) or self._edges.get(child)
 
     def _product(self, children: list[str], stamp: int) -> Array:
         """Return the matrix from the first frame of a chain to the parent of the last."""
@@ -220,7 +205,10 @@ class Transforms:
         for child in children:
             edge = self._edge(child)
             assert edge is not None
-            product = edge.at(stamp, self._patience, f'{edge.parent} -> {child}') @ product
+            product = (
+                edge.at(stamp, self.settings.transform_timeout, f'{edge.parent} -> {child}')
+                @ product
+            )
         return product
 
 

@@ -128,8 +128,7 @@ class Inputs:
         self.latest: dict[str, Received[Any]] = {}
         self.forecast = FORECASTS[settings.goal_prediction]()
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
-        known = settings.stated_transforms, settings.transform_timeout, settings.tf
-        self.transforms, self.displaced = Transforms(*known), ''
+        self.transforms, self.displaced = Transforms(settings), ''
         self.bodies, self._synchronizer = Bodies(), messages.PoseTwistSynchronizer()
         self.agents: dict[str, AgentTrajectory] = {}
         self.traffic_stamps: dict[str, int] = {}
@@ -144,8 +143,7 @@ class Inputs:
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts anew from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
-        self.settings = settings
-        self.transforms.adopt(settings.stated_transforms, settings.transform_timeout)
+        self.settings = self.transforms.settings = settings
         if renewed:
             self.forecast = FORECASTS[settings.goal_prediction]()
             if 'goal' in self.latest:
