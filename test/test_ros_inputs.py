@@ -36,7 +36,9 @@ def ahead(inputs, steps, start=None):
 
 
 def path(seconds, places):
-    return messages.goal_path_message(stamp(seconds), 0.1, [np.array(each) for each in places])
+    return messages.path_message(
+        stamp(seconds), 0.1, map(messages.pose, [np.array(each) for each in places])
+    )
 
 
 def oriented(message, w, x, y, z):

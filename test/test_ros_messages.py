@@ -49,7 +49,7 @@ def goal_message():
 
 
 def path_message():
-    return messages.goal_path_message(STAMP, 0.5, list(np.arange(8.0).reshape(4, 2)))
+    return messages.path_message(STAMP, 0.5, map(messages.pose, list(np.arange(8.0).reshape(4, 2))))
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -210,7 +210,7 @@ def test_a_reset_forgets_what_moved(inputs):
 def plan(seconds, step=0.5, speed=1.0, frame='odom'):
     stamp = Stamp(round(seconds * 1e9), Frames(frame))
     places = [np.array([speed * step * k, 3.0]) for k in range(5)]
-    return messages.goal_path_message(stamp, step, places)
+    return messages.path_message(stamp, step, map(messages.pose, places))
 
 
 def test_a_plan_is_kept_clear_of_by_the_radius(inputs):

@@ -170,7 +170,9 @@ def test_bodies_and_plans_are_planned_with_and_who_is_not_heard_is_told_of(launc
     planned_with(crowded, 1, 1.1)
     now = crowded.ticks[-1].header.stamp.sec + 1.0
     places = [np.array([0.1 * k, -0.9]) for k in range(5)]
-    plans.publish(messages.goal_path_message(Stamp(round(now * 1e9), FRAMES), 0.1, places))
+    plans.publish(
+        messages.path_message(Stamp(round(now * 1e9), FRAMES), 0.1, map(messages.pose, places))
+    )
     planned_with(crowded, 2, now)
 
 

@@ -98,7 +98,7 @@ def test_a_goal_is_moved_and_turned_by_a_stated_transform():
 def test_a_path_an_obstacle_and_the_plan_of_another_are_moved():
     box = inputs(transforms=(TURNED,))
     places = [np.array([10.0, 1.0]), np.array([10.0, 2.0])]
-    path = messages.goal_path_message(in_map(1.0), 1.0, places)
+    path = messages.path_message(in_map(1.0), 1.0, map(messages.pose, places))
     assert box.update('goal_path', path, 0.0) == ''
     np.testing.assert_allclose(target(box, 1.5), [1.5, 0.0], atol=1e-12)
     box.update('odom', odometry(1.0), 0.0)

@@ -439,7 +439,7 @@ def inputs(second):
     found = {
         TF: tree(second),
         'obstacles': MarkerArray(markers=[marker]),
-        OTHER: messages.goal_path_message(stamp, 1.0, away),
+        OTHER: messages.path_message(stamp, 1.0, map(messages.pose, away)),
         'goal': messages.goal_message(in_map, np.array([9.0, 0.0])),
         'odom': messages.odometry_message(stamp, measured(vehicle)),
     }

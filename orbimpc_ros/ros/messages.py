@@ -381,9 +381,10 @@ def pushed(vector: Vector3) -> float:
     return vector.x or vector.z
 
 
-def pose(position: Array, rotation: Array) -> Pose:
-    """Return a position, shape (n,), and a rotation, shape (n, n), as a Pose."""
-    return Pose(position=point(position), orientation=quaternion(rotation))
+def pose(position: Array, rotation: Array | None = None) -> Pose:
+    """Return a position, shape (n,), and a rotation, shape (n, n), as a Pose; upright without."""
+    turned = Quaternion() if rotation is None else quaternion(rotation)
+    return Pose(position=point(position), orientation=turned)
 
 
 def twist_message(stamp: Stamp, speed: float, body_rate: Array) -> TwistStamped:
@@ -419,18 +420,7 @@ def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float 
 def goal_message(stamp: Stamp, position: Array) -> PoseStamped:
     """Return the position of the goal, shape (n,) [m], in the world frame."""
     head = header(stamp.nanoseconds, stamp.frames.world)
-    return PoseStamped(header=head, pose=Pose(position=point(position)))
-
-
-def goal_path_message(stamp: Stamp, step: float, positions: Sequence[Array]) -> Path:
-    """Return the future positions of the goal, every ``step`` [s] from the stamp on.
-
-    Args:
-        stamp: of the first position.
-        step: interval [s].
-        positions: in the world frame, each of shape (n,) [m].
-    """
-    return path_message(stamp, step, (Pose(position=point(each)) for each in positions))
+    return PoseStamped(header=head, pose=pose(position))
 
 
 def odometry_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:

@@ -467,7 +467,7 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
             except RuntimeError as error:  # malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
             _require_ros_words(words)
-            return _live(_begun(make))
+            return _lived(make)
     except BadInput as error:
         return _ended(error, BAD_INPUT)
     except rclpy_implementation.RCLError as error:  # for example, security is required but missing
@@ -502,23 +502,22 @@ def _require_ros_words(words: Sequence[str]) -> None:
         raise BadInput.stating('command line', problem, hint)
 
 
-def _begun(make: Callable[[], Managed]) -> Managed:
-    """Return a new node that has begun; if its start fails, it is destroyed.
+def _lived(make: Callable[[], Managed]) -> int:
+    """Make a node, let it live, and destroy it, whatever happens; return its exit code.
 
     Otherwise, its publishers would be deleted at the interpreter's exit, after the context.
     """
     with warnings.catch_warnings():
-        # From failures of rclpy in its own cleanup.
+        # From failures of rclpy in its own cleanup, which follow one that is to be reported.
         warnings.simplefilter('ignore', RuntimeWarning)
         node = make()
         try:
             node.begin()
-        except BaseException:
+            return _live(node)
+        finally:
             _end_within(LAST_RESORT)
-            with suppress(RuntimeError):  # of rclpy; the earlier failure is to be reported
+            with suppress(RuntimeError):
                 node.destroy_node()
-            raise
-        return node
 
 
 def _live(node: Managed) -> int:
@@ -542,7 +541,6 @@ def _live(node: Managed) -> int:
         node.guard(node.safe)(Reason(Cause.SHUTDOWN, 'shutting down'))
     node.flush()
     executor.shutdown()
-    node.destroy_node()
     return node.exit_code or DONE
 
 

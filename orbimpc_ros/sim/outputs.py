@@ -31,7 +31,7 @@ def future(stamp: Stamp, flight: Flight, steps: int) -> Path:
     """Return the path of the goal over a number of steps from now."""
     step, rope = flight.scenario.model.step, flight.scenario.rope
     times = flight.elapsed + step * np.arange(steps + 1)
-    return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
+    return messages.path_message(stamp, step, map(messages.pose, [rope.at(time) for time in times]))
 
 
 def transform(odometry: OdometryMessage) -> TransformStamped:

@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, read, require_attitude
+from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, read
 from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import Message, fields, point, stamp_of
 from orbimpc_ros.tool.offline import OfflinePlanner
@@ -270,7 +270,7 @@ def _acceptable(goal: Message, settings: PlannerSettings) -> bool:
     if settings.tf or settings.transforms:
         settings = replace(settings, frame_id='')
     try:
-        require_attitude(read(goal.topic, goal.content, settings)[1], settings)
+        read(goal.topic, goal.content, settings)
     except BadInput:
         return False
     return True

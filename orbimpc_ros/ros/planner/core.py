@@ -200,7 +200,6 @@ class Inputs:
         if not by_hand:
             self._require_newer(topic, stamp.nanoseconds, fresh=fresh)
         if is_goal:
-            require_attitude(value, settings)
             self._require_near(topic, stamp, value, fresh=fresh)
         timed = None  # before time starts, or without a stamp
         if not by_hand:
@@ -580,23 +579,17 @@ def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, An
     """Return stamp and content of an input; a goal without a frame is in the world frame.
 
     Raises:
-        BadInput: it is not acceptable.
+        BadInput: it is not acceptable; for instance, a goal in the plane needs an attitude, and its
+            x axis is vertical.
     """
     frames = settings.frames
     if topic in GOALS and not message.header.frame_id:
         frames = replace(frames, world='')
-    return READ[topic](message, settings.problem.dimension, frames)
-
-
-def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerSettings) -> None:
-    """Reject a goal without an attitude if one is required.
-
-    Raises:
-        BadInput: in the plane, its x axis is vertical.
-    """
-    if settings.wants_attitude and value.attitude is None:
+    stamp, value = READ[topic](message, settings.problem.dimension, frames)
+    if topic in GOALS and settings.wants_attitude and value.attitude is None:
         asked = 'one that is not vertical: weights.attitude or approach.cone needs its yaw'
         raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
+    return stamp, value
 
 
 def others(settings: PlannerSettings, resolve: Callable[[str], str]) -> tuple[str, ...]:

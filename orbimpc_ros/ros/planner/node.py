@@ -218,9 +218,9 @@ class PlannerNode(Managed):
 
     def _create_subscriptions(self, settings: PlannerSettings) -> None:
         odometry = POSE_TWIST if settings.odometry == 'pose_twist' else ('odom',)
-        plans = dict.fromkeys(self._core.inputs.others, message_of(core.PLAN))
         kinds, listening = {topic: message_of(topic) for topic in (*odometry, *INPUTS)}, {}
-        for topic, kind in (kinds | plans).items():
+        kinds |= dict.fromkeys(self._core.inputs.others, message_of(core.PLAN))
+        for topic, kind in kinds.items():
             # Markers are incremental: losing one omits a body, or keeps one that is gone. So they
             # must be reliable; a lower offer is reported as a mismatch. Other messages are complete
             # in themselves.
