@@ -194,14 +194,14 @@ def test_a_lifetime_ends_by_the_stamps(inputs):
 
 def test_a_reset_forgets_what_moved(inputs):
     inputs.update('obstacles', array(marker(3.5), marker(1.0, number=1)), 0.0)
-    assert inputs.traffic_stamps == {'obstacles': 3_500_000_000}  # the stamp of the first marker
+    assert inputs.heard['traffic_stamps'] == {'obstacles': 3_500_000_000}  # the stamp of the first marker
     assert inputs.update('obstacles', array(), 0.0) == ''
-    assert inputs.traffic_stamps == {'obstacles': 0}
+    assert inputs.heard['traffic_stamps'] == {'obstacles': 0}
     inputs.update(OTHER, plan(1.0), 0.0)
     inputs.latest.clear()
     inputs.start_afresh()
     assert inputs.traffic(1.0) is None
-    assert inputs.traffic_stamps == {}
+    assert inputs.heard['traffic_stamps'] == {}
 
 
 # --- plans of other vehicles

@@ -24,7 +24,7 @@ from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajec
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
 from orbimpc_ros.loop.task import Deadline
-from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, silence
+from orbimpc_ros.loop.traffic import MOST, Bodies, Traffic, silence
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
@@ -78,6 +78,7 @@ class Received(Generic[T]):
         timed: whether its stamp is on the node's clock; None if that is unknown.
         run: number of messages of its source, including this one, in close succession.
         moved: the original message, if it came in another frame.
+        period: of another vehicle's plans; 0 if unknown [ns].
     """
 
     stamp: Stamp
@@ -86,6 +87,7 @@ class Received(Generic[T]):
     timed: bool | None = None
     run: int = 1
     moved: Any = None
+    period: int = 0
 
     def age(self, now: float, ros: int | None = None) -> float:
         """Return its age [s], by arrival or by stamp, whichever is greater."""
@@ -115,8 +117,6 @@ class Inputs:
         transforms: between frames.
         displaced: why a goal in another frame is not transformed; otherwise empty.
         bodies: from ``obstacles``.
-        agents: the latest plans of other vehicles, by topic.
-        traffic_stamps: of the latest message on obstacles and of each plan, by topic [ns].
         leaders: topics of vehicles that plan before this one if stamps are shared. Planners that
             answer odometry of the same time would each avoid the others' previous plans; instead,
             they plan one after the other, in the order of the names of their plans.
@@ -130,10 +130,7 @@ class Inputs:
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         self.transforms, self.displaced = Transforms(settings), ''
         self.bodies, self._synchronizer = Bodies(), messages.PoseTwistSynchronizer()
-        self.agents: dict[str, AgentTrajectory] = {}
-        self.traffic_stamps: dict[str, int] = {}
         self.leaders = tuple(name for name in self.others if name < resolve(PLAN))
-        self._periods: dict[str, int] = {}  # period of another vehicle's plans [ns]
         self._timed: set[str] = set()  # topics with stamps on the node's own clock
         # Topics that share the stamp of the latest odometry, and whether they did before.
         self._shares: set[str] = set()
@@ -152,8 +149,8 @@ class Inputs:
     def start_afresh(self) -> None:
         """Forget all but a goal sent by hand, as after a reset or a clock jump."""
         self._keep_goal_alone()
-        for each in (self.bodies, self.agents, self.traffic_stamps, self._periods, self._timed):
-            each.clear()
+        self.bodies.clear()
+        self._timed.clear()
         self.transforms.forget()
         self._synchronizer = messages.PoseTwistSynchronizer()
 
@@ -172,14 +169,14 @@ class Inputs:
             elif topic in TRANSFORMS:
                 self.transforms.hear(topic, message)
             elif topic == OBSTACLES:
-                odd = self._take_obstacles(message, ros)
+                odd = self._take_obstacles(message, now, ros)
             else:
-                self._take_plan(topic, message, ros)
+                self._take_plan(topic, message, now, ros)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self._named(topic)} refused: {error}'
-        time = self._time
-        self._shares.update(t for t, stamp in self._stamps.items() if stamp == time)
+        stamps = self.stamps(*GOALS, OBSTACLES, *self.others)
+        self._shares.update(topic for topic, stamp in stamps.items() if stamp == self._time)
         return odd
 
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
@@ -318,7 +315,7 @@ class Inputs:
 
     # --- moving obstacles
 
-    def _take_plan(self, topic: str, message: Any, ros: int | None) -> None:
+    def _take_plan(self, topic: str, message: Any, now: float, ros: int | None) -> None:
         """Take in the plan of another vehicle.
 
         Raises:
@@ -327,12 +324,12 @@ class Inputs:
         settings, placed = self.settings, self._placed(message)
         stamp, agent = messages.read_agent(placed, settings.problem.dimension, settings.frames)
         self._require_current(stamp.nanoseconds, COMPARABLE, ros)
-        last = self.traffic_stamps.get(topic, stamp.nanoseconds)
-        if stamp.nanoseconds < last:
+        last = self.latest.get(topic)
+        passed = 0 if last is None else stamp.nanoseconds - last.stamp.nanoseconds
+        if passed < 0:
             raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
-        if last < stamp.nanoseconds:
-            self._periods[topic] = stamp.nanoseconds - last
-        self.agents[topic], self.traffic_stamps[topic] = agent, stamp.nanoseconds
+        period = passed or (0 if last is None else last.period)
+        self.latest[topic] = Received(stamp, agent, now, period=period)
 
     def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
         """Reject a stamp [ns] in the future, or older than a lifetime [s] at the last odometry."""
@@ -344,7 +341,7 @@ class Inputs:
             raise BadInput.stating('unset stamp', '0', NOT_SET)
         raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
 
-    def _take_obstacles(self, message: Any, ros: int | None) -> str:
+    def _take_obstacles(self, message: Any, now: float, ros: int | None) -> str:
         """Take in markers one by one; describe the first rejected or unusual one."""
         odd, count = list[tuple[str, str]](), len(message.markers)  # culprits and descriptions
         if count > MOST:  # reading them all would take too long
@@ -352,7 +349,7 @@ class Inputs:
                 ('count', f' refused: count is {count}; allowed: {MOST}: the rest are ignored')
             )
         odd += filter(None, (self._take_marker(marker, ros) for marker in message.markers[:MOST]))
-        self.traffic_stamps[OBSTACLES] = stamp_of(message)
+        self.latest[OBSTACLES] = Received(Stamp(stamp_of(message)), None, now)
         self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
         more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
         return f'{self._named(OBSTACLES)}{odd[0][1]}{more}' if odd else ''
@@ -377,9 +374,10 @@ class Inputs:
 
     def traffic(self, at: float) -> Traffic | None:
         """Return the traffic at a time [s]; None if there has never been a message."""
-        if not self.traffic_stamps:
+        if not self.latest.keys() & {OBSTACLES, *self.others}:
             return None
-        known = self.bodies.current(at), tuple(self.agents.values())
+        agents = tuple(filter(None, map(self._value, self.others)))
+        known = self.bodies.current(at), agents
         return Traffic(*known, self.settings.obstacle_unseen_speed, self.settings.distance)
 
     def silences(self) -> list[str]:
@@ -387,8 +385,7 @@ class Inputs:
         if self.odometry is None:
             return []
         due = self.odometry.value.time - self.settings.distance.timeout
-        found = (silence(name, self.agents.get(name), due) for name in self.others)
-        return [*filter(None, found)]
+        return [*filter(None, (silence(name, self._value(name), due) for name in self.others))]
 
     # --- messages that belong together
 
@@ -402,16 +399,14 @@ class Inputs:
         known = self.latest.get('odom')
         return -1 if known is None else known.stamp.nanoseconds
 
-    @property
-    def goal_stamps(self) -> dict[str, int]:
-        """Return the stamps of the present goals, by topic [ns]."""
-        latest = self.latest
-        return {topic: latest[topic].stamp.nanoseconds for topic in GOALS if topic in latest}
+    def _value(self, topic: str) -> Any:
+        """Return the content of the latest message of a topic, if any."""
+        return self.latest[topic].value if topic in self.latest else None
 
-    @property
-    def _stamps(self) -> dict[str, int]:
-        """Return the latest stamps of topics that may accompany odometry [ns]."""
-        return self.goal_stamps | self.traffic_stamps
+    def stamps(self, *topics: str) -> dict[str, int]:
+        """Return the latest stamps of those of the topics that have a message [ns]."""
+        latest = self.latest
+        return {topic: latest[topic].stamp.nanoseconds for topic in topics if topic in latest}
 
     def _end_shares(self) -> None:
         """Update statistics of the topics that came with the replaced odometry.
@@ -437,7 +432,7 @@ class Inputs:
     @property
     def in_step(self) -> bool:
         """Return True if goals come with odometry, as from a simulator that waits for answers."""
-        return self._time in self.goal_stamps.values() or bool(self.companions)
+        return self._time in self.stamps(*GOALS).values() or bool(self.companions)
 
     @property
     def complete(self) -> bool:
@@ -447,8 +442,8 @@ class Inputs:
         """
         if self.missing or any(self._is_due(topic) for topic in self.others):
             return False
-        stamps, time = self._stamps, self._time
-        return all(topic in stamps and stamps[topic] >= time for topic in self.companions)
+        stamps = self.stamps(*self.companions)
+        return all(stamps.get(topic, -1) >= self._time for topic in self.companions)
 
     def _is_due(self, topic: str) -> bool:
         """Return True if a vehicle has measured earlier, and its plan is still to come.
@@ -456,13 +451,13 @@ class Inputs:
         This is inferred from its period. Planning without it might lead to a path that crosses its
         new one. For simultaneous measurements, the leaders plan first.
         """
-        period = self._periods.get(topic)
-        if period is None or self.settings.period < UNHURRIED:
+        known, settings = self.latest.get(topic), self.settings
+        if known is None or not known.period or settings.period < UNHURRIED:
             return False
-        late = (self._time - self.traffic_stamps[topic] - period) / SECOND
-        if late + period / SECOND > self.settings.distance.timeout:
+        age, period = (self._time - known.stamp.nanoseconds) / SECOND, known.period / SECOND
+        if age > settings.distance.timeout:
             return False  # it is silent
-        return late > (-TIE if topic in self.leaders else TIE)
+        return age - period > (-TIE if topic in self.leaders else TIE)
 
     @property
     def missing(self) -> str:
@@ -500,10 +495,10 @@ class Inputs:
         """
         model = getattr(self.forecast, 'model', '')
         return {
-            'goal_stamps': self.goal_stamps,
+            'goal_stamps': self.stamps(*GOALS),
             'goal_counts': dict(self.goal_counts),
             **({'goal_model': model} if model else {}),
-            'traffic_stamps': dict(self.traffic_stamps),
+            'traffic_stamps': self.stamps(OBSTACLES, *self.others),
         }
 
     def snapshot(
@@ -530,14 +525,13 @@ class Inputs:
         age = min(ages.values(), default=0.0)
         if known is None:
             return Snapshot(None, motion, wanted, goal_age=age, stop=stop)
-        wind = self.latest.get('wind')
         compensated = self.settings.delay_compensation and known.timed and ros
         return Snapshot(
             odometry=known.value,
             goal=motion,
             wanted=wanted,
             traffic=self.traffic(known.value.time),
-            wind=None if wind is None else wind.value,
+            wind=self._value('wind'),
             odometry_age=known.age(now, ros),
             goal_age=age,
             latency=known.delay(ros) + taking if compensated else 0.0,
