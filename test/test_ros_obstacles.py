@@ -194,7 +194,8 @@ def test_a_lifetime_ends_by_the_stamps(inputs):
 
 def test_a_reset_forgets_what_moved(inputs):
     inputs.update('obstacles', array(marker(3.5), marker(1.0, number=1)), 0.0)
-    assert inputs.heard['traffic_stamps'] == {'obstacles': 3_500_000_000}  # the stamp of the first marker
+    # The stamp is that of the first marker.
+    assert inputs.heard['traffic_stamps'] == {'obstacles': 3_500_000_000}
     assert inputs.update('obstacles', array(), 0.0) == ''
     assert inputs.heard['traffic_stamps'] == {'obstacles': 0}
     inputs.update(OTHER, plan(1.0), 0.0)
