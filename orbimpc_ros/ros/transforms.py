@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Transform
@@ -26,9 +26,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND
-
-if TYPE_CHECKING:
-    from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 TF, TF_STATIC = '/tf', '/tf_static'
 MOST_SAMPLES = 4096  # kept of each transform
@@ -123,10 +120,10 @@ class Transforms:
     """The known transforms, and their application to messages.
 
     Attributes:
-        settings: with stated transforms, and how long the last transform of ``/tf`` holds.
+        settings: of the planner: ``tf``, ``stated_transforms`` and ``transform_timeout``.
     """
 
-    def __init__(self, settings: PlannerSettings) -> None:
+    def __init__(self, settings: Any) -> None:
         self._edges: dict[str, Edge] = {}
         self.settings = settings
 
@@ -165,7 +162,7 @@ class Transforms:
             BadInput: there is no transform, or none at that time, or the message is not valid.
         """
         found = message.header.frame_id
-        if not (self.settings.tf or self.settings.transforms):
+        if not (self.settings.tf or self.settings.stated_transforms):
             raise BadInput('header.frame_id', repr(found), f'{frame!r}; for others, {ON}')
         stamp = messages.nanoseconds(message.header.stamp, 'header.stamp')
         move = self.between(frame, found, stamp if at is None else at)
