@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_482,
+    'orbimpc_ros': 33_479,
     'orbimpc_ros/mpc': 17_026,
     'orbimpc_ros/loop': 3_907,
-    'orbimpc_ros/ros': 4_732,
+    'orbimpc_ros/ros': 4_729,
     'orbimpc_ros/sim': 2_810,
     'orbimpc_ros/tool': 4_825,
     'benchmarks': 3_455,
