@@ -84,18 +84,17 @@ class LaunchedProcess(Child):
             words += ['-r', f'{name}:={other}']
         super().__init__(str(module), words, log, domain)
 
-    def wait(self, patience: float = PATIENCE) -> int | None:
-        return super().wait(patience)
+    def wait(self, timeout: float | None = PATIENCE) -> int:
+        return super().wait(timeout)
 
     def stop(self, number: int = signal.SIGINT) -> int:
-        if self.running:
-            self.tell(number)
-        code = self.wait()
-        if code is None:
-            self.tell(signal.SIGABRT)  # faulthandler prints where each thread hangs
+        self.send_signal(number)
+        try:
+            return self.wait()
+        except subprocess.TimeoutExpired:
+            self.send_signal(signal.SIGABRT)  # faulthandler prints where each thread hangs
             self.wait()
-            raise TimeoutError(f'did not end: {self.output}')
-        return code
+            raise TimeoutError(f'did not end: {self.output}') from None
 
 
 @contextlib.contextmanager

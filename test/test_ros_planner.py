@@ -251,7 +251,7 @@ def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
     planner = launch('planner', {'floor.shape': 'circle'})
     words = 'compiling machine code, only once: function 1, 0 s'
     observer.until(lambda: words in planner.output, words)
-    planner.tell(signal.SIGINT)
+    planner.send_signal(signal.SIGINT)
     assert planner.wait() == 0
     assert 'Traceback' not in planner.output
 
@@ -278,7 +278,7 @@ def test_a_signal_in_a_callback_of_native_code_ends_a_start(name):
 def test_who_has_commanded_nothing_leaves_without_a_command(launch, observer):
     bench = Bench(launch, observer, QUICK)
     bench.says('waits for')
-    bench.planner.tell(signal.SIGINT)
+    bench.planner.send_signal(signal.SIGINT)
     assert bench.planner.wait() == 0
     own = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
     bench.until(own.get_subscription_count, 'this test')

@@ -62,7 +62,7 @@ def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, 
     node = launch(BROKEN.format(refused=refused, hanging=1000.0))
     observer.until(lambda: 'begins' in node.output, 'its begin')
     if not refused:
-        node.tell(signal.SIGTERM)
+        node.send_signal(signal.SIGTERM)
     assert node.wait() == 1
     assert 'in destroy_node' in node.output
 

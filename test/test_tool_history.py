@@ -31,7 +31,7 @@ def at_distances(distances, captured, **changes):
 def test_passing_by_is_closest_on_the_way():
     passing = at_distances([1.0, -1.0], captured=True)
     passing.positions[:, 1] = 0.05
-    (approach,) = passing.approaches
+    approach = passing.capture
     assert approach.time == pytest.approx(10.5)
     assert approach.distance == pytest.approx(0.05)
     np.testing.assert_allclose(approach.vehicle, [0.0, 0.05, 0.0])

@@ -160,7 +160,7 @@ def _signalled(number: int) -> Any:
 def _exit_code(harness: Harness) -> int | None:
     """Return the exit code of the planner; None if it has not ended."""
     harness.spin(PATIENCE, lambda: not harness.planner.running)
-    return harness.planner.wait(0.0)
+    return harness.planner.poll()
 
 
 def _ended(harness: Harness, number: int, case: str) -> Outcome:
@@ -169,7 +169,7 @@ def _ended(harness: Harness, number: int, case: str) -> Outcome:
         return len(last) == FAREWELLS and all(each.safe for each in last)
 
     begin = time.monotonic()
-    harness.planner.tell(number)
+    harness.planner.send_signal(number)
     code, took = _exit_code(harness), time.monotonic() - begin
     harness.spin(PATIENCE, farewell)
     failure = '' if code == 0 else f'exit code {code}'
@@ -233,7 +233,7 @@ def _silenced(flying: Flying, number: int, case: str) -> Outcome:
     flying.until_moving()
     flying.spin(flying.draw.uniform(0.5, 1.5))
     begin = time.monotonic()
-    flying.planner.tell(number)
+    flying.planner.send_signal(number)
     reported = flying.until_first(complaint('stopped'), begin) - begin
     failure = '' if flying.stands() else 'the vehicle moves on'
     return Outcome(case, flying.monitor.broken(), reported, failure)
@@ -251,7 +251,7 @@ def _hung(nodes: str, long: bool) -> Iterator[Outcome]:
     for number in range(6 if long else 1):
         with closing(Flying(nodes, step=0.2, seed=number)) as flying:
             outcome = _silenced(flying, signal.SIGSTOP, f'hung {number + 1}')
-            flying.planner.tell(signal.SIGCONT)
+            flying.planner.send_signal(signal.SIGCONT)
             lost, unsafe = flying.until_over(), flying.monitor.broken()
             yield replace(outcome, unsafe=unsafe, failure=outcome.failure or lost)
 
@@ -262,7 +262,7 @@ def _restarted(nodes: str, long: bool) -> Iterator[Outcome]:
         with closing(Flying(nodes, step=0.2, seed=number)) as flying:
             flying.until_moving()
             flying.spin(flying.draw.uniform(0.0, flying.usual))
-            flying.planner.tell(signal.SIGKILL)
+            flying.planner.send_signal(signal.SIGKILL)
             flying.planner.wait(LEAVE)
             flying.spin(flying.draw.uniform(0.0, 0.5))
             flying.start()

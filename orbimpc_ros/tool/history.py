@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach
-from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import (
@@ -91,36 +90,30 @@ class History:
         apart = self.positions[-1] - self.ropes[-1]
         return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
 
-    @cached_property
-    def approaches(self) -> list[Encounter]:
-        """Return the closest approach during each step, M - 1 of them."""
-        flown, swung = pairwise(self.positions), pairwise(self.ropes)
-        shares = [closest_approach(way, goal)[1] for way, goal in zip(flown, swung, strict=True)]
-        return self.encounters([k + share for k, share in enumerate(shares)])
-
     def encounters(self, steps: Sequence[float] | Array) -> list[Encounter]:
         """Return encounters at fractional indices of odometry, by linear interpolation."""
         known = np.column_stack([self.times, self.positions, self.ropes])
-        found = np.column_stack([np.interp(steps, np.arange(len(known)), c) for c in known.T])
         return [
             Encounter(float(row[0]), math.dist(row[1:4], row[4:]), row[1:4], row[4:])
-            for row in found
+            for row in _interpolated(steps, np.arange(len(known)), known)
         ]
 
-    @property
+    @cached_property
     def moments(self) -> list[Encounter]:
         """Return encounters up to the capture: at odometry and at closest approaches between."""
-        seen = (*self.encounters(range(len(self.times))), *self.approaches)
-        by_time = {moment.time: moment for moment in seen}
-        end = self.end
-        return [by_time[time] for time in sorted(by_time) if time <= end]
+        flown, swung = pairwise(self.positions), pairwise(self.ropes)
+        shares = [closest_approach(way, goal)[1] for way, goal in zip(flown, swung, strict=True)]
+        count = len(self.times)
+        steps = sorted({*range(count), *(k + share for k, share in enumerate(shares))})
+        end = count - 2 + shares[-1] if self._caught else count
+        return self.encounters([step for step in steps if step <= end])
 
     @property
     def near_misses(self) -> list[Encounter]:
         """Return the local minima of the distance that are near the goal but no catch."""
         radius, moments = self.radius, self.moments
         # The catch itself may be outside of the radius if an engine detects contact.
-        margin = 0.0 if self.capture is None else 0.5 * float(self.values['step'])
+        margin = 0.5 * float(self.values['step']) if self._caught else 0.0
         return [
             now
             for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
@@ -132,13 +125,16 @@ class History:
     @property
     def end(self) -> float:
         """Return the time of the catch or, without one, the last time [s]."""
-        return float(self.times[-1]) if self.capture is None else self.capture.time
+        return self.moments[-1].time
 
     @property
     def capture(self) -> Encounter | None:
         """Return the encounter of the catch; None without one, and for an arrival."""
-        caught = self.captured and not self.arrives and len(self.times) > 1
-        return self.approaches[-1] if caught else None
+        return self.moments[-1] if self._caught else None
+
+    @property
+    def _caught(self) -> bool:
+        return self.captured and not self.arrives and len(self.times) > 1
 
     @property
     def way(self) -> Array:
@@ -195,7 +191,11 @@ def of_bag(path: Path, namespace: str = '') -> History:
         attitudes=attitudes,
         velocities=np.einsum('kij,kj->ki', attitudes, [each.body_velocity for each in measured]),
         rates=np.array([each.body_rate for each in measured]),
-        ropes=_at(times, sighted),
+        ropes=_interpolated(
+            times,
+            np.array([each.time for each in sighted]),
+            np.array([each.position for each in sighted]),
+        ),
         plans=tuple((time, np.array(points)) for time, points in plans),
         forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
         ticks=tuple(
@@ -223,11 +223,9 @@ def _valid(
     return [found[at] for at in sorted(found)]
 
 
-def _at(times: Array, seen: Sequence[GoalObservation]) -> Array:
-    """Return the goal's positions at given times, interpolated linearly, shape (M, 3)."""
-    stamps = np.array([sighting.time for sighting in seen])
-    places = np.array([sighting.position for sighting in seen])
-    return np.column_stack([np.interp(times, stamps, column) for column in places.T])
+def _interpolated(at: Any, known: Any, rows: Array) -> Array:
+    """Return rows, given at known places, at other places, interpolated linearly."""
+    return np.column_stack([np.interp(at, known, column) for column in rows.T])
 
 
 # --- as text: captures, arrivals, collisions and solve times

@@ -46,7 +46,7 @@ _CLAIMS: deque[socket.socket] = deque(maxlen=6)
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
 
 
-class Child:
+class Child(subprocess.Popen):
     """A child process, which ends with this one; on Linux even if this one is killed.
 
     Args:
@@ -64,7 +64,7 @@ class Child:
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # In its own session: Ctrl-C reaches only the tool, which then stops its children.
-            self._child = subprocess.Popen(
+            super().__init__(
                 [*tether, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
@@ -72,8 +72,6 @@ class Child:
                 start_new_session=True,
                 env=os.environ | own,
             )
-        self.pid = self._child.pid
-        self.tell = self._child.send_signal
 
     @property
     def output(self) -> str:
@@ -83,7 +81,7 @@ class Child:
     @property
     def running(self) -> bool:
         """Return whether the process is running."""
-        return self._child.poll() is None
+        return self.poll() is None
 
     def require_health(self) -> None:
         """Raise an error if the process has failed.
@@ -91,24 +89,18 @@ class Child:
         Raises:
             OrbimpcError: it has failed; the last lines of its log are printed.
         """
-        if self._child.poll():
+        if self.poll():
             print('\n'.join(self.output.splitlines()[-LAST_LINES:]), file=sys.stderr)
-            raise OrbimpcError(f'{self._name} ended with code {self._child.returncode}')
-
-    def wait(self, patience: float) -> int | None:
-        """Return the exit code; None if the process has not ended after ``patience`` [s]."""
-        try:
-            return self._child.wait(patience)
-        except subprocess.TimeoutExpired:
-            return None
+            raise OrbimpcError(f'{self._name} ended with code {self.returncode}')
 
     def stop(self, number: int = signal.SIGINT) -> None:
         """End the process by a signal; kill it if it does not end in time."""
-        if self.running:
-            self.tell(number)
-            if self.wait(PATIENCE) is None:
-                self._child.kill()
-                self._child.wait()
+        self.send_signal(number)
+        try:
+            self.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            self.wait()
 
 
 class Processes(list[Child]):
@@ -119,8 +111,7 @@ class Processes(list[Child]):
 
     def __exit__(self, *_error: object) -> None:
         for process in self:  # first all, so that they stop in parallel
-            if process.running:
-                process.tell(signal.SIGINT)
+            process.send_signal(signal.SIGINT)
         for process in self:
             process.stop()
 
