@@ -7,6 +7,7 @@ Only launch files import this module, because it needs ROS 2's launch, which is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -42,7 +43,7 @@ def flight(scenario: str = 'retrieval') -> LaunchDescription:
     """Return the launch of a scenario's planner and simulator, which ends with the flight."""
     timed = 'of the planner; auto: only in lock-step, where the simulator publishes /clock'
     return _described(
-        _flight,
+        partial(_simulated, False),
         _argument('scenario', scenario, 'scenario: a file in config/', _scenarios()),
         *_common("the scenario's", 'both nodes'),
         _argument(
@@ -58,7 +59,7 @@ def fleet() -> LaunchDescription:
     The fleet flies in real time because simulators cannot share one /clock.
     """
     return _described(
-        _fleet,
+        partial(_simulated, True),
         *_common('config/fleet.yaml', 'the whole fleet'),
         _argument('vehicles', '4', 'number of vehicles'),
         _argument('seed', '0', 'seed of the ropes'),
@@ -79,40 +80,25 @@ def vehicle() -> LaunchDescription:
 # --- actions, once the arguments are known
 
 
-def _flight(context: LaunchContext) -> list[Action]:
+def _simulated(several: bool, context: LaunchContext) -> list[Action]:
+    """Return planners, simulators, and a recorder: of a fleet, or of a scenario's one vehicle."""
     asked = context.launch_configurations
-    _settled(asked, asked['scenario'])
-    told, lockstep = asked['use_sim_time'].lower(), asked['clock'] == 'lockstep'
+    _settled(asked, 'fleet' if several else asked['scenario'])
+    clock, told = ('wall', AUTO) if several else (asked['clock'], asked['use_sim_time'].lower())
+    lockstep, recorded = clock == 'lockstep', asked['record'] == 'true'
     planner: Values = {'use_sim_time': lockstep if told == AUTO else told == 'true'}
     if lockstep:  # a timer would deadlock: simulated time waits for the planner's answers
         planner = {**planner, 'trigger': 'odom'}
-    return _flown(asked, {_outer(asked): {'clock': asked['clock']}}, planner)
-
-
-def _fleet(context: LaunchContext) -> list[Action]:
-    asked = context.launch_configurations
-    _settled(asked, 'fleet')
-    drawn = vehicles(int(asked['vehicles']), int(asked['seed']))
-    own = {
-        _outer(asked) + namespace: {
-            'clock': 'wall',
-            **{name: list(v) if isinstance(v, tuple) else v for name, v in each.items()},
-        }
-        for namespace, each in drawn.items()
-    }
-    return _flown(asked, own, {'use_sim_time': False})
-
-
-def _flown(asked: dict[str, str], own: Mapping[str, Values], planner: Values) -> list[Action]:
-    """Return planners, simulators with their own values by namespace, and a recorder."""
-    recorded = asked['record'] == 'true'
-    settings: Values = {'exit_when_done': asked['exit_when_done'] == 'true'}
+    common: Values = {'clock': clock, 'exit_when_done': asked['exit_when_done'] == 'true'}
     if recorded:  # the flight waits for the recorder's subscriptions
-        settings = {**settings, 'wait_for': RECORDED}
+        common = {**common, 'wait_for': RECORDED}
+    drawn = vehicles(int(asked['vehicles']), int(asked['seed'])) if several else {'': {}}
     planners, sims = [], []
-    for where, values in own.items():
+    for namespace, own in drawn.items():
+        where = _outer(asked) + namespace
+        values = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
         planners.append(_node(asked, 'planner', where, planner))
-        sims.append(_node(asked, 'sim', where, {**settings, **values}))
+        sims.append(_node(asked, 'sim', where, {**common, **values}))
     words = ['ros2', 'bag', 'record', '--storage', 'mcap', '--all']
     recorders = [ExecuteProcess(cmd=words, output='screen')] if recorded else []
     return [*recorders, *planners, *sims, *_ending(sims, [*planners, *recorders])]
