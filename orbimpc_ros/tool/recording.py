@@ -223,14 +223,13 @@ class Feed:
     def until(self, recorded: RecordedTick) -> Iterator[str]:
         """Feed the inputs received before a tick began; yield validation errors."""
         sent = list(takewhile(lambda each: each.sent <= recorded.sent, self._inputs))
-        latest = _latest(sent, recorded)
-        came = [each for k, each in enumerate(sent) if k <= latest.get(each.topic, -1)]
+        until = _until(sent, recorded)
+        came = [each for each in sent if each.sent <= until[each.topic]]
         lost = self._lost(came, recorded.answer.get('goal_counts', {}))
         for each in came:
             if each not in lost and (refusal := self._take(each)):
                 yield refusal
-        rest = [each for k, each in enumerate(sent) if k > latest.get(each.topic, -1)]
-        self._inputs[: len(sent)] = rest
+        self._inputs[: len(sent)] = [each for each in sent if each.sent > until[each.topic]]
 
     def _lost(self, came: Sequence[Message], counts: Mapping[str, int]) -> list[Message]:
         """Return the goals that the planner never received, from the counts that it reports.
@@ -276,30 +275,27 @@ def _acceptable(goal: Message, settings: PlannerSettings) -> bool:
     return True
 
 
-def _latest(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
-    """Return the index of the last input that a tick used, by topic.
+def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
+    """Return the time of sending of the last input that a tick used, by topic [ns].
 
     The stamps in a tick identify its input messages. For inputs without stamps there, the times of
     sending decide, which ignores the transport delay.
     """
-    answer = recorded.answer
-    begun = recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0))
-    measured = _last(sent, 'odom', recorded.stamp)
+    answer, topics = recorded.answer, {each.topic for each in sent}
+    measured = _sent(sent, 'odom', recorded.stamp)
     # If times are mere stamps, a solve seems to take no time: inputs before the odometry count.
-    known = begun if measured < 0 else max(begun, sent[measured].sent)
-    latest = {each.topic: k for k, each in enumerate(sent) if each.sent <= known}
+    begun = max(recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0)), measured)
+    until = dict.fromkeys(topics, begun)
     if measured >= 0 or was_solved(answer):  # else the odometry belongs to an earlier answer
-        latest['odom'] = measured
-    for topic, stamp in answer.get('goal_stamps', {}).items():
-        latest[topic] = _last(sent, topic, stamp)
+        until['odom'] = measured
+    stamps = answer.get('goal_stamps', {})
     if was_planned(answer):  # other ticks have no stamps of traffic
-        for topic in {each.topic for each in sent} - {*READ, *TRANSFORMS, CLOCK}:
-            heard = answer.get('traffic_stamps', {}).get(topic)
-            latest[topic] = -1 if heard is None else _last(sent, topic, heard)
-    return latest
+        traffic = dict.fromkeys(topics - {*READ, *TRANSFORMS, CLOCK}, None)
+        stamps = traffic | answer.get('traffic_stamps', {}) | stamps
+    return until | {topic: _sent(sent, topic, stamp) for topic, stamp in stamps.items()}
 
 
-def _last(sent: Sequence[Message], topic: str, stamp: int) -> int:
-    """Return the last index of a topic's message with a stamp; -1 if there is none."""
-    found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
+def _sent(sent: Sequence[Message], topic: str, stamp: int | None) -> int:
+    """Return when a topic's last message with a stamp was sent [ns]; -1 if there is none."""
+    found = (each.sent for each in sent if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)
