@@ -16,7 +16,7 @@ from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import flights, settings
-from orbimpc_ros.tool.flights import Job, flown
+from orbimpc_ros.tool.flights import flown
 from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner, closed_loop
 from orbimpc_ros.tool.study import draws_of
 
@@ -128,9 +128,9 @@ def test_deadlines_go_by_the_given_clock(hurry, late):
 
 def test_a_flight_ends_where_it_touches(monkeypatch):
     straight = ('traffic=[9.0, 0.0, 0.0, 0.0, 2.0]', 'start.orientation=[0.0, 0.0, 0.0, 1.0]')
-    monkeypatch.setattr(flights, '_pilot', lambda job, known: Listener(known))
+    monkeypatch.setattr(flights, '_pilot', lambda _study, _name, known: Listener(known))
     draws = draws_of('crossing', straight)
-    found = flown(Job('crossing', 'straight', 0, draws.of(4, 0), draws.margin))
+    found = flown('crossing', 'straight', 0, draws.of(4, 0), draws.margin)
     assert found['touched']
     assert not found['caught']
     assert found['time'] is None

@@ -350,6 +350,6 @@ def test_its_own_guidance_flies_to_a_waypoint(request, name, own, there, seconds
 def test_the_planner_does_its_job(request, name, task, most):
     """On the first flight of a seed that no study has used."""
     request.getfixturevalue(name)
-    row = study.flown(study.Job(task, 'orbitope', 0, draws_of(task).of(901, 0)))
+    row = study.flown(task, 'orbitope', 0, draws_of(task).of(901, 0))
     assert row['caught']
     assert all(row[field] < value for field, value in most.items())

@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import cli, flights, settings
-from orbimpc_ros.tool.flights import OURS, Job, flown
+from orbimpc_ros.tool.flights import OURS, flown
 from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.study import draws_of, report
 
@@ -89,41 +89,41 @@ def test_a_malformed_study_is_refused(text, named, tmp_path):
 
 def job(name, controller=OURS, index=0, *changes, seed=1):
     draws = draws_of(name, changes)
-    return Job(name, controller, index, draws.of(seed, index), draws.margin)
+    return name, controller, index, draws.of(seed, index), draws.margin
 
 
 @pytest.mark.parametrize('name', [OURS, 'pursuit', 'lead', 'proportional'])
 def test_controllers_keep_their_limits_and_see_the_same(name):
-    first, again = (flown(job('fixed_wing', name, 0, 'max_ticks=4')) for _ in range(2))
+    first, again = (flown(*job('fixed_wing', name, 0, 'max_ticks=4')) for _ in range(2))
     assert first['ticks'] == 4
     assert first['stalls'] == first['unplanned'] == 0
     assert first['closest'] == again['closest']
 
 
 def test_a_row_adds_up():
-    row = flown(job('retrieval'))
+    row = flown(*job('retrieval'))
     assert row['caught']
     assert row['closest'] <= 0.15
     assert row['ticks'] - 1 <= row['time'] <= row['ticks']
     assert row['optimal'] <= row['ticks']
     assert row['projection'] < 1e-12  # in the plane no speed is lost by the projection
-    lost = flown(job('retrieval', 'pursuit', 0, 'max_ticks=3', 'rope.center=[50.0, 0.0, 0.0]'))
+    lost = flown(*job('retrieval', 'pursuit', 0, 'max_ticks=3', 'rope.center=[50.0, 0.0, 0.0]'))
     assert (lost['caught'], lost['time'], lost['ticks']) == (False, None, 3)
     assert lost['closest'] > 30.0
 
 
 def test_faults_of_the_parameter_file_are_flown():
     noise = 'faults.position_noise=0.1', 'faults.clock_jump=-3.0', 'faults.clock_jump_tick=2'
-    noisy, plain = (flown(job('retrieval', OURS, 0, *faults)) for faults in (noise, ()))
+    noisy, plain = (flown(*job('retrieval', OURS, 0, *faults)) for faults in (noise, ()))
     assert noisy['closest'] != plain['closest'] < noisy['closest'] + 0.5
-    lost = flown(job('retrieval', 'lead', 0, 'faults.dropout=1.0', 'max_ticks=3'))
+    lost = flown(*job('retrieval', 'lead', 0, 'faults.dropout=1.0', 'max_ticks=3'))
     assert (lost['ticks'], lost['caught']) == (0, False)
     assert '| 0.0% |' in report(draws_of('retrieval'), {'lead': [lost]})
 
 
 def test_the_end_of_an_arrival_is_reported():
     """With this package's own vehicle: it takes no engine."""
-    row = flown(job('servicer', OURS, 0, 'vehicle=continuous'))
+    row = flown(*job('servicer', OURS, 0, 'vehicle=continuous'))
     assert row['missed'] < 0.1
     assert row['speed'] < 0.05
     assert '- `orbitope` missed 0.' in report(draws_of('servicer'), {OURS: [row]})
@@ -133,14 +133,14 @@ def test_an_engine_is_studied_beside_its_own_guidance():
     pytest.importorskip('jsbsim')
     near = 'rope.center=[400.0, 100.0, 0.0]'
     for name in ('lead', 'waypoint'):
-        row = flown(job('cessna', name, 0, near, seed=700))
+        row = flown(*job('cessna', name, 0, near, seed=700))
         assert row['airspeed'] > 1.1 * 27.6
         assert 0.0 < row['bank'] < 0.6
 
 
 def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
     monkeypatch.setattr('orbimpc_ros.sim.engine_vehicle.class_of', lambda _: FAILURES['Stopping'])
-    row = flown(job('cessna', 'lead', 0, seed=700))
+    row = flown(*job('cessna', 'lead', 0, seed=700))
     assert row['failed'] == 'broken: stopped at t = 2.000 s'
     assert row['caught'] is False
     assert '- `lead` missed 1: 0 (broken: stopped' in report(draws_of('cessna'), {'lead': [row]})
@@ -149,7 +149,7 @@ def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
 @pytest.mark.parametrize(('study', 'name'), [('servicer', 'lead'), ('fixed_wing', 'waypoint')])
 def test_baselines_fly_in_the_plane_and_guidance_where_an_engine_has_it(study, name):
     with pytest.raises(BadInput, match=f'--controllers is {name}'):
-        flown(job(study, name))
+        flown(*job(study, name))
 
 
 def flight(name, index, time):
@@ -232,7 +232,7 @@ def test_the_workers_of_a_cluster_fly_the_same(tmp_path, capsys):
         assert cli.main([*words, '--cluster', peers.scheduler_address]) == 0
     rows = [json.loads(line) for line in (tmp_path / 'flights.jsonl').open()][1:]
     for row in rows:
-        own = flown(job('retrieval', OURS, row['index'], 'max_ticks=3', seed=0))
+        own = flown(*job('retrieval', OURS, row['index'], 'max_ticks=3', seed=0))
         assert row['closest'] == own['closest']
 
 

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -38,52 +37,53 @@ from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
 Row = dict[str, Any]
 Key = tuple[str, int]  # controller, and number of a flight
+Job = tuple[str, str, int, settings.Values, float]  # arguments of :func:`flown`
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
 GLANCE = 0.2  # [s] between checks for a signal
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
 
 
-@dataclass(frozen=True)
-class Job:
-    """The specification of a flight."""
-
-    study: str  # its name, by which baselines find their tuned parameters
-    controller: str  # :data:`OURS`, or the name of a baseline
-    index: int  # of the flight
-    values: dict[str, Any]  # of all parameters, drawn ones included
-    margin: float = 0.0  # added to the reported radii of bodies in the traffic [m]
-
-
-def flown(job: Job) -> Row:
+def flown(
+    study: str, controller: str, index: int, values: settings.Values, margin: float = 0.0
+) -> Row:
     """Fly and return a row with ``controller``, ``index`` and the results of the flight.
 
     Measurements and commands are subject to the faults in the simulator's parameters.
+
+    Args:
+        study: its name, by which baselines find their tuned parameters.
+        controller: :data:`OURS`, or the name of a baseline.
+        index: of the flight.
+        values: of all parameters, drawn ones included.
+        margin: added to the reported radii of bodies in the traffic [m].
 
     The results are ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether
     it ended in a collision), ``failed`` (error of an engine, or an empty string), and the rows of
     :func:`_of_way` and :func:`_of_ticks`.
     """
-    simulated, given = sim_settings(settings.of_sim(job.values)), planner_settings(job.values)
+    simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
     # Ticks are measured in processor time, because other processes may load the machine.
-    planner = OfflinePlanner(given, clock=time.thread_time, planner=_pilot(job, given))
+    planner = OfflinePlanner(
+        given, clock=time.thread_time, planner=_pilot(study, controller, given)
+    )
     view = View(simulated.faults, simulated.seed, simulated.model.step)
     way, ticks, failed = list[Flight](), list[tuple[Decision, float]](), ''
-    known = view, simulated.command_timeout, simulated.goal_path_steps, job.margin
+    known = view, simulated.command_timeout, simulated.goal_path_steps, margin
     try:
         begin = departure(simulated.scenario, simulated.begin)
         for flight, decision, spent in closed_loop(planner, begin, *known):
             way.append(flight)
             if decision is not None:
                 ticks.append((decision, spent))
-            if job.controller == WAYPOINT:
+            if controller == WAYPOINT:
                 _steer(flight)
     except EngineFailure as error:
         failed = str(error)
     caught, begun = flight.captured, flight.scenario.start.time
     return {
-        'controller': job.controller,
-        'index': job.index,
+        'controller': controller,
+        'index': index,
         'caught': caught,
         'time': flight.missed_at - begun if caught else None,
         'touched': bool(flight.touched),
@@ -93,10 +93,10 @@ def flown(job: Job) -> Row:
     }
 
 
-def _pilot(job: Job, given: PlannerSettings) -> Planner:
+def _pilot(study: str, controller: str, given: PlannerSettings) -> Planner:
     """Return the controller of a flight, reset."""
-    if job.controller != OURS:
-        made: Planner = baselines().baseline_named(job.controller, given, job.study)
+    if controller != OURS:
+        made: Planner = baselines().baseline_named(controller, given, study)
         return made
     known = _ours(given)
     known.reset()
@@ -218,7 +218,7 @@ def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -
     Raises:
         OrbimpcError: a flight ended with an error, or its process did.
     """
-    pending: set[Future[Row]] = {pool.submit(flown, job) for job in jobs}
+    pending: set[Future[Row]] = {pool.submit(flown, *job) for job in jobs}
     try:
         while pending and going():
             done, pending = wait(pending, GLANCE, FIRST_COMPLETED)

@@ -107,7 +107,7 @@ def run(
     folder = _folder(out, draws.name)
     flown = rows_of(folder / FLIGHTS, about, resumed=resume)
     jobs = [
-        Job(draws.name, name, index, draws.of(seed, index), draws.margin)
+        (draws.name, name, index, draws.of(seed, index), draws.margin)
         for index in range(runs)
         for name in names
         if (name, index) not in flown
