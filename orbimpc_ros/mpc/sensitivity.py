@@ -34,7 +34,6 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.request import Request
 
@@ -175,7 +174,8 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     names = [f'obstacle {i}' for i in range(len(problem.boxes))]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
     headings, stiff = plan.rotations[1:, :, 0], np.full((problem.horizon, problem.horizon), np.inf)
-    regions = Regions(problem, Statement(problem), Request(state, goals), stiff)
+    regions = Regions(problem, stiff)
+    regions.bind(Request(state, goals))
     near = regions.beside(headings, nothing)
     controls, count = problem.translation.degree + 1, problem.horizon
     for choice, held in regions.tangents(headings, near, {}).items():
@@ -183,7 +183,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
         still = body - 2 < len(problem.boxes)
         if still and problem.no_corner_cutting and step == 0 < count - 1:
             continue  # its end is the beginning of the next step
-        for row, _ in held:
+        for row in held:
             if row.normal @ (row.shares @ headings) - row.offset < nothing:
                 gradient = on_axes(np.outer(row.shares, row.normal))
                 begins = still and (row.place - count) % controls == 0

@@ -268,17 +268,13 @@ def controls(degree: int, step: float, positions: Array, velocities: Array) -> A
     return np.stack([begin, *between, end], axis=1)
 
 
-def control_maps(problem: Problem) -> Array:
-    """Return each control point's dependence on R_0 e1..R_N e1, shape (N, degree + 1, N + 1)."""
-    return _controls(problem, np.eye(problem.horizon + 1), 0.0, 0.0)
+def control_maps(problem: Problem) -> tuple[Array, Array]:
+    """Return each control point's dependence on R_1 e1..R_N e1, and on R_0 e1, p_0 and w.
 
-
-def coasting_controls(problem: Problem, state: State) -> Array:
-    """Return the control points without thrust, relative to s_0, shape (N, degree + 1, n)."""
-    still = np.zeros((problem.horizon + 1, problem.dimension))
-    return _controls(problem, still, state.velocity, state.disturbance)
-
-
-def _controls(problem: Problem, headings: Array, velocity: Any, disturbance: Any) -> Array:
-    flown = _flown(problem, headings, 0.0, velocity, disturbance)
-    return controls(problem.translation.degree, problem.step, *flown)
+    Relative to s_0; shapes (N, degree + 1, N) and (N, degree + 1, 3).
+    """
+    count = problem.horizon
+    units = np.eye(count + 3)  # of R_0 e1..R_N e1, p_0 and w
+    flown = _flown(problem, units[: count + 1], 0.0, units[-2], units[-1])
+    found = controls(problem.translation.degree, problem.step, *flown)
+    return found[:, :, 1 : count + 1], found[:, :, [0, -2, -1]]

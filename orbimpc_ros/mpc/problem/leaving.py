@@ -19,7 +19,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.dynamics import coasting_controls, control_maps
+from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem.cones import begun, turned_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Traffic
 from orbimpc_ros.mpc.problem.problem import Problem
@@ -87,7 +87,9 @@ def _depths(
     They are those of whole steps or, with ``ends``, of the ends of steps.
     """
     headings = escapes(problem, state, ways)[:, None]
-    points = coasting_controls(problem, state) + control_maps(problem) @ headings + state.position
+    reach, started = control_maps(problem)
+    coasted = started @ [state.rotation[:, 0], state.velocity, state.disturbance]
+    points = coasted + reach @ headings[:, :, 1:] + state.position
     weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
     if ends:
         points, weights = points[:, :, -1:], weights[-1:]

@@ -9,15 +9,10 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-import numpy as np
-
-from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, root, slack
-from orbimpc_ros.mpc.proof.flight import control_of, control_points
+from orbimpc_ros.mpc.proof.flight import control_of
 from orbimpc_ros.mpc.proof.sets import cross, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
-from orbimpc_ros.mpc.proof.stated import Bodies
 from orbimpc_ros.mpc.proof.tree import POINTS
 
 
@@ -194,53 +189,3 @@ def pulled(ends, pull, flown):
             value, size = value + force, size + abs(force)
             flown[2 + i, count, c] = flown[2 + i, count, c] + pull[i, c]
     return value, size
-
-
-class Places:
-    """The control points of plans that bodies constrain.
-
-    Args:
-        bodies: J of them.
-        free: control points for zero headings, relative to s_0, shape (N, m, n) [m].
-        reach: their coefficients of headings, shape (N, m, N) [m].
-
-    Attributes:
-        rows: whether a step and a body have each of four rows, shape (J, N, 4).
-        points: control point of each row, among N m; here and below, missing rows repeat the
-            first one, shape (J, N, 4).
-        free: their positions for zero headings, relative to bodies, shape (J, N, 4, n) [m].
-        reach: their coefficients of headings, shape (J, N, 4, N) [m].
-    """
-
-    def __init__(self, bodies: Bodies, free: Array, reach: Array) -> None:
-        count, m, n = free.shape
-        at = control_points(tuple(bodies.of.tolist()), count, m - 1)
-        self.rows, steps = at >= 0, np.arange(count)[:, None]
-        self.points = m * steps + np.where(self.rows, at, at[:, :, :1])
-        middles = np.where(self.rows[..., None], bodies.centres, bodies.centres[:, :, :1])
-        self.free = free.reshape(-1, n)[self.points] - middles
-        self.reach = reach.reshape(-1, count)[self.points]
-        self._extents = bodies.extents[:, None, None, : 2 * n]
-        self._faces = np.vstack([-np.eye(n), np.eye(n)])
-        radii, margins = bodies.extents[:, 2 * n, None], bodies.margins[0]
-        self._balls = np.flatnonzero(radii[:, 0] > 0.0)
-        self._radii = radii[self._balls]
-        nothing = (radii > 0.0) & (radii + margins <= 0.0)  # shrunk, for a vehicle that leaves it
-        self._margins = np.where(nothing, -np.inf, margins)  # no constraint then
-
-    def entered(self, x: Array) -> tuple[Array, Array]:
-        """Return the depths by which headings enter each body, and the directions out of it.
-
-        Args:
-            x: R_1 e1..R_N e1, shape (N, n).
-
-        Returns:
-            Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
-        """
-        places = self.free + (self.reach.reshape(-1, len(x)) @ x).reshape(self.free.shape)
-        short = (self._extents - np.concatenate([-places, places], axis=-1)).max(axis=2)
-        into, ways = short.min(axis=-1), self._faces[short.argmin(axis=-1)]
-        if len(self._balls):
-            ways[self._balls], away = separation(places[self._balls])
-            into[self._balls] = self._radii - away
-        return into + self._margins, ways

@@ -262,7 +262,7 @@ class Statement:
         self.width = width_of(problem)
         self._motion = self._moved()
         self._costs = self._weighed()
-        self._root: Root | None = None
+        self._roots = dict[int, Root]()
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
@@ -355,9 +355,10 @@ class Statement:
 
     def _rooted(self, state: State, limits: Limits, cones: Sequence[Cone]) -> Root:
         problem, number, count = self.problem, self._number, self.problem.horizon
-        plain = limits is NO_LIMITS and not problem.max_rate and state.coasted is None
-        if plain and self._root is not None:
-            return self._root
+        plain = not (cones or limits.change < 2.0 or problem.max_rate or state.coasted is not None)
+        exchanged = self._exchanged(limits)
+        if plain and exchanged in self._roots:
+            return self._roots[exchanged]
         steps, change = np.arange(1, count + 1), number(2)
         turn, low, high = self._turned(state)
         span = self._rows(np.zeros((4, count)))
@@ -374,9 +375,9 @@ class Statement:
         aim, aside = number(0), number(-1)
         for each in cones if problem.dimension == 2 else ():  # only of the approach
             aim, aside = number(math.atan2(each.axis[1], each.axis[0])), number(each.angle)
-        root = Root(span, turn, change, aim, aside, self._patches, self._exchanged(limits))
+        root = Root(span, turn, change, aim, aside, self._patches, exchanged)
         if plain:
-            self._root = root  # which depends on no state
+            self._roots[exchanged] = root  # which depends on no state
         return root
 
     @cached_property

@@ -27,7 +27,6 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut
-from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
 from orbimpc_ros.mpc.solve.dives import Dives, Incumbent, NodeProgram, arrives, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -75,7 +74,8 @@ class BranchAndBound:
         self._condensed = Condensed(problem)
         self._inverse = _inverse(self._condensed.hessian)
         self.turns = Turns(problem) if problem.turns_are_angles else None
-        self._statement = Statement(problem)
+        ordered = _steps_are_exchangeable(problem)
+        self._regions = Regions(problem, self._inverse, self.turns, ordered=ordered)
         self.program = _program(problem, coasting, beside=among or bool(problem.obstacles))
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         self.scout = Scout(problem) if among else None
@@ -108,9 +108,8 @@ class BranchAndBound:
         return self._run(request, guided=True).exceeding(cost)
 
     def _run(self, request: Request, *, guided: bool) -> _Run:
-        ordered = _steps_are_exchangeable(self.problem)
-        known = self.problem, self._statement, request, self._inverse, self.turns
-        regions = Regions(*known, ordered=ordered)
+        regions = self._regions
+        regions.bind(request)
         posed = NodeProgram(self.problem, self.program, self.turns, request, regions)
         leaves = ProofWriter(
             self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins

@@ -73,7 +73,7 @@ class NodeProgram:
             Infeasible: it was proved that no trajectory satisfies the constraints.
         """
         self.solved += 1
-        return self.program.relax(self.request, [row for each in held for row, _ in each], chords)
+        return self.program.relax(self.request, [row for each in held for row in each], chords)
 
     def flown(self, x: Array) -> Trajectory:
         """Return the rollout of rotation coordinates, shape (N, d)."""
@@ -260,7 +260,7 @@ class Dives:
         if chords is not None:
             assert posed.turns is not None
             narrow = posed.turns.rows(posed.request.state, narrow=True)
-            rows = rows | {ALWAYS: (*rows.get(ALWAYS, ()), *((row, -1) for row in narrow))}
+            rows = rows | {ALWAYS: (*rows.get(ALWAYS, ()), *narrow)}
         try:
             relaxed = posed.relax(rows.values(), chords)
         except Infeasible:
@@ -271,4 +271,4 @@ class Dives:
 def _faced(cells: list[Cell]) -> Rows:
     """Return the half-spaces of cells as rows on headings, by step."""
     units = np.eye(len(cells))
-    return {k: ((Row(k, units[k], cell.normal, cell.offset), -1),) for k, cell in enumerate(cells)}
+    return {k: (Row(k, units[k], cell.normal, cell.offset),) for k, cell in enumerate(cells)}

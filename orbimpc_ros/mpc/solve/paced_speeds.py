@@ -23,7 +23,6 @@ from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
-from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
@@ -58,7 +57,7 @@ class PacedSpeeds:
         self._method = method_for(freed, tolerance, coasting=coasting, among=among)
         stated = replace(problem, max_rate=0.0) if problem.turns_are_angles else problem
         self._program = Program(stated, coasting=coasting)
-        self._statement, self._stiff = Statement(problem), np.full((problem.horizon,) * 2, np.inf)
+        self._regions = Regions(problem, np.full((problem.horizon,) * 2, np.inf))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -76,8 +75,8 @@ class PacedSpeeds:
         if found.x is not None and self._holds(request, found.x):
             known.append(found.x)
         else:
-            regions = Regions(self._problem, self._statement, request, self._stiff)
-            followed = (self._followed(request, regions, way) for way in self._ways(request, found))
+            self._regions.bind(request)
+            followed = (self._followed(request, way) for way in self._ways(request, found))
             known += next(filter(None, followed), [])
         if not known:
             return replace(found, x=None, cost=np.inf)
@@ -102,11 +101,11 @@ class PacedSpeeds:
         elif not request.late:
             yield self._flown(request, request.guess.x).rotations[1:]
 
-    def _followed(self, request: Request, regions: Regions, way: Array) -> list[Array]:
+    def _followed(self, request: Request, way: Array) -> list[Array]:
         """Return coordinates, shape (N, d), of solutions, each near the one before, or ``way``."""
         found, cost = list[Array](), np.inf
         while len(found) < FOLLOWED and not (found and request.late):
-            x = self._beside(request, regions, way, min(max(cost, TINY), 1.0))
+            x = self._beside(request, way, min(max(cost, TINY), 1.0))
             if x is None:
                 break
             found.append(x)
@@ -116,12 +115,13 @@ class PacedSpeeds:
             cost, way = trajectory.cost, trajectory.rotations[1:]
         return found
 
-    def _beside(self, request: Request, regions: Regions, way: Array, unit: float) -> Array | None:
+    def _beside(self, request: Request, way: Array, unit: float) -> Array | None:
         """Return the best coordinates, shape (N, d), near a path, shape (N, n, n), or None.
 
         Bodies are passed on the path's sides, and floors satisfied beyond its tangents or faces.
         """
         state, headings, program = request.state, way[:, :, 0], self._program
+        regions = self._regions
         before = state.attitude if state.coasted is None else state.coasted
         units = project_all(way, before, 'thrust_aligned')[0][:, :, 0]
         spare, first = self._spare(state, units), self._problem.rotation_order - 1
@@ -130,7 +130,7 @@ class PacedSpeeds:
         decided = int(first_change_is_decided(self._problem, state))
         floors = range(decided, len(way)) if self._problem.floor.exists else range(0)
         choices = [*floors, *regions.beside(headings, math.inf)]
-        held = [row for each in regions.tangents(headings, choices, {}).values() for row, _ in each]
+        held = [row for each in regions.tangents(headings, choices, {}).values() for row in each]
         rays = list[Row]()
         for k, half in enumerate(spare.tolist(), first):
             wide = half >= NARROW

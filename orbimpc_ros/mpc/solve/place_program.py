@@ -386,8 +386,7 @@ class PlaceProgram:
         self._inverse = 0.5 * (self._inverse + self._inverse.T)
         turned = np.diff(np.eye(steps + 1), axis=0)[int(problem.turns_are_angles) :, 1:]
         turned = turned if problem.max_rate else turned[:0]
-        controls = control_maps(problem)[:, :, 1:]
-        maps = np.concatenate([np.eye(steps), controls.reshape(-1, steps), turned])
+        maps = np.concatenate([np.eye(steps), control_maps(problem)[0].reshape(-1, steps), turned])
         last = len(maps) - len(turned)
         balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T

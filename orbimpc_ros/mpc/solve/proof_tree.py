@@ -55,13 +55,13 @@ class Leaf(NamedTuple):
         """
         share, force, presses = self.share, self.force, list(self.presses)
         whole = self.point.shape[1] == 9
-        for (row, number), size in zip(held, sizes, strict=True):
+        for row, size in zip(held, sizes, strict=True):
             if not size:
                 continue
-            if number >= 0:
-                presses.append((depth, number, size))
+            if row.number >= 0:
+                presses.append((depth, row.number, size))
                 force = force - size * np.outer(row.shares, row.normal)
-            elif whole or number == CONE:
+            elif whole or row.number == CONE:
                 share = share + size * np.outer(row.shares, row.normal)
         return self._replace(share=share, force=force, presses=tuple(presses))
 
@@ -73,13 +73,13 @@ class Leaf(NamedTuple):
             inverse: H^-1, shape (N, N).
             depth: of the node from which on they are known.
         """
-        rows, point = [row for row, _ in held], self.point.copy()
-        n, sizes, moved = len(rows[0].normal), [0.0] * len(rows), [inverse @ r.shares for r in rows]
-        steep = [float(row.shares @ way) for row, way in zip(rows, moved, strict=True)]
-        short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in rows]
+        n, point, sizes = len(held[0].normal), self.point.copy(), [0.0] * len(held)
+        moved = [inverse @ row.shares for row in held]
+        steep = [float(row.shares @ way) for row, way in zip(held, moved, strict=True)]
+        short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in held]
         gains = np.maximum(short, 0.0) ** 2 / steep
         for i in SWEEPS * np.argsort(-gains).tolist():
-            row = rows[i]
+            row = held[i]
             missed = float(row.offset - row.shares @ point[:, :n] @ row.normal)
             step = max(-sizes[i], missed / steep[i])
             sizes[i] += step
@@ -158,14 +158,16 @@ class ProofWriter:
             depth: of the node.
             empty: whether the relaxation is infeasible.
         """
-        maps, tether, blank = self._problem.maps, found.tether, self._blank()
+        maps, tether = self._problem.maps, found.tether
         slide = found.slide if found.slide.size else np.zeros(tether.shape)
-        force = maps.reach[:, 1:].T @ slide + tether
+        force = tether.copy()
         force[:-1] -= tether[1:]
+        if found.slide.size:
+            force += maps.reach[:, 1:].T @ slide
         if len(found.pull):
             force += maps.arrival[: len(found.pull), 1:].T @ found.pull
         # The proof of an infeasible node does not involve the cost, so any point will do.
-        point = blank.point if empty else found.point
+        point = self._blank().point if empty else found.point
         leaf = Leaf(point, found.share, (), force, (found.pull, slide, tether), empty)
         return leaf.pressed(held, found.sizes.tolist(), depth)
 

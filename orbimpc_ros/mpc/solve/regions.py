@@ -30,10 +30,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model.dynamics import coasting_controls, control_maps
+from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.flight import DECIDED
-from orbimpc_ros.mpc.proof.rows import Places
+from orbimpc_ros.mpc.proof.flight import DECIDED, control_points
 from orbimpc_ros.mpc.proof.splits import (
     GONE,
     ICOSAHEDRON,
@@ -43,7 +43,7 @@ from orbimpc_ros.mpc.proof.splits import (
     begin,
     narrowed,
 )
-from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Statement
+from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Bodies, Root, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
@@ -54,7 +54,7 @@ from orbimpc_ros.mpc.proof.tree import (
     QUARTERS,
     SIDES,
 )
-from orbimpc_ros.mpc.solve.relaxation import Row
+from orbimpc_ros.mpc.solve.relaxation import HEADING, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.turns import Turns
 
@@ -64,9 +64,9 @@ FINEST = 1e-6  # [rad] such a narrow sector misses its floor by less than roundi
 AROUND = 4  # arcs that the full circle is split into
 
 ALWAYS = -1  # key, in place of a choice, of half-spaces that hold in every region
-HEADING, CONE = -1, -2  # in place of row numbers: rows on headings, and those of cones in space
+CONE = -2  # in place of a row number: rows on headings for cones in space
 
-Held = tuple[tuple[Row, int], ...]  # half-spaces, with their row numbers among presses
+Held = tuple[Row, ...]
 Sides = tuple[Array, Array]  # of P parts: normals, shape (P, n), and offsets of points, (P, m)
 
 
@@ -78,31 +78,11 @@ class Known(NamedTuple):
     corners: Array
 
 
-class Points(NamedTuple):
-    """The points that a choice constrains: a heading, or control points of a step.
-
-    Attributes:
-        places: as in :class:`Row`, m of them.
-        numbers: row numbers among presses; -1 for a heading, m of them.
-        free: position without thrust, relative to the moving body, shape (m, n).
-        reach: coefficients of the headings, shape (m, N).
-        curvature: a.H^-1 a; infinite if H is singular or no heading moves the point, shape (m,).
-    """
-
-    places: list[int]
-    numbers: list[int]
-    free: Array
-    reach: Array
-    curvature: Array
-
-
 class Regions:
-    """The regions of one request.
+    """The regions of a problem from the state of the last request.
 
     Args:
         problem: what to solve.
-        statement: of the problem, for proofs.
-        request: state and goals.
         inverse: H^-1, shape (N, N); infinite if H is singular.
         turns: the turn limit, if it bounds angles.
         ordered: whether directions of exchangeable steps ascend.
@@ -117,28 +97,23 @@ class Regions:
     def __init__(
         self,
         problem: Problem,
-        statement: Statement,
-        request: Request,
         inverse: Array,
         turns: Turns | None = None,
         *,
         ordered: bool = False,
     ) -> None:
-        self.problem, self._turns, state = problem, turns, request.state
-        self._state = state
-        n, count = problem.dimension, problem.horizon
-        limits = statement.limits(state, request.goals)
-        stated = self._stated = statement.of(state, request.goals, limits)
-        self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
-        self.round_floors = list(range(self.first, count)) if problem.floor.radius else []
-        self._units, self._inverse = np.eye(count), inverse
-        self._places: Places | None = None
-        if self.bodies:
-            maps = control_maps(problem)
-            free = coasting_controls(problem, state) + maps[:, :, :1] * state.rotation[:, 0]
-            self._places = Places(stated.bodies, free, maps[:, :, 1:])
-        self._points: dict[int, Points] = {}
-        floor = problem.floor
+        self.problem, self._statement, self._turns = problem, Statement(problem), turns
+        n, count, floor = problem.dimension, problem.horizon, problem.floor
+        controls, started = control_maps(problem)
+        self._controls, still = controls.shape[1], np.zeros((count, 3))
+        # Of headings, and then of the control points of all steps: the coefficients of R_1 e1..
+        # R_N e1, those of R_0 e1, p_0 and w, and a.H^-1 a, infinite where nothing moves the point.
+        self._reach = np.vstack([np.eye(count), controls.reshape(-1, count)])
+        self._started = np.vstack([still, started.reshape(-1, 3)])
+        self._curvature = np.full(len(self._reach), np.inf)
+        if np.isfinite(inverse).all():
+            along = np.einsum('mi,ij,mj->m', self._reach, inverse, self._reach)
+            self._curvature = np.where(along > 0.0, along, np.inf)
         self._flat: Sides | None = None  # faces of the floor, if its choices are faces
         if floor.exists and not floor.radius and (n == 3 or floor.shape != 'polygon'):
             cells = floor.cells(n)
@@ -148,13 +123,52 @@ class Regions:
         begun = -math.pi / self._faces if self._faces else 0.0
         self.origins = np.full(count, begun) if ordered else NOWHERE
         self._order, self._begun = Order(ordered, self.origins), begun
-        flags = stated.sets.cones[:, n + 3] == 1.0  # where patches cover the tilt's cap
+        self._outward = np.vstack([-np.eye(n), np.eye(n)])
+        self._centres: Array | None = None  # of the last bodies
+        self._rooted: Root | None = None  # of the last region of a root
+        self._root: Known | None = None
+
+    def bind(self, request: Request) -> None:
+        """Compute the data that depend only on state and goals."""
+        problem, self._state, count = self.problem, request.state, self.problem.horizon
+        state = self._state
+        limits = self._statement.limits(state, request.goals)
+        stated = self._stated = self._statement.of(state, request.goals, limits)
+        self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
+        self.round_floors = list(range(self.first, count)) if problem.floor.radius else []
+        flags = stated.sets.cones[:, problem.dimension + 3] == 1.0  # patches cover the tilt's cap
         self._upright = set(stated.sets.cone_step[flags].tolist())
+        known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
+        self._free = self._started @ known
+        if self.bodies and stated.bodies.centres is not self._centres:  # else none moves
+            self._place(stated.bodies)
+
+    def _place(self, bodies: Bodies) -> None:
+        """Set which control points bodies constrain, and the sizes of balls."""
+        count, self._centres = self.problem.horizon, bodies.centres
+        at = control_points(tuple(bodies.of.tolist()), count, self._controls - 1)
+        at = at[:, :, : int((at >= 0).any(axis=(0, 1)).sum())]
+        self._held, steps = at >= 0, np.arange(count)[:, None]
+        # A missing row repeats the first one.
+        self._points = count + self._controls * steps + np.where(self._held, at, at[:, :, :1])
+        middles = bodies.centres[:, :, : at.shape[2]]
+        self._middles = np.where(self._held[..., None], middles, middles[:, :, :1])
+        radii, margins = bodies.extents[:, -1:], bodies.margins[0]
+        self._balls = np.flatnonzero(radii > 0.0)
+        self._radii, nothing = radii[self._balls], (radii > 0.0) & (radii + margins <= 0.0)
+        self._margins = np.where(nothing, -np.inf, margins)  # shrunk: the vehicle leaves it
 
     # --- regions
 
     def root(self) -> Known | None:
         """Return the region of the root; None if it is empty."""
+        known = self._stated
+        if known.root is self._rooted and known.decided == FREE:
+            return self._root
+        self._rooted, self._root = known.root, self._begin()
+        return self._root
+
+    def _begin(self) -> Known | None:
         count, n = (2 + self.bodies) * self.problem.horizon, self.problem.dimension
         part, span = np.full(count, WHOLE), np.zeros((count, 2))
         corners, known = np.zeros((count if n == 3 else 1, 3, 3)), self._stated
@@ -187,29 +201,21 @@ class Regions:
 
     # --- half-spaces
 
-    def points(self, choice: int) -> Points:
-        """Return the points that a choice constrains."""
-        if choice not in self._points:
-            self._points[choice] = self._of(choice)
-        return self._points[choice]
+    def points(self, choice: int) -> tuple[list[int], list[int], Array]:
+        """Return the points that a choice constrains: a heading, or control points of a step.
 
-    def _of(self, choice: int) -> Points:
+        Returns:
+            Their places as in :class:`Row`, m of them; their row numbers among presses, -1 for a
+            heading; and their positions without thrust relative to the body, shape (m, n).
+        """
         count = self.problem.horizon
         if choice < count:
-            reach = self._units[choice : choice + 1]
-            places, numbers, free = [choice], [-1], np.zeros((1, self.problem.dimension))
-        else:
-            assert self._places is not None
-            j, k = choice // count - 2, choice % count
-            at = np.flatnonzero(self._places.rows[j, k])
-            places = (count + self._places.points[j, k, at]).tolist()
-            numbers = (POINTS * (choice - 2 * count) + at).tolist()
-            free, reach = self._places.free[j, k, at], self._places.reach[j, k, at]
-        curvature = np.full(len(places), np.inf)
-        if np.isfinite(self._inverse).all():
-            along = np.einsum('mi,ij,mj->m', reach, self._inverse, reach)
-            curvature = np.where(along > 0.0, along, np.inf)
-        return Points(places, numbers, free, reach, curvature)
+            return [choice], [HEADING], self._free[choice : choice + 1]
+        j, k = choice // count - 2, choice % count
+        at = np.flatnonzero(self._held[j, k])
+        places = self._points[j, k, at]
+        free = self._free[places] - self._middles[j, k, at]
+        return places.tolist(), (POINTS * (choice - 2 * count) + at).tolist(), free
 
     def rows(self, choice: int, known: Known) -> Held:
         """Return the half-spaces of a choice in a region."""
@@ -231,13 +237,13 @@ class Regions:
 
     def held(self, choice: int, normal: Array, offsets: Array) -> Held:
         """Return the half-spaces of a choice from a normal and the offsets of its points, (m,)."""
-        points, found = self.points(choice), list[tuple[Row, int]]()
-        offsets = offsets - points.free @ normal
-        for i, number in enumerate(points.numbers):
-            if points.reach[i].any() and np.isfinite(offsets[i]):
-                row = Row(points.places[i], points.reach[i], normal, float(offsets[i]))
-                found.append((row, number))
-        return tuple(found)
+        places, numbers, free = self.points(choice)
+        offsets = offsets - free @ normal
+        return tuple(
+            Row(place, self._reach[place], normal, offset, number)
+            for place, number, offset in zip(places, numbers, offsets.tolist(), strict=True)
+            if math.isfinite(offset) and self._reach[place].any()
+        )
 
     def _radius(self, choice: int) -> float:
         """Return the radius of the body of a choice; 0 for a box."""
@@ -251,7 +257,7 @@ class Regions:
         n, count, bodies = self.problem.dimension, self.problem.horizon, self._stated.bodies
         j, k = choice // count - 2, choice % count
         offsets = bodies.extents[j, parts, None] + bodies.margins[0, j, k]
-        m = len(self.points(choice).places)
+        m = int(self._held[j, k].sum())
         return np.vstack([-np.eye(n), np.eye(n)])[parts], np.repeat(offsets, m, axis=1)
 
     def _sectors(self, choice: int, spans: Array) -> Sides:
@@ -303,30 +309,31 @@ class Regions:
         size = bodies.extents[j, -1] + bodies.margins[0, j, k]
         offsets = least * size - aside * bodies.margins[1, j, k]
         offsets = np.where((least > 0.0) & (size > 0.0), offsets, -np.inf)
-        return np.repeat(offsets[:, None], len(self.points(choice).places), axis=1)
+        return np.repeat(offsets[:, None], int(self._held[j, k].sum()), axis=1)
 
     def every(self, known: Known) -> dict[int, Held]:
         """Return the half-spaces of a region, by choice."""
-        rows = {choice: self.rows(choice, known) for choice in range(len(known.part))}
+        split = np.flatnonzero(known.part != WHOLE).tolist()
+        rows = {choice: self.rows(choice, known) for choice in split}
         return {ALWAYS: self._always(), **{c: held for c, held in rows.items() if held}}
 
     def _always(self) -> Held:
         """Return half-spaces of all regions: for turns, and for an R_1 e1 of given direction."""
-        stated, floor, found = self._stated, self.problem.floor, list[tuple[Row, int]]()
+        stated, floor, found = self._stated, self.problem.floor, list[Row]()
         if stated.decided == SEGMENT and floor.exists:
             axis = stated.start[DECIDED, : self.problem.dimension]
             axis = axis / np.linalg.norm(axis)
-            found.append((Row(0, self._units[0], axis, float(floor.least(axis))), HEADING))
+            found.append(Row(0, self._reach[0], axis, float(floor.least(axis))))
         if self._turns is not None and (stated.n == 3 or self._flat is not None):
             number = CONE if stated.n == 3 else HEADING
-            found += [(row, number) for row in self._turns.rows(self._state)]
+            found += [row._replace(number=number) for row in self._turns.rows(self._state)]
         return tuple(found)
 
     def beyond(self, choice: int, normal: Array, offsets: Array, i: int) -> Held:
         """Return the half-space of point i of a choice, even if no heading moves the point."""
-        points = self.points(choice)
-        offset = float(offsets[i] - points.free[i] @ normal)
-        return ((Row(points.places[i], points.reach[i], normal, offset), points.numbers[i]),)
+        places, numbers, free = self.points(choice)
+        offset = float(offsets[i] - free[i] @ normal)
+        return (Row(places[i], self._reach[places[i]], normal, offset, numbers[i]),)
 
     # --- violations
 
@@ -336,14 +343,34 @@ class Regions:
         Args:
             headings: R_1 e1..R_N e1, shape (N, n).
         """
-        short = -self.problem.floor.margin(headings)
-        short[: self.first] = -np.inf
-        found = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
-        if self._places is not None:
-            into, _ = self._places.entered(headings)
-            for j, k in np.argwhere(into > SATISFIED).tolist():
+        found = dict[int, float]()
+        if self.problem.floor.exists:
+            short = -self.problem.floor.margin(headings)
+            short[: self.first] = -np.inf
+            found = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
+        if self.bodies:
+            into, _ = self._entered(headings)
+            for j, k in zip(*(each.tolist() for each in np.nonzero(into > SATISFIED)), strict=True):
                 found[(2 + j) * self.problem.horizon + k] = float(into[j, k])
         return found
+
+    def _entered(self, headings: Array) -> tuple[Array, Array]:
+        """Return the depths by which headings enter each body, and the directions out of it.
+
+        Args:
+            headings: R_1 e1..R_N e1, shape (N, n).
+
+        Returns:
+            Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
+        """
+        places = (self._free + self._reach @ headings)[self._points] - self._middles
+        far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
+        short = far + self._stated.bodies.extents[:, None, :-1]
+        into, ways = short.min(axis=-1), self._outward[short.argmin(axis=-1)]
+        if len(self._balls):
+            ways[self._balls], away = separation(places[self._balls])
+            into[self._balls] = self._radii - away
+        return into + self._margins, ways
 
     def is_round(self, choice: int) -> bool:
         """Return True if a choice is one of a circular floor or a ball, not of flat sides."""
@@ -368,8 +395,7 @@ class Regions:
             if choice < self.problem.horizon:
                 side = self._tangent(headings[choice])
             else:
-                assert self._places is not None
-                ways = self._places.entered(headings)[1] if ways is None else ways
+                ways = self._entered(headings)[1] if ways is None else ways
                 side = self._passed(choice, ways)
             if side is not None:
                 found[choice] = self.held(choice, *side)
@@ -392,16 +418,16 @@ class Regions:
         normal, out = ways[j, k], bodies.extents[j, -1]
         if not out > 0.0:
             out = bodies.extents[j, int(np.argmax(np.concatenate([-normal, normal])))]
-        return normal, np.full(len(self.points(choice).places), out + bodies.margins[0, j, k])
+        return normal, np.full(int(self._held[j, k].sum()), out + bodies.margins[0, j, k])
 
     def beside(self, headings: Array, within: float) -> list[int]:
         """Return the choices of balls within a distance of a path, and of all boxes.
 
         Of bodies that are listed twice, for the ends of a step and for all of it, take the latter.
         """
-        if self._places is None:
+        if not self.bodies:
             return []
-        count, (into, _) = self.problem.horizon, self._places.entered(headings)
+        count, (into, _) = self.problem.horizon, self._entered(headings)
         boxes = len(self.problem.boxes)
         found = np.argwhere((into > -within) | (self._stated.bodies.extents[:, -1:] == 0.0))
         pairs = ((j, k) for j, k in found.tolist() if j < boxes or (j - boxes) % 2)
@@ -479,7 +505,7 @@ class Regions:
 
         Infinite for points that no heading moves, to split these first: no other choice can help.
         """
-        curvature = float(self.points(choice).curvature.min())
+        curvature = float(self._curvature[self.points(choice)[0]].min())
         return by * by / (2.0 * curvature) if curvature < np.inf else np.inf
 
     def gains(self, choice: int, sides: Sides, headings: Array) -> tuple[Array, np.ndarray]:
@@ -493,9 +519,10 @@ class Regions:
         Returns:
             Gains, shape (P,), and rows that cannot be satisfied, or -1, shape (P,).
         """
-        (normals, offsets), points = sides, self.points(choice)
-        short = offsets - normals @ (points.free + points.reach @ headings).T
-        gains = 0.5 * np.maximum(short, 0.0) ** 2 / points.curvature
-        left = offsets - normals @ points.free.T - np.abs(points.reach).sum(axis=1)
+        (normals, offsets), (places, _, free) = sides, self.points(choice)
+        reach = self._reach[places]
+        short = offsets - normals @ (free + reach @ headings).T
+        gains = 0.5 * np.maximum(short, 0.0) ** 2 / self._curvature[places]
+        left = offsets - normals @ free.T - np.abs(reach).sum(axis=1)
         rows = np.where(left.max(axis=1) > REFUTED, left.argmax(axis=1), -1)
         return gains.max(axis=1), np.where(choice >= self.problem.horizon, rows, -1)

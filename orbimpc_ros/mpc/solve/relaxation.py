@@ -15,6 +15,8 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.solve.request import Request
 
+HEADING = -1  # in place of a row number
+
 
 class Row(NamedTuple):
     """A half-space normal . sum_k shares_k R_k e1 >= offset on a heading or a control point.
@@ -24,12 +26,14 @@ class Row(NamedTuple):
         shares: coefficients of R_1 e1..R_N e1, shape (N,).
         normal: unit vector, shape (n,).
         offset: less the part of the point that is fixed by the state.
+        number: of the row among presses of a proof; negative for one on a heading.
     """
 
     place: int
     shares: Array
     normal: Array
     offset: float
+    number: int = HEADING
 
 
 class Multipliers(NamedTuple):

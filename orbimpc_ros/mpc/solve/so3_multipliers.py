@@ -88,7 +88,7 @@ class SO3Multipliers:
         self._thrust = thrust_axis(problem, condensed)
         self._others = other_axes(problem, condensed)
         self._length = length_weight(problem)
-        reach = control_maps(problem)[:, :, 1:].reshape(-1, problem.horizon)
+        reach = control_maps(problem)[0].reshape(-1, problem.horizon)
         self._reach = reach if beside else reach[:0]
         self._make_room()
         self._request: Request | None = None
