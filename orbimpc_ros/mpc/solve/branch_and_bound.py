@@ -326,12 +326,14 @@ class _Run:
     def _rows(self, node: Node) -> dict[int, Held]:
         """Return the half-spaces of a node, by choice."""
         if node.rows is None:
-            regions, above, known = self._regions, node.above, self._known(node)
+            regions, above = self._regions, node.above
             if above is None or above.cut is None:
-                node.rows = regions.every(known)
+                node.rows = regions.every(self._known(node))
+            elif above.cut.kind == CUT:  # turns may carry it to other headings
+                changed = regions.changed(self._known(above), self._known(node))
+                node.rows = self._rows(above) | changed
             else:
-                changed = regions.changed(self._known(above), known, above.cut.choice)
-                node.rows = self._rows(above) | {c: regions.rows(c, known) for c in changed}
+                node.rows = self._rows(above) | {above.cut.choice: node.own}
         return node.rows
 
     def _known(self, node: Node) -> Known:

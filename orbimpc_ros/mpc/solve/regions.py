@@ -110,6 +110,8 @@ class Regions:
         # R_N e1, those of R_0 e1, p_0 and w, and a.H^-1 a, infinite where nothing moves the point.
         self._reach = np.vstack([np.eye(count), controls.reshape(-1, count)])
         self._started = np.vstack([still, started.reshape(-1, 3)])
+        self._moved: list[bool] = np.asarray(self._reach.any(axis=1)).tolist()
+        self._headings = np.arange(count)[:, None]
         self._curvature = np.full(len(self._reach), np.inf)
         if np.isfinite(inverse).all():
             along = np.einsum('mi,ij,mj->m', self._reach, inverse, self._reach)
@@ -125,7 +127,7 @@ class Regions:
         self._order, self._begun = Order(ordered, self.origins), begun
         self._outward = np.vstack([-np.eye(n), np.eye(n)])
         self._centres: Array | None = None  # of the last bodies
-        self._rooted: Root | None = None  # of the last region of a root
+        self._begun_at: tuple[Root | None, int] = None, 0  # limits and bodies of the last root
         self._root: Known | None = None
 
     def bind(self, request: Request) -> None:
@@ -140,19 +142,23 @@ class Regions:
         self._upright = set(stated.sets.cone_step[flags].tolist())
         known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
         self._free = self._started @ known
-        if self.bodies and stated.bodies.centres is not self._centres:  # else none moves
-            self._place(stated.bodies)
+        if self.bodies:
+            if stated.bodies.centres is not self._centres:  # they are the same if none moves
+                self._place(stated.bodies)
+            self._apart = self._free[self._points] - self._middles
 
     def _place(self, bodies: Bodies) -> None:
         """Set which control points bodies constrain, and the sizes of balls."""
         count, self._centres = self.problem.horizon, bodies.centres
         at = control_points(tuple(bodies.of.tolist()), count, self._controls - 1)
-        at = at[:, :, : int((at >= 0).any(axis=(0, 1)).sum())]
-        self._held, steps = at >= 0, np.arange(count)[:, None]
-        # A missing row repeats the first one.
-        self._points = count + self._controls * steps + np.where(self._held, at, at[:, :, :1])
-        middles = bodies.centres[:, :, : at.shape[2]]
-        self._middles = np.where(self._held[..., None], middles, middles[:, :, :1])
+        self._rows, steps = (at >= 0).sum(axis=2), np.arange(count)[:, None]
+        at = at[:, :, : self._rows.max()]
+        held, middles = (
+            at >= 0,
+            bodies.centres[:, :, : at.shape[2]],
+        )  # missing rows repeat the first
+        self._points = count + self._controls * steps + np.where(held, at, at[:, :, :1])
+        self._middles = np.where(held[..., None], middles, middles[:, :, :1])
         radii, margins = bodies.extents[:, -1:], bodies.margins[0]
         self._balls = np.flatnonzero(radii > 0.0)
         self._radii, nothing = radii[self._balls], (radii > 0.0) & (radii + margins <= 0.0)
@@ -162,10 +168,10 @@ class Regions:
 
     def root(self) -> Known | None:
         """Return the region of the root; None if it is empty."""
+        root, bodies = self._begun_at
         known = self._stated
-        if known.root is self._rooted and known.decided == FREE:
-            return self._root
-        self._rooted, self._root = known.root, self._begin()
+        if known.root is not root or bodies != self.bodies or known.decided != FREE:
+            self._begun_at, self._root = (known.root, self.bodies), self._begin()
         return self._root
 
     def _begin(self) -> Known | None:
@@ -192,30 +198,28 @@ class Regions:
         left = narrowed(self._stated, self._order, node, cut.at, i, *made)
         return None if left == GONE else made
 
-    def changed(self, before: Known, after: Known, choice: int) -> list[int]:
-        """Return the choices that differ between a region and a part of it."""
-        if before.span is after.span:
-            return [choice]
+    def changed(self, before: Known, after: Known) -> dict[int, Held]:
+        """Return the half-spaces of the choices that differ between a region and a part of it."""
         moved = (before.span != after.span).any(axis=1) | (before.part != after.part)
-        return np.flatnonzero(moved).tolist()
+        return {choice: self.rows(choice, after) for choice in np.flatnonzero(moved).tolist()}
 
     # --- half-spaces
 
-    def points(self, choice: int) -> tuple[list[int], list[int], Array]:
+    def points(self, choice: int) -> tuple[np.ndarray, int, Array]:
         """Return the points that a choice constrains: a heading, or control points of a step.
 
         Returns:
-            Their places as in :class:`Row`, m of them; their row numbers among presses, -1 for a
-            heading; and their positions without thrust relative to the body, shape (m, n).
+            Their places as in :class:`Row`, m of them; the row number of the first among presses,
+            ``HEADING`` for a heading; and their positions without thrust relative to the body,
+            shape (m, n).
         """
         count = self.problem.horizon
         if choice < count:
-            return [choice], [HEADING], self._free[choice : choice + 1]
+            return self._headings[choice], HEADING, self._free[choice : choice + 1]
         j, k = choice // count - 2, choice % count
-        at = np.flatnonzero(self._held[j, k])
-        places = self._points[j, k, at]
-        free = self._free[places] - self._middles[j, k, at]
-        return places.tolist(), (POINTS * (choice - 2 * count) + at).tolist(), free
+        m = self._rows[j, k]
+        number = POINTS * (choice - 2 * count)
+        return self._points[j, k, :m], number, self._apart[j, k, :m]
 
     def rows(self, choice: int, known: Known) -> Held:
         """Return the half-spaces of a choice in a region."""
@@ -237,12 +241,12 @@ class Regions:
 
     def held(self, choice: int, normal: Array, offsets: Array) -> Held:
         """Return the half-spaces of a choice from a normal and the offsets of its points, (m,)."""
-        places, numbers, free = self.points(choice)
+        places, number, free = self.points(choice)
         offsets = offsets - free @ normal
         return tuple(
-            Row(place, self._reach[place], normal, offset, number)
-            for place, number, offset in zip(places, numbers, offsets.tolist(), strict=True)
-            if math.isfinite(offset) and self._reach[place].any()
+            Row(place, self._reach[place], normal, offset, number + i)
+            for i, (place, offset) in enumerate(zip(places.tolist(), offsets.tolist(), strict=True))
+            if math.isfinite(offset) and self._moved[place]
         )
 
     def _radius(self, choice: int) -> float:
@@ -254,11 +258,10 @@ class Regions:
         if choice < self.problem.horizon:
             assert self._flat is not None
             return self._flat[0][parts], self._flat[1][parts]
-        n, count, bodies = self.problem.dimension, self.problem.horizon, self._stated.bodies
+        count, bodies = self.problem.horizon, self._stated.bodies
         j, k = choice // count - 2, choice % count
         offsets = bodies.extents[j, parts, None] + bodies.margins[0, j, k]
-        m = int(self._held[j, k].sum())
-        return np.vstack([-np.eye(n), np.eye(n)])[parts], np.repeat(offsets, m, axis=1)
+        return self._outward[parts], np.repeat(offsets, self._rows[j, k], axis=1)
 
     def _sectors(self, choice: int, spans: Array) -> Sides:
         """Return the half-spaces of sectors, shape (P, 2) [rad]."""
@@ -309,7 +312,7 @@ class Regions:
         size = bodies.extents[j, -1] + bodies.margins[0, j, k]
         offsets = least * size - aside * bodies.margins[1, j, k]
         offsets = np.where((least > 0.0) & (size > 0.0), offsets, -np.inf)
-        return np.repeat(offsets[:, None], int(self._held[j, k].sum()), axis=1)
+        return np.repeat(offsets[:, None], self._rows[j, k], axis=1)
 
     def every(self, known: Known) -> dict[int, Held]:
         """Return the half-spaces of a region, by choice."""
@@ -331,9 +334,9 @@ class Regions:
 
     def beyond(self, choice: int, normal: Array, offsets: Array, i: int) -> Held:
         """Return the half-space of point i of a choice, even if no heading moves the point."""
-        places, numbers, free = self.points(choice)
+        places, number, free = self.points(choice)
         offset = float(offsets[i] - free[i] @ normal)
-        return (Row(places[i], self._reach[places[i]], normal, offset, numbers[i]),)
+        return (Row(int(places[i]), self._reach[places[i]], normal, offset, number + i),)
 
     # --- violations
 
@@ -363,7 +366,7 @@ class Regions:
         Returns:
             Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
         """
-        places = (self._free + self._reach @ headings)[self._points] - self._middles
+        places = (self._reach @ headings)[self._points] + self._apart
         far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
         short = far + self._stated.bodies.extents[:, None, :-1]
         into, ways = short.min(axis=-1), self._outward[short.argmin(axis=-1)]
@@ -418,7 +421,7 @@ class Regions:
         normal, out = ways[j, k], bodies.extents[j, -1]
         if not out > 0.0:
             out = bodies.extents[j, int(np.argmax(np.concatenate([-normal, normal])))]
-        return normal, np.full(int(self._held[j, k].sum()), out + bodies.margins[0, j, k])
+        return normal, np.full(self._rows[j, k], out + bodies.margins[0, j, k])
 
     def beside(self, headings: Array, within: float) -> list[int]:
         """Return the choices of balls within a distance of a path, and of all boxes.
