@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
-from orbimpc_ros.mpc.solve.dives import Dives, Incumbent, NodeProgram, arrives, is_accurate
+from orbimpc_ros.mpc.solve.dives import Dives, NodeProgram, arrives, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
@@ -203,8 +203,7 @@ class _Run:
     ) -> None:
         self._posed, self._regions, self._leaves = posed, posed.regions, leaves
         self._tolerance, self._guided = tolerance, guided
-        self._best = Incumbent(posed, tolerance)
-        self._dives = Dives(posed, self._best, passing=guided)
+        self._dives = Dives(posed, tolerance, passing=guided)
         self._root = -np.inf  # bound of the root
         self._closed = np.inf
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
@@ -217,7 +216,7 @@ class _Run:
             known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
             ways: guide paths: headings R_1 e1..R_N e1, shape (N, n) each.
         """
-        posed, best, root = self._posed, self._best, self._nodes[0]
+        posed, best, root = self._posed, self._dives, self._nodes[0]
         if root.known is None:
             raise Infeasible(NOTHING)
         for x in known:
@@ -250,9 +249,9 @@ class _Run:
 
         A leaf closed with too wide a turn caps the bound of the tree: no other node can raise it.
         """
-        if self._best.x is None or self._posed.turns is None:
-            return self._best.cutoff
-        return min(self._best.cutoff, self._closed)
+        if self._dives.x is None or self._posed.turns is None:
+            return self._dives.cutoff
+        return min(self._dives.cutoff, self._closed)
 
     def exceeding(self, cost: float) -> ProofTree | None:
         """Return a proof that every trajectory costs more than a value; None if none was found.
@@ -310,13 +309,13 @@ class _Run:
         missed = posed.missed(trajectory)
         if not missed:
             self._close(node.bound)
-            self._best.offer(relaxed.x, trajectory)
+            self._dives.offer(relaxed.x, trajectory)
             if not relaxed.is_accurate:
                 self._dives.dive(rows, trajectory)
             elif not posed.turns_in_time(trajectory):
                 self._dives.turn(rows, trajectory)
             return
-        if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):
+        if (self._dives.x is None and not self._guided) or self._is_nearly_round(missed):
             self._dives.dive(rows, trajectory)
         if posed.request.late:  # branching may take as long as a solve
             self._close(node.bound)
@@ -414,7 +413,7 @@ class _Run:
             part.own = regions.held(cut.choice, sides[0][i], sides[1][i])
             if row >= 0:
                 part.refuted = regions.beyond(cut.choice, sides[0][i], sides[1][i], row)
-            elif bound >= self._best.cutoff:
+            elif bound >= self._dives.cutoff:
                 self._close(bound)
             else:
                 heapq.heappush(self._open, part)

@@ -1,9 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Primal heuristics: dives, guide paths and turn repair; the incumbent.
 
-A *dive* adds a half-space for each choice that a solution violates, and solves again: for a round
-floor the tangent in the direction of v, which implies |v| >= floor; for an obstacle the side that
-is violated least. A *guide path* selects the sides on which balls and moving obstacles are passed.
+A *dive* adds a half-space for each choice that a solution violates, and solves again: for a
+circular floor the tangent in the direction of v, which implies |v| >= floor; for an obstacle the
+side that is violated least. A *guide path* selects the sides on which balls and moving obstacles
+are passed.
 
 Mathematics: docs/mathematics.md, 4.9 and 4.11.
 """
@@ -88,41 +89,6 @@ class NodeProgram:
         return self.turns is None or self.turns.hold(self.request.state, trajectory.headings)
 
 
-class Incumbent:
-    """The best trajectory found so far.
-
-    Args:
-        posed: the request; its guess is the first incumbent.
-        tolerance: relative gap at which the search stops.
-
-    Attributes:
-        x: rotation coordinates, shape (N, d); None without a trajectory.
-        cost: its objective; infinite without a trajectory.
-    """
-
-    def __init__(self, posed: NodeProgram, tolerance: float) -> None:
-        self._posed, self._tolerance, guess = posed, tolerance, posed.request.guess
-        self.x = None if guess is None else guess.x
-        self.cost = np.inf if guess is None else guess.cost
-
-    @property
-    def cutoff(self) -> float:
-        """Return the bound from which on nodes are pruned: the cost less the tolerance."""
-        if self.x is None:
-            return np.inf
-        return self.cost - self._tolerance * max(abs(self.cost), LEAST)
-
-    def offer(self, x: Array, trajectory: Trajectory) -> None:
-        """Accept a trajectory without violated choices if it is cheaper and feasible otherwise."""
-        posed = self._posed
-        if (
-            trajectory.cost < self.cost
-            and posed.turns_in_time(trajectory)
-            and is_accurate(posed.problem, posed.request.goals, trajectory)
-        ):
-            self.x, self.cost = x, trajectory.cost
-
-
 def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
     """Return True if orbitopes and a terminal constraint hold within the tolerance of plans.
 
@@ -144,17 +110,40 @@ def arrives(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
 
 
 class Dives:
-    """Primal heuristics of one request.
+    """Primal heuristics of one request, and the best trajectory found so far.
 
     Args:
-        posed: the request with its regions and relaxation.
-        best: the incumbent, to which trajectories are offered.
+        posed: the request with its regions and relaxation; its guess is the first trajectory.
+        tolerance: relative gap at which the search stops.
         passing: whether there are balls or moving obstacles.
+
+    Attributes:
+        x: rotation coordinates, shape (N, d); None without a trajectory.
+        cost: its objective; infinite without a trajectory.
     """
 
-    def __init__(self, posed: NodeProgram, best: Incumbent, *, passing: bool) -> None:
-        self._posed, self._best = posed, best
+    def __init__(self, posed: NodeProgram, tolerance: float, *, passing: bool) -> None:
+        self._posed, self._tolerance, guess = posed, tolerance, posed.request.guess
         self._steps = PASSING_STEPS if passing else DIVE_STEPS
+        self.x = None if guess is None else guess.x
+        self.cost = np.inf if guess is None else guess.cost
+
+    @property
+    def cutoff(self) -> float:
+        """Return the bound from which on nodes are pruned: the cost less the tolerance."""
+        if self.x is None:
+            return np.inf
+        return self.cost - self._tolerance * max(abs(self.cost), LEAST)
+
+    def offer(self, x: Array, trajectory: Trajectory) -> None:
+        """Accept a trajectory without violated choices if it is cheaper and feasible otherwise."""
+        posed = self._posed
+        if (
+            trajectory.cost < self.cost
+            and posed.turns_in_time(trajectory)
+            and is_accurate(posed.problem, posed.request.goals, trajectory)
+        ):
+            self.x, self.cost = x, trajectory.cost
 
     def follow(self, headings: Array, rows: Rows) -> None:
         """Solve with the sides on which a path passes; repeat with the solution as the path.
@@ -174,7 +163,7 @@ class Dives:
                 return
             trajectory = self._posed.flown(x)
             if not self._posed.missed(trajectory):
-                self._best.offer(x, trajectory)
+                self.offer(x, trajectory)
             if trajectory.cost > (1.0 - WORTH) * cost:
                 return
             headings, cost = trajectory.headings[1:], trajectory.cost
@@ -189,7 +178,7 @@ class Dives:
         posed, regions = self._posed, self._posed.regions
         if posed.turns is not None:
             self.turn(rows, trajectory)
-            if self._best.x is not None:
+            if self.x is not None:
                 return
         held = rows
         for _ in range(self._steps):
@@ -203,8 +192,8 @@ class Dives:
             if x is None:
                 return
             trajectory = posed.flown(x)
-            if not posed.missed(trajectory):  # tangents of round floors here may cost still less
-                self._best.offer(x, trajectory)
+            if not posed.missed(trajectory):  # tangents of circular floors here may cost less
+                self.offer(x, trajectory)
                 if not regions.round_floors:
                     return
 
@@ -233,7 +222,7 @@ class Dives:
                 return
             trajectory = posed.flown(x)
             if not posed.missed(trajectory):
-                self._best.offer(x, trajectory)
+                self.offer(x, trajectory)
             if not posed.turns_in_time(trajectory):
                 return
             around = posed.turns.kept(trajectory.headings)
