@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_450,
-    'orbimpc_ros/mpc': 17_026,
+    'orbimpc_ros': 33_418,
+    'orbimpc_ros/mpc': 16_994,
     'orbimpc_ros/loop': 3_907,
     'orbimpc_ros/ros': 4_729,
     'orbimpc_ros/sim': 2_810,
