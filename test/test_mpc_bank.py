@@ -153,7 +153,6 @@ def test_the_same_sightings_give_the_same_bits_whoever_asked_meanwhile():
     for time, position in zip(times, seen, strict=True):
         asked.observe(GoalObservation(float(time), position.copy()))
         asked.at(time + np.arange(5.0))
-    shown(times[:50], seen[:50] + 1.0, again).reset()
     shown(times, seen, again)
     ahead = times[-1] + np.arange(5.0)
     for other in (asked, again):
@@ -195,10 +194,8 @@ def test_harmonic_knows_a_swing_after_seeing_it_once(pace, spacing, noise, swing
     [([3.0], [1.0, 2.0, 3.0]), (range(10), [4.0, -1.0]), ([1.0] * 3, [1.0, 1.0])],
 )
 def test_what_shows_no_motion_is_forecast_where_it_is(kind, times, place):
-    """A goal seen once, at rest, or only at one stamp is held there, also after a reset."""
-    forecast = shown(range(5), np.outer(range(5), [1.0, 0.0]), FORECASTS[kind]())
-    forecast.reset()
-    shown(times, np.tile(place, (len(times), 1)), forecast)
+    """A goal seen once, at rest, or only at one stamp is held there."""
+    forecast = shown(times, np.tile(place, (len(times), 1)), FORECASTS[kind]())
     assert np.allclose(forecast.at(times[-1] + np.arange(1.0, 6.0)), place, atol=1e-3)
 
 

@@ -180,6 +180,7 @@ def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Arra
     return moved
 
 
+Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
 # [rad/s]; geometric below; above, spaced by what twenty seconds of data resolve
 GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
 NYQUIST = 0.45  # cycles per sighting, the highest resolved frequency
@@ -187,63 +188,30 @@ ASSUMED = 0.01  # [m] noise, for the prior of a swing's size
 FIXED, DRIFTING = 1, 2  # columns of the line followed by the centre of a swing
 
 
-class Spectrum:
-    """Quality of fit of a swing at each frequency of the grid, after ``count`` sightings."""
+def best_swing(past: Past, middle: int) -> tuple[float, float]:
+    """Return the angular frequency [rad/s] of the swing that fits best, and its misfit [m^2].
 
-    def __init__(self, n: int) -> None:
-        # Products of cosine and sine with 1, t and the positions, and with one another.
-        self._cosines, self._sines = np.zeros((2, 2 + n, len(GRID)))
-        self._squares, self._products = np.zeros((2, len(GRID)))
-        self._line = np.zeros((2, 2 + n))  # products of 1 and t with themselves, and with positions
-        self._square = 0.0
-        self.count = 0
-
-    def add(self, times: Array, positions: Array) -> None:
-        """Add sightings at ``times``, shape (M,) [s], of ``positions``, shape (M, n) [m]."""
-        phase = times[:, None] * GRID
-        cosines, sines = np.cos(phase), np.sin(phase)
-        rows = np.column_stack([np.ones_like(times), times, positions])
-        self._cosines += rows.T @ cosines
-        self._sines += rows.T @ sines
-        self._squares += (cosines * cosines).sum(axis=0)
-        self._products += (cosines * sines).sum(axis=0)
-        self._line += rows[:, :2].T @ rows
-        self._square += float(np.sum(positions * positions))
-        self.count += len(times)
-
-    def best(self, middle: int) -> tuple[float, float]:
-        """Return the best angular frequency [rad/s] and its misfit [m^2].
-
-        The centre of the swing (``middle``) is ``FIXED`` or ``DRIFTING``.
-        """
-        # With orthonormal columns of the line, its explained part is a sum of squares.
-        unit = np.linalg.inv(np.linalg.cholesky(self._line[:middle, :middle]))
-        known = unit @ self._line[:middle, 2:]
-        explained = self._explained(unit, known)
-        span = math.sqrt(3.0 * self._line[1, 1] / self.count)  # for times spread evenly from 0
-        explained[GRID * span > 2.0 * math.pi * NYQUIST * self.count] = -np.inf
-        found = int(np.argmax(explained))
-        return float(GRID[found]), self._square - float(np.sum(known**2) + explained[found])
-
-    def _explained(self, unit: Array, known: Array) -> Array:
-        """Return what a swing explains beyond a line, with a prior on its size, (F,) [m^2]."""
-        prior, middle = (ASSUMED / SIZE) ** 2, len(unit)
-        u, v = unit @ self._cosines[:middle], unit @ self._sines[:middle]
-        one, two = self._cosines[2:] - known.T @ u, self._sines[2:] - known.T @ v
-        p = self._squares + prior - (u * u).sum(axis=0)
-        q = self.count - self._squares + prior - (v * v).sum(axis=0)
-        r = self._products - (u * v).sum(axis=0)
-        squares = q * (one * one).sum(axis=0) + p * (two * two).sum(axis=0)
-        return np.asarray((squares - 2.0 * r * (one * two).sum(axis=0)) / (p * q - r * r))
+    The centre of the swing (``middle``) is ``FIXED`` or ``DRIFTING``; its size has a prior.
+    """
+    times, seen = past
+    line, _ = np.linalg.qr(np.vander(times, middle, increasing=True))
+    left = seen - line @ (line.T @ seen)  # beyond what a line explains
+    phase = GRID[:, None] * times
+    swings = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    swings -= (swings @ line) @ line.T
+    moments = swings @ left
+    gram = swings @ swings.transpose(0, 2, 1) + (ASSUMED / SIZE) ** 2 * np.eye(2)
+    explained = np.sum(moments * np.linalg.solve(gram, moments), axis=(1, 2))
+    span = math.sqrt(3.0 * float(np.mean(times * times)))  # for times spread evenly from 0
+    explained[GRID * span > 2.0 * math.pi * NYQUIST * len(times)] = -np.inf
+    found = int(np.argmax(explained))
+    return float(GRID[found]), float(np.sum(left * left) - explained[found])
 
 
 MOST_DAMPED = 2.0  # [1/s]
 BENT_FROM = 5  # sightings: any three fit an acceleration
 # For a few numbers at a time: importing SciPy's takes longer than a flight's calls.
 log_gamma = np.vectorize(math.lgamma, otypes=[float])
-
-
-Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
 
 
 class Placement(NamedTuple):
@@ -253,10 +221,7 @@ class Placement(NamedTuple):
     rate: float  # [rad/s]
     damping: float  # [1/s]
     coefficients: Array  # shape (7, n)
-    gram: Array  # products of its columns, summed over sightings, shape (7, 7)
-    moments: Array  # their products with the positions, shape (7, n)
-    jacobian: Array  # shape (P, 7, n)
-    moved: bool
+    moved: bool = False
 
 
 class Noise(NamedTuple):
@@ -329,36 +294,23 @@ class Fits:
         self._square += float(position @ position)
         self.count += 1
 
-    def placed(
-        self,
-        family: int,
-        rate: float,
-        damping: float,
-        coefficients: Array,
-        past: Past,
-        moved: bool = False,
-    ) -> Placement:
-        """Return the placement of a family at a frequency, damping and coefficients."""
-        x = columns(past[0], rate, damping)
-        rows = jacobian(family, coefficients)
-        return Placement(family, rate, damping, coefficients, x.T @ x, x.T @ past[1], rows, moved)
-
-    def put(self, to: Placement) -> None:
-        """Apply a placement; ``solve`` must follow."""
-        n, family = self._n, to.family
-        self._gram[family], self._moments[family] = to.gram, to.moments
-        self.rates[family], self.dampings[family] = to.rate, to.damping
-        self.coefficients[family] = to.coefficients
-        self.known[family], self.weighed[family] = True, to.moved
-        self._jacobian[family] = to.jacobian
-        self._transposed[family] = to.jacobian.transpose(1, 2, 0).reshape(COLUMNS, -1)
+    def place(self, to: Placement, past: Past) -> None:
+        """Linearise a family anew; ``solve`` must follow."""
+        family, rate, damping, coefficients, weighed = to
+        n, x = self._n, columns(past[0], rate, damping)
+        self._gram[family], self._moments[family] = x.T @ x, x.T @ past[1]
+        self.rates[family], self.dampings[family] = rate, damping
+        self.coefficients[family] = coefficients
+        self.known[family], self.weighed[family] = True, weighed
+        self._jacobian[family] = jacobian(family, coefficients)
+        self._transposed[family] = self._jacobian[family].transpose(1, 2, 0).reshape(COLUMNS, -1)
         first, last = shape_rows(family, n)
-        size = self._noise.variance * shape_precision(family, to.rate)
+        size = self._noise.variance * shape_precision(family, rate)
         self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
         self._free[family, first:last] = size
         if family != TURN:
-            self._pull[family, n : 2 * n] = to.coefficients[LINEAR]
-            self._pull[family, first:last] = to.coefficients[COSINE : SINE + 1].ravel()
+            self._pull[family, n : 2 * n] = coefficients[LINEAR]
+            self._pull[family, first:last] = coefficients[COSINE : SINE + 1].ravel()
 
     def moved(self, family: int, past: Past) -> Placement:
         """Return a family after a Gauss-Newton step, shortened to where linearity holds."""
@@ -370,7 +322,7 @@ class Fits:
         rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
         damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
         coefficients = stepped(family, self.coefficients[family], step)
-        return self.placed(family, rate, damping, coefficients, past, True)
+        return Placement(family, rate, damping, coefficients, moved=True)
 
     def begin_later(self, by: float, past: Past) -> None:
         """Move the time origin by ``by`` [s], and recompute the sums over ``past``, the rest.
@@ -384,7 +336,7 @@ class Fits:
         for family in OSCILLATING:
             if self.known[family]:
                 where = self.rates[family], self.dampings[family], kept[family]
-                self.put(self.placed(family, *where, past, bool(self.weighed[family])))
+                self.place(Placement(family, *where, bool(self.weighed[family])), past)
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""

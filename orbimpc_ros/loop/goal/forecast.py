@@ -40,8 +40,8 @@ from orbimpc_ros.loop.goal.fits import (
     Noise,
     Past,
     Placement,
-    Spectrum,
     arc,
+    best_swing,
     circle,
     columns,
     data_evidence,
@@ -57,72 +57,36 @@ WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new 
 ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
 
 
-class Changes:
-    """Compares one motion with a new one, still, straight or bent, over the latest sightings."""
+def evidence_anew(past: Past, lengths: np.ndarray, noises: Array) -> Array:
+    """Return the evidence of a still, straight or bent motion over the latest sightings.
 
-    def __init__(self, n: int) -> None:
-        self._n = n
-        self._times = np.zeros(LENGTHS[-1] + 1)
-        self._seen = np.zeros((LENGTHS[-1] + 1, n))
-        self._evidence = np.full(LENGTHS[-1] + 1, -np.inf)
-        self._noise = np.ones((LENGTHS[-1] + 1, 2))
-        self._count = 0
-
-    def note(self, time: float, position: Array) -> None:
-        """Record a sighting."""
-        self._count += 1
-        new = self._count % len(self._times)
-        self._times[new], self._seen[new] = time, position
-
-    def weigh(self, evidence: float, noise: Noise) -> None:
-        """Record the evidence of one motion through all sightings so far, and its noise."""
-        now = self._count % len(self._evidence)
-        self._evidence[now], self._noise[now] = evidence, noise
-
-    def noise(self, new: int) -> Noise:
-        """Return the noise as estimated before the ``new`` latest sightings."""
-        return Noise(*map(float, self._noise[(self._count - new) % len(self._noise)]))
-
-    def found(self) -> int:
-        """Return the number of sightings of a new motion, if one is likely; otherwise 0."""
-        usable = int(np.searchsorted(LENGTHS, self._count - 1, side='right'))
-        if not usable:
-            return 0
-        now, size = self._count, len(self._evidence)
-        before = (now - LENGTHS[:usable]) % size
-        gain = self._evidence[before] + self._anew(before)
-        if gain.max() + RARE <= self._evidence[now % size]:
-            return 0
-        return int(LENGTHS[np.flatnonzero(gain > gain.max() - TIE)[-1]])
-
-    def _anew(self, before: np.ndarray) -> Array:
-        """Return the evidence of a still, straight or bent motion after each of ``before``.
-
-        One Cholesky factor serves all three, because the columns of each are the first of the next.
-        """
-        n, lengths = self._n, LENGTHS[: len(before)]
-        share, scale = self._noise[before].T
-        variance = scale / share
-        latest = (self._count - np.arange(lengths[-1])) % len(self._times)
-        rows = (self._times[latest] - self._times[latest[0]])[:, None] ** np.arange(3.0)
-        seen = self._seen[latest] - self._seen[latest[0]]
-        gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
-        moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
-        square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
-        prior = variance[:, None] / WIDTHS**2
-        gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
-        factor = np.linalg.cholesky(gram)
-        white = np.linalg.solve(factor, moments)
-        explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
-        spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
-        found = data_evidence(
-            np.maximum(square[:, None] - explained, 0.0),
-            float(n) * lengths[:, None],
-            share[:, None],
-            scale[:, None],
-        )
-        found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS
-        return np.asarray(np.logaddexp.reduce(found, axis=1))
+    It is given for each of the ``lengths``, increasing numbers of sightings, shape (L,), with the
+    share and scale of the noise known before, shape (L, 2). One Cholesky factor serves all three
+    motions, because the columns of each are the first of the next.
+    """
+    latest = slice(-1, -1 - lengths[-1], -1)
+    times, places = past[0][latest], past[1][latest]
+    share, scale = noises.T
+    variance, n = scale / share, places.shape[1]
+    rows = (times - times[0])[:, None] ** np.arange(3.0)
+    seen = places - places[0]
+    gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
+    moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
+    square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
+    prior = variance[:, None] / WIDTHS**2
+    gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
+    factor = np.linalg.cholesky(gram)
+    white = np.linalg.solve(factor, moments)
+    explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
+    spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
+    found = data_evidence(
+        np.maximum(square[:, None] - explained, 0.0),
+        float(n) * lengths[:, None],
+        share[:, None],
+        scale[:, None],
+    )
+    found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS
+    return np.asarray(np.logaddexp.reduce(found, axis=1))
 
 
 MEMORY, KEPT = 768, 512  # sightings: the most remembered, and those kept when the memory is full
@@ -137,7 +101,6 @@ LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
 PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting per additional task, and their largest number
 STEPS = 4  # Gauss-Newton steps of a closer analysis
-SPECTRAL = ((SWING, FIXED), (CARRIER, DRIFTING))  # found in the spectrum, with their centres
 SPEED_OVER = 0.5  # [s]
 WORTHWHILE = 0.01  # least gain of a step, in units of the noise
 
@@ -146,10 +109,6 @@ class Bank:
     """Predicts a goal from its sightings by all families of motion at once."""
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget every sighting."""
         self._last: float | None = None
         self._n = 0
         self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
@@ -213,7 +172,7 @@ class Bank:
             return
         self._apart = []
         if self._waiting:
-            self._put_waiting()
+            self._place_waiting()
             rows = self._fits.rows(time - self._epoch)
         self._append(time, position, rows)
         self._work(waited)
@@ -234,15 +193,15 @@ class Bank:
             for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
                 self._refine()
         if at_leisure or odd:
-            self._put_waiting()
+            self._place_waiting()
             self._conclude()
-            if self._changes.found():
+            if self._changed():
                 self._reconsider()
 
-    def _put_waiting(self) -> None:
+    def _place_waiting(self) -> None:
         """Apply the placements requested by tasks, now that a fit to all sightings follows."""
         for each in self._waiting:
-            self._fits.put(each)
+            self._fits.place(each, self._past())
         self._waiting = []
 
     def _expected(self, position: Array, rows: Array, waited: float) -> bool:
@@ -262,9 +221,10 @@ class Bank:
         self._n = seen.shape[1]
         self._epoch, self._origin = float(times[0]), seen[0].copy()
         self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, self._n))
-        self._fits, self._changes = Fits(self._n, noise), Changes(self._n)
-        self._spectrum: Spectrum | None = Spectrum(self._n)
-        self._count, self._tasks = 0, 0
+        # Of one motion through all sightings up to each, and its noise.
+        self._evidence, self._noises = np.full(MEMORY + 1, -np.inf), np.ones((MEMORY + 1, 2))
+        self._fits = Fits(self._n, noise)
+        self._count, self._tasks, self._searched = 0, 0, 0
         self._apart, self._waiting = [], []
         for time, position in zip(times, seen, strict=True):
             self._append(float(time), position, self._fits.rows(time - self._epoch))
@@ -276,7 +236,6 @@ class Bank:
         self._times[self._count], self._seen[self._count] = since, place
         self._count += 1
         self._fits.add(rows, place)
-        self._changes.note(since, place)
 
     def _conclude(self) -> None:
         """Fit the families and compute their shares."""
@@ -285,26 +244,39 @@ class Bank:
         shares = np.exp(self._fits.evidence - best)
         total = shares.sum()
         self._shares = shares / total
-        self._changes.weigh(best + math.log(total), self._fits.noise())
+        self._evidence[self._count] = best + math.log(total)
+        self._noises[self._count] = self._fits.noise()
         self._fitted: Array = self._fits.fitted
+
+    def _changed(self) -> int:
+        """Return the number of sightings of a new motion, if one is likely; otherwise 0."""
+        lengths = LENGTHS[self._count > LENGTHS]
+        if not len(lengths):
+            return 0
+        before = self._count - lengths
+        anew = evidence_anew(self._past(), lengths, self._noises[before])
+        gain = self._evidence[before] + anew
+        if gain.max() + RARE <= self._evidence[self._count]:
+            return 0
+        return int(lengths[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
     def _reconsider(self) -> None:
         """Start anew with a new motion, unless an oscillation explains it on closer analysis."""
-        if self._count >= SWINGS_FROM and self._spectrum is not None:
+        if self._count >= SWINGS_FROM:
             self._look_closely()
-        new = self._changes.found()
+        new = self._changed()
         if new:
             times, seen = self._past()
             begun = times[-new:] + self._epoch, seen[-new:] + self._origin
-            self._begin(*begun, self._changes.noise(new))
+            self._begin(*begun, Noise(*map(float, self._noises[self._count - new])))
 
     def _shorten(self) -> None:
-        """Drop the oldest sightings; keep present estimates, without searching for them again."""
+        """Drop the oldest sightings, but keep the present estimates."""
         times, seen = (each[-KEPT:].copy() for each in self._past())
         by, offset = float(times[0]), seen[0].copy()
         self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
         self._epoch, self._origin = self._epoch + by, self._origin + offset
-        self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
+        self._count, self._searched, self._evidence[:] = KEPT, 0, -np.inf
         self._waiting = []  # relative to the previous epoch
         self._fits.begin_later(by, self._past())
         self._conclude()
@@ -319,28 +291,28 @@ class Bank:
         if self._count < SWINGS_FROM:
             return
         self._tasks += 1
-        swing, carrier = (partial(self._seek, *where) for where in SPECTRAL)
-        search = self._read, swing, carrier, self._seek_damped, self._seek_turn
-        if self._tasks % 2 and self._spectrum is not None:
+        swing, carrier = partial(self._seek, SWING, FIXED), partial(self._seek, CARRIER, DRIFTING)
+        search = self._begin_search, swing, carrier, self._seek_damped, self._seek_turn
+        if self._tasks % 2:
             search[self._tasks // 2 % len(search)]()
         else:
             self._move()
 
     def _look_closely(self) -> None:
         """Do all tasks at once that are otherwise spread over many sightings."""
-        self._read()
-        for where in SPECTRAL:
-            self._seek(*where)
+        self._begin_search()
+        self._seek(SWING, FIXED)
+        self._seek(CARRIER, DRIFTING)
         for _ in range(STEPS):
-            self._put_waiting()
+            self._place_waiting()
             self._conclude()
             for family in OSCILLATING:
                 if self._fits.gain[family] > WORTHWHILE:
                     self._waiting.append(self._fits.moved(family, self._past()))
-            self._put_waiting()
+            self._place_waiting()
             self._seek_damped()
             self._seek_turn()
-        self._put_waiting()
+        self._place_waiting()
         self._conclude()
 
     def _move(self) -> None:
@@ -352,20 +324,20 @@ class Bank:
                 self._waiting.append(fits.moved(family, self._past()))
                 return
 
-    def _read(self) -> None:
-        if self._spectrum is not None:
-            times, seen = self._past()
-            self._spectrum.add(times[self._spectrum.count :], seen[self._spectrum.count :])
+    def _begin_search(self) -> None:
+        """Choose the sightings in which swings are sought: all so far."""
+        self._searched = self._count
 
     def _seek(self, family: int, middle: int) -> None:
-        """Place a family at the best frequency of the spectrum, if that fits better."""
-        if self._spectrum is None or self._spectrum.count < SWINGS_FROM:
+        """Place a family at the frequency of the best swing, if that fits better."""
+        if self._searched < SWINGS_FROM:
             return
-        rate, misfit = self._spectrum.best(middle)
+        times, seen = self._past()
+        rate, misfit = best_swing((times[: self._searched], seen[: self._searched]), middle)
         fits = self._fits
         if not fits.known[family] or misfit < BETTER * fits.misfit[family]:
-            start = np.zeros_like(fits.coefficients[family])
-            self._waiting.append(fits.placed(family, rate, 0.0, start, self._past()))
+            still = np.zeros_like(fits.coefficients[family])
+            self._waiting.append(Placement(family, rate, 0.0, still))
 
     def _seek_damped(self) -> None:
         """Restart the damped swing from the swing, if that fits better."""
@@ -389,8 +361,7 @@ class Bank:
 
     def _start(self, family: int, rate: float, coefficients: Array) -> None:
         if coefficients[COSINE].any():
-            placed = self._fits.placed(family, rate, 0.0, coefficients, self._past())
-            self._waiting.append(placed)
+            self._waiting.append(Placement(family, rate, 0.0, coefficients))
 
 
 def _far(one: Array, other: Array) -> bool:
@@ -399,7 +370,6 @@ def _far(one: Array, other: Array) -> bool:
         return bool(np.abs(one - other).max() > FAR)
 
 
-WATCHED = 64  # sightings
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
 COARSE, FINE, ZOOMS = 40, 8, 3  # frequencies on the first grid, on a refinement, refinements
 NOISES = (1e-3, 1e-2, 3e-2, 1e-1)  # standard deviations considered [m]
@@ -420,19 +390,18 @@ class Velocity:
         """Take in a sighting."""
         self._latest.append(sighting)
 
+    def _past(self) -> Past:
+        stamps, seen = zip(*((each.time, each.position) for each in self._latest), strict=True)
+        return np.array(stamps), np.array(seen)
+
     def at(self, times: Array) -> Array:
         """Return the line at ``times`` [s], shape (N, n) [m]; the position if there is only one."""
-        seen = np.array([s.position for s in self._latest])
-        stamps = np.array([s.time for s in self._latest])
-        if len(seen) < 2 or stamps[-1] == stamps[0]:
+        stamps, seen = self._past()
+        if stamps[-1] == stamps[0]:
             return np.tile(seen[-1], (len(times), 1))
         past = stamps - stamps.mean()
         slope = past @ seen / (past @ past)
         return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope)
-
-    def reset(self) -> None:
-        """Forget every sighting."""
-        self._latest.clear()
 
 
 class Hold(Velocity):
@@ -441,7 +410,7 @@ class Hold(Velocity):
     LATEST = 1
 
 
-class Harmonic:
+class Harmonic(Velocity):
     r"""The goal swings: a harmonic oscillation with unknown parameters.
 
     The model is :math:`g(t) = c + a \cos\omega t + b \sin\omega t + \varepsilon`, one frequency for
@@ -454,26 +423,16 @@ class Harmonic:
     motion after a few, the more cautiously the more noise there is.
     """
 
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget every sighting."""
-        self._times: deque[float] = deque(maxlen=WATCHED)
-        self._seen: deque[Array] = deque(maxlen=WATCHED)
-
-    def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting."""
-        self._times.append(sighting.time)
-        self._seen.append(sighting.position)
+    LATEST = 64
 
     def at(self, times: Array) -> Array:
         """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
 
         Predictions are averaged by evidence over log(frequency).
         """
-        now, last = self._times[-1], self._seen[-1]
-        past, seen = np.array(self._times) - now, np.array(self._seen) - last
+        stamps, places = self._past()
+        now, last = stamps[-1], places[-1]
+        past, seen = stamps - now, places - last
         grid = _first_grid(past)
         evidence, predicted = _fit(grid, past, seen, times - now)
         for _ in range(ZOOMS):

@@ -52,9 +52,6 @@ class Forecast(GoalMotion, Protocol):
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting; sightings come in order of time."""
 
-    def reset(self) -> None:
-        """Forget every sighting."""
-
 
 @dataclass(frozen=True)
 class GoalTrajectory:

@@ -233,7 +233,7 @@ class Inputs:
         if jump > limit and fresh:
             raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
         if jump > limit and topic == 'goal':
-            self.forecast.reset()
+            self.forecast = FORECASTS[self.settings.goal_prediction]()
 
     def _keep(self, topic: str, received: Received[Any]) -> None:
         last, first = self.latest.get(topic), self.odometry is None
@@ -252,7 +252,7 @@ class Inputs:
             # goal has a stamp of 0.)
             undated = last and last.stamp.nanoseconds == 0 and last.value.time > 0.0
             if back or undated:
-                self.forecast.reset()
+                self.forecast = FORECASTS[self.settings.goal_prediction]()
             self.forecast.observe(received.value)
         if topic == 'goal' or (topic == 'odom' and first):
             self._date_goal()
@@ -268,7 +268,7 @@ class Inputs:
         """
         goal = self.latest.get('goal')
         self.latest.clear()
-        self.forecast.reset()
+        self.forecast = FORECASTS[self.settings.goal_prediction]()
         if goal is not None and goal.run < STREAM:
             unset = replace(goal.stamp, nanoseconds=0)
             self._see_anew(replace(goal, stamp=unset, timed=None))
@@ -276,7 +276,7 @@ class Inputs:
     def _see_anew(self, goal: Received[GoalObservation]) -> None:
         """Replace the goal and all of its history."""
         self.latest['goal'] = goal
-        self.forecast.reset()
+        self.forecast = FORECASTS[self.settings.goal_prediction]()
         self.forecast.observe(goal.value)
 
     def _date_goal(self) -> None:
