@@ -15,15 +15,14 @@ from stepping import Stepped, flown, started
 
 from orbimpc_ros.loop.capture import WINDOW, VelocityFrameCheck
 from orbimpc_ros.loop.compensation import (
+    DRIFT,
+    DRIFT_PUSHED,
     GAP,
     LARGEST,
     PATIENCE,
-    PUSHED,
     CommandHistory,
     Compensator,
-    Estimator,
     Interval,
-    NoiseModel,
     Odometry,
     Response,
     advanced,
@@ -257,7 +256,7 @@ def test_a_vehicle_that_obeys_at_once_is_sent_what_is_due_now(rotation_order):
         odometry = Odometry(float(k), position, np.eye(2), np.array([0.3 * k, 0.0]), np.zeros(1))
         goals = np.tile([6.0, 1.0], (8, 1))
         sent.append(prompt.tick(odometry, goals).command)
-        planned.append(prompt._compensator.due)
+        planned.append(prompt._compensator.history.due)
         plain.tick(odometry, goals)
     for now, before in zip(sent[1:], planned[:-1], strict=True):
         assert now.speed_fraction == before.speed_fraction
@@ -278,8 +277,9 @@ class Watched:
         self.plant, self.step, self.rng = plant, step, np.random.default_rng(0)
         orders = {'translation_order': plant.translation_order, 'floor': floor}
         problem = Problem(plant.dimension, forward=plant.forward, **orders)
-        self.estimator = Estimator(problem, plant.speed_lag, plant.velocity_source, **known)
-        self.history, self.vehicle = CommandHistory(), started(plant, 0.3, fraction)
+        known |= {'estimated': True, 'velocity_source': plant.velocity_source}
+        self.estimator = Compensator(problem, Response(plant.speed_lag), **known)
+        self.history, self.vehicle = self.estimator.history, started(plant, 0.3, fraction)
 
     def watch(self, ticks, command=None, noise=0.0, moved=0.0):
         """Fly ``ticks`` steps with a command, or random ones; return the innovations.
@@ -301,7 +301,7 @@ class Watched:
         return np.array(innovations)
 
     def observe(self, odometry):
-        self.estimator.observe(odometry, self.history)
+        self.estimator.observe(odometry)
 
     @property
     def found(self):
@@ -336,7 +336,7 @@ def test_a_steady_disturbance_is_found_whatever_is_commanded(plant):
 def test_a_jump_of_the_clock_leaves_the_wind_known_and_a_reset_does_not(watched):
     watched.estimator.start_afresh()
     np.testing.assert_allclose(watched.found, WING.blown, atol=0.01 * WING.forward)
-    watched.estimator.reset()
+    watched.estimator.start_afresh(wind=True)
     np.testing.assert_array_equal(watched.found, 0.0)
 
 
@@ -376,7 +376,7 @@ def test_a_wind_that_turns_about_is_followed_within_two_seconds(step):
 def test_speed_that_is_not_as_commanded_is_no_wind_where_what_is_measured_is_believed(believed):
     """With measured airspeed trusted, flying at 12 of 15 m/s commanded adds nothing to the wind."""
     slow = replace(WING, speed_lag=0.0, gain=0.8, velocity_source='air')
-    watched = Watched(slow, 1.0, 0.5, measured=believed)
+    watched = Watched(slow, 1.0, 0.5, sideslip=believed)
     watched.watch(30, (1.0, 0.0))
     slower = 0.0 if believed else -3.0 * watched.vehicle.attitude[:, 0]
     np.testing.assert_allclose(watched.found, WING.blown + slower, atol=0.1)
@@ -391,16 +391,16 @@ def test_what_is_known_is_not_estimated_again():
 @pytest.mark.parametrize('order', [1, 2])
 def test_innovations_are_as_large_as_the_model_says(order):
     """For motion drawn from the model itself, their standard deviation is one."""
-    rng, unit, noise = np.random.default_rng(4), 3.0, {1: NoiseModel(), 2: PUSHED}[order]
+    rng, unit, drift = np.random.default_rng(4), 3.0, {1: DRIFT, 2: DRIFT_PUSHED}[order]
     problem = Problem(translation_order=order, forward=unit)
-    estimator, history = Estimator(problem, 0.5), CommandHistory()
-    history.add(Command(0.0, np.zeros(1), np.eye(2)), -1.0)
+    estimator = Compensator(problem, Response(0.5), estimated=True)
+    estimator.history.add(Command(0.0, np.zeros(1), np.eye(2)), -1.0)
     s, p, w = np.zeros(2), np.zeros(2), np.zeros(2)
     found = []
     for k in range(3000):
         for _ in range(10):
             gust = 0.05 * unit * np.sqrt(0.01) * rng.normal(size=2)
-            w = w + noise.drift * unit * np.sqrt(0.01) * rng.normal(size=2)
+            w = w + drift * unit * np.sqrt(0.01) * rng.normal(size=2)
             w = np.clip(w, -2.0, 2.0)
             if order == 1:
                 s = s + 0.01 * w + gust
@@ -408,7 +408,7 @@ def test_innovations_are_as_large_as_the_model_says(order):
                 s, p = s + 0.01 * p, p + 0.01 * w + gust
         seen, speed = (v + 0.01 * unit * rng.normal(size=2) for v in (s, p))
         at = Odometry(0.1 * (k + 1), seen, np.eye(2), speed, np.zeros(1))
-        estimator.observe(at, history)
+        estimator.observe(at)
         found.append(estimator.innovation)
     typical = float(np.sqrt(np.mean(np.square(found[50:]))))
     # The larger of two axes counts: the mean of the larger of two chi-squares, over their mean.
@@ -453,13 +453,12 @@ def test_nothing_is_learnt_before_a_command_is_known():
 
 def test_an_estimate_that_runs_away_is_limited_and_told():
     """A stuck vehicle commanded at full speed looks like one in a wind of that speed."""
-    estimator, history = Estimator(Problem(forward=10.0), 0.2), CommandHistory()
+    estimator = Compensator(Problem(forward=10.0), Response(0.2), estimated=True)
     told = []
     for k in range(100):
-        history.add(Command(1.0, np.zeros(1), np.eye(2)), 0.1 * k)
+        estimator.history.add(Command(1.0, np.zeros(1), np.eye(2)), 0.1 * k)
         still = Odometry(0.1 * k + 0.05, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
-        estimator.observe(still, history)
-        told.append(estimator.limit())
+        told.append(estimator.observe(still))
         assert np.linalg.norm(estimator.disturbance) <= LARGEST * 10.0 + 1e-9
     assert told[0] == ''
     assert told[-1].startswith('the disturbance is estimated to be 8.')

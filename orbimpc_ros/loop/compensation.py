@@ -106,11 +106,18 @@ class CommandHistory:
     Attributes:
         last: the last command, sent or about to be; None before the first.
         sent: recent commands with known times [s].
+        due: the command of the step that begins, of a vehicle with lags; None if it is the last.
     """
 
     def __init__(self) -> None:
         self.last: Command | None = None
         self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+        self.due: Command | None = None
+
+    @property
+    def coming(self) -> Command | None:
+        """Return the command of the step that begins; None before the first."""
+        return self.due or self.last
 
     @property
     def fraction(self) -> float:
@@ -153,8 +160,9 @@ class CommandHistory:
             self.sent.append((at, command))
 
     def forget(self) -> None:
-        """Forget the times of commands, for instance because the clock jumped."""
+        """Forget all but the last command, for instance because the clock jumped."""
         self.sent.clear()
+        self.due = None
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return the commands in force from ``begin`` to ``end`` [s]; empty unless begin < end."""
@@ -280,228 +288,14 @@ UNSTATED = 1.0  # [m^2/s^2] variance of a reported wind that states none
 ALIKE = 10.0  # [s] correlation time of the errors of reported winds
 
 
-@dataclass(frozen=True)
-class NoiseModel:
-    """Standard deviations of the model, relative to full speed or thrust z."""
-
-    position: float = 0.01  # of measurements, in z s (order 1) or z s^2 (order 2)
-    velocity: float = 0.01  # of measurements (order 2), in z s
-    model: float = 0.05  # of the effect of commands per second: gusts, gains, discretisation
-    drift: float = 0.03  # of the change of the disturbance per second
-    prior: float = 0.3  # of the initial disturbance
-
-
-MEASURED = NoiseModel(model=0.01)  # the velocity contains gusts; commands are not used
-PUSHED = NoiseModel(drift=0.2)  # gusts push a vehicle with inertia for as long as they last
-
-
-class Estimator:
-    """Estimates a disturbance from odometry and the commands in force.
-
-    Args:
-        problem: source of the orders and the full speed or thrust.
-        lag: of speed or thrust [s].
-        velocity_source: measured velocity of odometry: over ``ground`` or through the ``air``.
-        given: the known part of the disturbance, shape (n,); None for zero.
-        measured: whether to use the measured instead of the commanded airspeed.
-
-    Attributes:
-        innovation: deviation of the last measurement from its prediction, in standard deviations;
-            0 before the second.
-        refused: number of consecutive measurements rejected as outliers.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        lag: float = 0.0,
-        velocity_source: str = 'ground',
-        given: Array | None = None,
-        *,
-        measured: bool = False,
-    ) -> None:
-        usual = PUSHED if problem.inertial else NoiseModel()
-        self._noise = MEASURED if measured else usual
-        self._problem, self._lag, self._as_measured = problem, lag, measured
-        self._velocity_source = velocity_source
-        self._given = np.zeros(problem.dimension) if given is None else given
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything, including the disturbance."""
-        self._estimate = np.zeros((3, self._problem.dimension))
-        self._covariance = np.diag([0.0, 0.0, self._noise.prior**2])
-        self.start_afresh()
-
-    def start_afresh(self) -> None:
-        """Forget the vehicle's state, for instance because the clock jumped."""
-        self._last: Odometry | None = None
-        self._begun = 0.0  # share of full speed at the first command
-        self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
-        self._reported = -math.inf  # stamp of the last reported wind [s]
-        self.innovation, self.refused = 0.0, 0
-
-    def continue_from(self, other: Estimator) -> None:
-        """Take over the state of another estimator of the same vehicle."""
-        self._estimate, self._covariance = other._estimate, other._covariance
-        self._last, self._begun = other._last, other._begun
-        self._leaning, self._reported = other._leaning, other._reported
-        self.innovation, self.refused = other.innovation, other.refused
-
-    @property
-    def disturbance(self) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2], including the given part, shape (n,)."""
-        return np.asarray(self._given + self._estimate[-1])
-
-    @property
-    def _measured(self) -> tuple[float, ...]:
-        """Return the variances of the measured quantities."""
-        noise = self._noise
-        return (noise.position**2, noise.velocity**2)[: 1 + self._problem.inertial]
-
-    def observe(self, odometry: Odometry, history: CommandHistory) -> None:
-        """Take in a measurement; it is ignored if its stamp does not increase."""
-        last = self._last
-        if last is not None and odometry.time <= last.time:
-            return
-        self._last = odometry
-        if not history.sent and not self._problem.inertial:
-            self._begin(odometry)
-        moved = None if last is None else self._moved(last, odometry, history)
-        if moved is None:
-            self._believe(odometry)
-        else:
-            time = odometry.time - last.time  # type: ignore[union-attr]
-            self._predict(moved, time)
-            self._correct(odometry, time)
-
-    def hear(self, wind: WindReport) -> None:
-        """Take in a reported wind, once; the sooner it follows another, the less it counts."""
-        since = wind.time - self._reported
-        if since <= 0.0:
-            return
-        self._reported = wind.time
-        variance = wind.variance if wind.variance > 0.0 else UNSTATED
-        variance *= max(1.0, ALIKE / since) / self._problem.forward**2
-        missed = wind.velocity - self._given - self._estimate[2]
-        self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
-
-    def _learn(self, rows: Array, missed: Array, variances: Array) -> None:
-        """Correct the state by measurements of its components ``rows``, shape (M, 3).
-
-        ``missed``, shape (M, n), are innovations, ``variances``, shape (M,), of the measurements.
-        """
-        spread = rows @ self._covariance @ rows.T + np.diag(variances)
-        gain = self._covariance @ rows.T @ np.linalg.inv(spread)
-        self._estimate = self._estimate + gain @ missed
-        left = np.eye(3) - gain @ rows
-        # Joseph's form stays symmetric and positive under rounding.
-        self._covariance = left @ self._covariance @ left.T + gain * variances @ gain.T
-
-    def limit(self) -> str:
-        """Limit the disturbance to what the vehicle can counteract; return a message if limited."""
-        problem, given, whole = self._problem, self._given, self.disturbance
-        known = REPORTED if self._reported > -math.inf else LARGEST
-        size, most = float(np.linalg.norm(whole)), known * problem.forward
-        most = max(most, float(np.linalg.norm(given)))
-        if size <= most:
-            return ''
-        self._estimate[-1] = whole * (most / size) - given
-        unit = 'm/s^2' if problem.inertial else 'm/s'
-        return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
-
-    def _begin(self, odometry: Odometry) -> None:
-        """Take the measured airspeed as the initial one, at the first command.
-
-        Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
-        """
-        least = self._problem.least_speed
-        source, noise = self._velocity_source, self._noise.velocity
-        speed = airspeed(odometry, self.disturbance, source)
-        self._begun = min(1.0, max(least, speed / self._problem.forward))
-        if source == 'ground':
-            noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
-        self._forget(1, noise**2)
-        self._estimate[1] = 0.0
-
-    def _doubt(self) -> None:
-        """Reset the uncertainty of the disturbance to its prior: it has shifted."""
-        self._forget(2, self._noise.prior**2)
-        self._leaning = np.zeros_like(self._leaning)
-
-    def _forget(self, row: int, variance: float) -> None:
-        """Reset a component of the state to a variance, without correlations."""
-        self._covariance[row] = self._covariance[:, row] = 0.0
-        self._covariance[row, row] = variance
-
-    def _seen(self, odometry: Odometry) -> Array:
-        """Return the measured position, at order 2 also the velocity; shape (1 or 2, n)."""
-        if not self._problem.inertial:
-            return odometry.position[None]
-        return np.array([odometry.position, odometry.attitude @ odometry.body_velocity])
-
-    def _believe(self, odometry: Odometry) -> None:
-        """Reset the state to the measurement, which carries no information on the disturbance."""
-        seen = self._seen(odometry)
-        self._estimate[: len(seen)] = seen
-        for row, variance in enumerate(self._measured):
-            self._forget(row, variance)
-        self.innovation, self.refused = 0.0, 0
-
-    def _moved(self, last: Odometry, now: Odometry, history: CommandHistory) -> Array | None:
-        """Return the motion by commands and given disturbance since, shape (1 or 2, n), or None."""
-        time = now.time - last.time
-        share = self._mean_share(last, now, history)
-        if time > GAP or share is None:
-            return None
-        given, ahead = self._given, _forward(self._problem, share)
-        once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
-        if not self._problem.inertial:
-            return np.array([time * (last.attitude @ once + given)])
-        place = time * time * (last.attitude @ twice + 0.5 * given)
-        return np.array([place, time * (last.attitude @ once + given)])
-
-    def _mean_share(self, last: Odometry, now: Odometry, history: CommandHistory) -> float | None:
-        """Return the mean share of full speed or thrust between measurements; None if unknown."""
-        if self._as_measured:
-            return 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / self._problem.forward
-        return history.mean(last.time, now.time, self._lag, self._begun)
-
-    def _predict(self, moved: Array, time: float) -> None:
-        """Propagate the state by a time [s], with known increments ``moved``."""
-        step, driven = np.eye(3), np.array([0.0, 1.0, 0.0])
-        step[:2, 2] = 0.5 * time * time, time
-        step[0, 1] = driven[0] = time
-        if not self._problem.inertial:
-            fading = math.exp(-time / self._lag) if self._lag else 0.0
-            step[:2, 1:] = [[self._lag * (1.0 - fading), time], [fading, 0.0]]
-            driven = np.array([1.0, 0.0, 0.0])
-        self._estimate = step @ self._estimate
-        self._estimate[: len(moved)] += moved
-        drift = step[:, -1] * self._noise.drift
-        spread = time * (self._noise.model**2 * np.outer(driven, driven) + np.outer(drift, drift))
-        self._covariance = step @ self._covariance @ step.T + spread
-
-    def _correct(self, odometry: Odometry, time: float) -> None:
-        """Update with a measurement, a time [s] after the last, unless it is an outlier."""
-        seen = self._seen(odometry)
-        count, unit = len(seen), self._problem.forward
-        missed = seen - self._estimate[:count]
-        spread = self._covariance[:count, :count] + np.diag(self._measured)
-        off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
-        self.innovation = float(np.sqrt(off.max() / count))
-        if self.innovation > GATE:
-            self.refused += 1
-            if self.refused >= PATIENCE:  # the wind may have shifted as well
-                self._believe(odometry)
-                self._doubt()
-            return
-        self.refused, kept = 0, math.exp(-time / RECENT)
-        latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
-        self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
-        self._learn(np.eye(count, 3), missed, np.array(self._measured))
-        if np.abs(self._leaning).max() > SHIFT:
-            self._doubt()
+# Standard deviations, relative to full speed or thrust z.
+NOISE_OF_PLACE = 0.01  # of measurements, in z s (order 1) or z s^2 (order 2)
+NOISE_OF_SPEED = 0.01  # of measurements (order 2), in z s
+GUSTS = 0.05  # of the effect of commands per second: gusts, gains, discretisation
+GUSTS_SEEN = 0.01  # the same if the measured airspeed, with its gusts, is used instead of commands
+DRIFT = 0.03  # of the change of the disturbance per second
+DRIFT_PUSHED = 0.2  # of a vehicle with inertia, which gusts push for as long as they last
+PRIOR = 0.3  # of the initial disturbance
 
 
 class Start(NamedTuple):
@@ -515,15 +309,16 @@ class Start(NamedTuple):
 
 
 class Compensator:
-    """Propagates measurements to the start of plans, along the recent commands.
+    """Propagates measurements to the start of plans, and estimates the disturbance on the way.
 
     Arguments are those of :class:`orbimpc_ros.loop.planner.Planner`.
 
     Attributes:
         history: the recent commands.
-        due: the command of the step that begins, of a vehicle with lags; None if it is the last.
         response: lags of the vehicle.
-        disturbance: given or estimated so far, shape (n,); None for zero.
+        innovation: deviation of the last measurement from its prediction, in standard deviations;
+            0 before the second.
+        refused: number of consecutive measurements rejected as outliers.
     """
 
     def __init__(
@@ -537,32 +332,44 @@ class Compensator:
         sideslip: bool = False,
     ) -> None:
         self._problem, self.response = problem, response or Response()
-        self.disturbance = given
         self._velocity_source, self._sideslip = velocity_source, sideslip
+        self._without = given  # disturbance unless it is estimated
+        self._given = np.zeros(problem.dimension) if given is None else given
+        self._estimated = estimated
+        self._gusts = GUSTS_SEEN if sideslip else GUSTS
+        self._drift = DRIFT_PUSHED if problem.inertial else DRIFT
+        variances = NOISE_OF_PLACE**2, NOISE_OF_SPEED**2
+        self._variances = np.array(variances[: 1 + problem.inertial])  # of the measured quantities
         self.history = CommandHistory()
-        self.due: Command | None = None
-        self._estimator: Estimator | None = None
-        if estimated:
-            known = problem, self.response.speed, velocity_source, given
-            self._estimator = Estimator(*known, measured=sideslip)
+        self.start_afresh(wind=True)
 
     def start_afresh(self, *, wind: bool = False) -> None:
         """Forget the vehicle's state, command times and, with ``wind``, the disturbance."""
         self.history.forget()
-        self.due = None
-        if self._estimator is not None:
-            (self._estimator.reset if wind else self._estimator.start_afresh)()
+        if wind:
+            self._estimate = np.zeros((3, self._problem.dimension))
+            self._covariance = np.diag([0.0, 0.0, PRIOR**2])
+        self._last: Odometry | None = None
+        self._begun = 0.0  # share of full speed at the first command
+        self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
+        self._reported = -math.inf  # stamp of the last reported wind [s]
+        self.innovation, self.refused = 0.0, 0
 
     def continue_from(self, other: Compensator) -> None:
         """Take over the memory of another compensator."""
-        self.history, self.due = other.history, other.due
-        if self._estimator is not None and other._estimator is not None:
-            self._estimator.continue_from(other._estimator)
+        self.history = other.history
+        self._estimate, self._covariance = other._estimate, other._covariance
+        self._last, self._begun = other._last, other._begun
+        self._leaning, self._reported = other._leaning, other._reported
+        self.innovation, self.refused = other.innovation, other.refused
 
     @property
-    def coming(self) -> Command | None:
-        """Return the command of the step that begins; None before the first."""
-        return self.due or self.history.last
+    def disturbance(self) -> Array | None:
+        """Return the wind [m/s] or acceleration [m/s^2], shape (n,); None for zero.
+
+        It is the given one or, if estimated, includes it.
+        """
+        return np.asarray(self._given + self._estimate[-1]) if self._estimated else self._without
 
     def start(
         self,
@@ -577,7 +384,7 @@ class Compensator:
         are not compensated.
         """
         odometry = along_the_air(measured) if self._sideslip else measured
-        limited = self._estimate(odometry, wind)
+        limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
         if coming and self.response.lags:
             # Over a time that is short compared with its lags, a vehicle continues as measured.
@@ -590,20 +397,9 @@ class Compensator:
             'advanced': odometry.time - measured.time - led,
             'led': led,
             'disturbance': self.disturbance,
-            'innovation': None if self._estimator is None else self._estimator.innovation,
+            'innovation': self.innovation if self._estimated else None,
         }
         return Start(odometry, self.state(odometry), told, limited, self.odd_speed(odometry))
-
-    def _estimate(self, odometry: Odometry, wind: WindReport | None) -> str:
-        """Update the disturbance with a measurement; return a message if it was limited."""
-        if self._estimator is None:
-            return ''
-        self._estimator.observe(odometry, self.history)
-        if wind is not None:
-            self._estimator.hear(wind)
-        limited = self._estimator.limit()
-        self.disturbance = self._estimator.disturbance
-        return limited
 
     def _settled(self, measured: Odometry) -> Odometry:
         """Return the state from which a vehicle without lags would fly the same path, a lag later.
@@ -611,7 +407,7 @@ class Compensator:
         A thrust that settles from f to c leaves a residual speed of z tau (f - c) at all times; its
         axis is turned by the remaining rotation.
         """
-        problem, response, coming = self._problem, self.response, self.coming
+        problem, response, coming = self._problem, self.response, self.history.coming
         if not response.lags:
             return measured
         time, rate = response.lead(problem), measured.body_rate
@@ -643,7 +439,7 @@ class Compensator:
         share reached by commands: plans must not correct speed changes by gusts, and a vehicle with
         a dead band would never be sent a speed more than one step from its own.
         """
-        problem, coming, velocity = self._problem, self.coming, None
+        problem, coming, velocity = self._problem, self.history.coming, None
         applied = 0.0 if coming is None else coming.speed_fraction
         if problem.inertial:
             fraction = applied
@@ -686,7 +482,7 @@ class Compensator:
         once is sent the previous command during this step. With ``exact`` steps, thrust changes
         linearly between both.
         """
-        before, self.due = self.coming, command
+        before, self.history.due = self.history.coming, command
         fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
         if problem.inertial:
             due = problem.least_speed if before is None else before.speed_fraction
@@ -696,3 +492,154 @@ class Compensator:
             rate = np.zeros(len(rate)) if before is None else before.body_rate
             rotation = np.array(plan.projected[1])
         return Command(fraction, np.array(rate), np.array(rotation))
+
+    # --- the estimated disturbance
+
+    def observe(self, odometry: Odometry, wind: WindReport | None = None) -> str:
+        """Update the disturbance; return a message if it was limited to what can be counteracted.
+
+        A measurement is ignored if its stamp does not increase.
+        """
+        last = self._last
+        if last is None or odometry.time > last.time:
+            self._last = odometry
+            if not self.history.sent and not self._problem.inertial:
+                self._begin(odometry)
+            moved = None if last is None else self._moved(last, odometry)
+            if last is None or moved is None:
+                self._believe(odometry)
+            else:
+                self._predict(moved, odometry.time - last.time)
+                self._correct(odometry, odometry.time - last.time)
+        if wind is not None:
+            self._hear(wind)
+        return self._limit()
+
+    def _hear(self, wind: WindReport) -> None:
+        """Take in a reported wind, once; the sooner it follows another, the less it counts."""
+        since = wind.time - self._reported
+        if since <= 0.0:
+            return
+        self._reported = wind.time
+        variance = wind.variance if wind.variance > 0.0 else UNSTATED
+        variance *= max(1.0, ALIKE / since) / self._problem.forward**2
+        missed = wind.velocity - self._given - self._estimate[2]
+        self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
+
+    def _learn(self, rows: Array, missed: Array, variances: Array) -> None:
+        """Correct the state by measurements of its components ``rows``, shape (M, 3).
+
+        ``missed``, shape (M, n), are innovations, ``variances``, shape (M,), of the measurements.
+        """
+        spread = rows @ self._covariance @ rows.T + np.diag(variances)
+        gain = self._covariance @ rows.T @ np.linalg.inv(spread)
+        self._estimate = self._estimate + gain @ missed
+        left = np.eye(3) - gain @ rows
+        # Joseph's form stays symmetric and positive under rounding.
+        self._covariance = left @ self._covariance @ left.T + gain * variances @ gain.T
+
+    def _limit(self) -> str:
+        """Limit the disturbance to what the vehicle can counteract; return a message if limited."""
+        problem, given, whole = self._problem, self._given, self._given + self._estimate[-1]
+        known = REPORTED if self._reported > -math.inf else LARGEST
+        size, most = float(np.linalg.norm(whole)), known * problem.forward
+        most = max(most, float(np.linalg.norm(given)))
+        if size <= most:
+            return ''
+        self._estimate[-1] = whole * (most / size) - given
+        unit = 'm/s^2' if problem.inertial else 'm/s'
+        return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
+
+    def _begin(self, odometry: Odometry) -> None:
+        """Take the measured airspeed as the initial one, at the first command.
+
+        Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
+        """
+        least = self._problem.least_speed
+        source, noise = self._velocity_source, NOISE_OF_SPEED
+        speed = airspeed(odometry, self.disturbance, source)
+        self._begun = min(1.0, max(least, speed / self._problem.forward))
+        if source == 'ground':
+            noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
+        self._forget(1, noise**2)
+        self._estimate[1] = 0.0
+
+    def _doubt(self) -> None:
+        """Reset the uncertainty of the disturbance to its prior: it has shifted."""
+        self._forget(2, PRIOR**2)
+        self._leaning = np.zeros_like(self._leaning)
+
+    def _forget(self, row: int, variance: float) -> None:
+        """Reset a component of the state to a variance, without correlations."""
+        self._covariance[row] = self._covariance[:, row] = 0.0
+        self._covariance[row, row] = variance
+
+    def _seen(self, odometry: Odometry) -> Array:
+        """Return the measured position, at order 2 also the velocity; shape (1 or 2, n)."""
+        if not self._problem.inertial:
+            return odometry.position[None]
+        return np.array([odometry.position, odometry.attitude @ odometry.body_velocity])
+
+    def _believe(self, odometry: Odometry) -> None:
+        """Reset the state to the measurement, which carries no information on the disturbance."""
+        seen = self._seen(odometry)
+        self._estimate[: len(seen)] = seen
+        for row, variance in enumerate(self._variances):
+            self._forget(row, variance)
+        self.innovation, self.refused = 0.0, 0
+
+    def _moved(self, last: Odometry, now: Odometry) -> Array | None:
+        """Return the motion by commands and given disturbance since, shape (1 or 2, n), or None."""
+        time = now.time - last.time
+        share = self._mean_share(last, now)
+        if time > GAP or share is None:
+            return None
+        given, ahead = self._given, _forward(self._problem, share)
+        once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
+        if not self._problem.inertial:
+            return np.array([time * (last.attitude @ once + given)])
+        place = time * time * (last.attitude @ twice + 0.5 * given)
+        return np.array([place, time * (last.attitude @ once + given)])
+
+    def _mean_share(self, last: Odometry, now: Odometry) -> float | None:
+        """Return the mean share of full speed or thrust between measurements; None if unknown."""
+        if self._sideslip:
+            return 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / self._problem.forward
+        return self.history.mean(last.time, now.time, self.response.speed, self._begun)
+
+    def _predict(self, moved: Array, time: float) -> None:
+        """Propagate the state by a time [s], with known increments ``moved``."""
+        step, driven = np.eye(3), np.array([0.0, 1.0, 0.0])
+        step[:2, 2] = 0.5 * time * time, time
+        step[0, 1] = driven[0] = time
+        if not self._problem.inertial:
+            lag = self.response.speed
+            fading = math.exp(-time / lag) if lag else 0.0
+            step[:2, 1:] = [[lag * (1.0 - fading), time], [fading, 0.0]]
+            driven = np.array([1.0, 0.0, 0.0])
+        self._estimate = step @ self._estimate
+        self._estimate[: len(moved)] += moved
+        drift = step[:, -1] * self._drift
+        spread = time * (self._gusts**2 * np.outer(driven, driven) + np.outer(drift, drift))
+        self._covariance = step @ self._covariance @ step.T + spread
+
+    def _correct(self, odometry: Odometry, time: float) -> None:
+        """Update with a measurement, a time [s] after the last, unless it is an outlier."""
+        seen = self._seen(odometry)
+        count, unit = len(seen), self._problem.forward
+        missed = seen - self._estimate[:count]
+        spread = self._covariance[:count, :count] + np.diag(self._variances)
+        off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
+        self.innovation = float(np.sqrt(off.max() / count))
+        if self.innovation > GATE:
+            self.refused += 1
+            if self.refused >= PATIENCE:  # the wind may have shifted as well
+                self._believe(odometry)
+                self._doubt()
+            return
+        self.refused, kept = 0, math.exp(-time / RECENT)
+        latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
+        self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
+        self._learn(np.eye(count, 3), missed, self._variances)
+        if np.abs(self._leaning).max() > SHIFT:
+            self._doubt()

@@ -640,7 +640,7 @@ class Planner:
             RuntimeError: the safe command violates its own limits, which cannot happen.
         """
         kind, problem, compensator = self._safe_kind, self.problem, self._compensator
-        compensator.due, reached = None, self._memory.reached
+        compensator.history.due, reached = None, self._memory.reached
         before = compensator.history.fraction if reached is None else reached
         attitude = np.eye(problem.dimension) if measured is None else measured.attitude
         command = safe_command(kind, problem, attitude, before, compensator.disturbance)
