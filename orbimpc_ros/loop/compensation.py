@@ -135,7 +135,8 @@ class CommandHistory:
         reached = begun if len(self.sent) < MEMORY else first.speed_fraction
         for interval in self.intervals(since, time):
             assert interval.command is not None
-            reached, _ = _followed(reached, interval.command, interval.duration, lag)
+            wanted = interval.command.speed_fraction
+            reached, _ = followed(reached, wanted, interval.duration, lag)
         return reached
 
     def mean(self, begin: float, end: float, lag: float, begun: float = 0.0) -> float | None:
@@ -149,7 +150,7 @@ class CommandHistory:
             given = interval.before if lag == 0.0 else interval.command
             if given is None:
                 return None
-            reached, covered = _followed(reached, given, interval.duration, lag)
+            reached, covered = followed(reached, given.speed_fraction, interval.duration, lag)
             flown += covered
         return flown / (end - begin)
 
@@ -178,9 +179,8 @@ class CommandHistory:
         return found
 
 
-def _followed(reached: float, command: Command, duration: float, lag: float) -> tuple[float, float]:
-    """Return the share reached after a command was in force for a time [s], and its integral."""
-    wanted = command.speed_fraction
+def followed(reached: float, wanted: float, duration: float, lag: float) -> tuple[float, float]:
+    """Return the share reached after one was commanded for a time [s], and its integral."""
     if lag == 0.0:
         return wanted, wanted * duration
     left = (reached - wanted) * math.exp(-duration / lag)

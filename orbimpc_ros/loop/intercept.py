@@ -42,7 +42,7 @@ Mathematics: docs/mathematics.md, 7.10.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -50,6 +50,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.compensation import followed
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.loop.task import Answer, Task
 from orbimpc_ros.mpc.arrays import Array
@@ -122,13 +123,6 @@ def catching(problem: Problem, radius: float, end: float) -> Problem:
         change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
     return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
-
-
-class Target(NamedTuple):
-    """End of a catch, in units of steps, and whether to use the narrower cone."""
-
-    end: float
-    narrow: bool = False
 
 
 @dataclass
@@ -206,12 +200,12 @@ class Interception:
         self.solver = lru_cache(maxsize=MEMORY)(self._solver)
         for end in range(1, self._horizon + 1):  # used by nearly every search
             for narrow in (False, True) if self._coned else (False,):
-                self.solver(Target(end, narrow))
+                self.solver(end, narrow)
 
-    def _problem(self, target: Target) -> Problem:
-        """Return the problem of :func:`catching` the goal."""
-        made = catching(self._tracked, self._radius, target.end)
-        if not target.narrow:
+    def _problem(self, end: float, narrow: bool = False) -> Problem:
+        """Return the problem of :func:`catching` the goal, possibly in the narrower cone."""
+        made = catching(self._tracked, self._radius, end)
+        if not narrow:
             return made
         return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
 
@@ -224,8 +218,8 @@ class Interception:
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
-    def _solver(self, target: Target) -> Solver:
-        return self._solver_for(self.problem(target), enough=self.enough(target.end))
+    def _solver(self, end: float, narrow: bool) -> Solver:
+        return self._solver_for(self.problem(end, narrow), enough=self.enough(end))
 
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
         """Return the task of the earliest catch with its answer, and bounds of its time.
@@ -263,7 +257,7 @@ class Interception:
         known, motion = query.task.goals, query.motion
         if motion is None or (end <= len(known) and end == int(end)):
             return known[: int(end)]
-        problem = self.problem(Target(end))
+        problem = self.problem(end)
         return motion.at(query.now + problem.step * np.arange(1.0, problem.horizon + 1.0))
 
     def _last(self, query: InterceptQuery) -> int:
@@ -303,14 +297,14 @@ class Interception:
         if not (0.0 < end <= self._last(query) and (whole or self._may(query, end))):
             return MISSED
         goals = self._goals(query, end)
-        task = query.task.within(self.problem(Target(end)), goals)
+        task = query.task.within(self.problem(end), goals)
         plan = task.rest
         if plan is None or not holds(*task.known, plan):
             return MISSED
         if _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
             return MISSED
         answer = plan, plan.status, 'the previous plan to the catch is continued'
-        miss = float(np.linalg.norm(self._off(query, Target(end), plan, goals)))
+        miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
         return _Attempt((task, answer), end, miss)
 
     def _held(self, query: InterceptQuery) -> tuple[_Attempt, _Attempt]:
@@ -330,13 +324,23 @@ class Interception:
 
         The distance to the last miss is doubled until there is a catch, and then bisected.
         """
-        missed = max(self._horizon, min(math.ceil(query.expected), self._last(query)))
-        for end in _doubling(missed, self._last(query)):
+        last, away, found = self._last(query), 1, MISSED
+        missed: float = max(self._horizon, min(math.ceil(query.expected), last))
+        while found.plan is None:
+            if missed >= last:
+                return MISSED
+            end = min(missed + away, last)
             found = self._surely(query, end)
-            if found.plan is not None:
-                return self._between(query, missed, found)
-            missed = end
-        return MISSED
+            missed = missed if found.plan else end
+            away *= 2
+        while found.end - missed > 1:
+            middle = (missed + found.end) // 2
+            sooner = self._surely(query, middle)
+            if sooner.plan is None:
+                missed = middle
+            else:
+                found = sooner
+        return found
 
     def _sooner(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
         """Return an earlier catch than the one found, if any, doubling the distance each time."""
@@ -345,17 +349,6 @@ class Interception:
             if sooner.plan is None:
                 break
             found = sooner
-        return found
-
-    def _between(self, query: InterceptQuery, missed: float, found: _Attempt) -> _Attempt:
-        """Return the first catch that bisection finds between a miss and a catch."""
-        while found.end - missed > 1:
-            middle = (missed + found.end) // 2
-            sooner = self._surely(query, middle)
-            if sooner.plan is None:
-                missed = middle
-            else:
-                found = sooner
         return found
 
     def _within(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
@@ -373,25 +366,26 @@ class Interception:
 
         It ends short of the goal by the remaining distance of the given catch, and a little more.
         """
-        target, goals = Target(found.end, narrow=self._coned), self._goals(query, found.end)
+        end, goals = found.end, self._goals(query, found.end)
         if found.plan is None or len(goals) < 2:  # too late to change much
             return found
         passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
         ahead = passed / max(float(np.linalg.norm(passed)), TINY)
-        off = self._off(query, target, found.plan, goals)
+        off = self._off(query, end, found.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        through = self._attempted(query, target, before, GRAZE * self._radius)
+        near = GRAZE * self._radius
+        through = self._attempted(query, end, before, near, narrow=self._coned)
         if through.plan is None or not self._is_well(through):
             return found
-        miss = float(np.linalg.norm(self._off(query, target, through.plan, goals)))
+        miss = float(np.linalg.norm(self._off(query, end, through.plan, goals)))
         if miss > self._radius:
             return found
         return found._replace(found=through.found, miss=miss)
 
-    def _off(self, query: InterceptQuery, target: Target, plan: Plan, goals: Array) -> Array:
+    def _off(self, query: InterceptQuery, end: float, plan: Plan, goals: Array) -> Array:
         """Return the final position error of a vehicle that flies a plan, shape (n,) [m]."""
-        astray = defect(self.problem(target), query.task.state, plan, self._lag)
+        astray = defect(self.problem(end), query.task.state, plan, self._lag)
         return np.asarray(plan.positions[-1] + astray - goals[-1])
 
     def _passing(self, query: InterceptQuery, end: int) -> _Attempt:
@@ -433,10 +427,10 @@ class Interception:
 
     def _at_end(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
         """Try to catch the goal at any end, as in :meth:`_attempted`."""
-        target, goals = Target(end, narrow=self._coned), self._goals(query, end)
-        if self._too_far(query.task.state, goals, self.problem(target))[-1]:
+        goals = self._goals(query, end)
+        if self._too_far(query.task.state, goals, self.problem(end))[-1]:
             return NEVER
-        return self._attempted(query, target, goals, near)
+        return self._attempted(query, end, goals, near, narrow=self._coned)
 
     def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
         """Try to catch the goal at an end, given its positions at the steps up to it.
@@ -445,19 +439,19 @@ class Interception:
         """
         near = GRAZE * self._radius
         if not self._coned:
-            return self._attempted(query, Target(end), goals, near)
-        within = self._attempted(query, Target(end, narrow=True), goals, near)
+            return self._attempted(query, end, goals, near)
+        within = self._attempted(query, end, goals, near, narrow=True)
         if self._is_well(within):
             return within
-        wider = self._attempted(query, Target(end), goals, near)
+        wider = self._attempted(query, end, goals, near)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         found = min(within, wider, key=_miss)
         return found._replace(never=wider.never, checked=wider.checked)
 
     def _attempted(
-        self, query: InterceptQuery, target: Target, goals: Array, near: float
+        self, query: InterceptQuery, end: float, goals: Array, near: float, *, narrow: bool = False
     ) -> _Attempt:
-        """Try to catch the goal at an end, with correction of the defect.
+        """Try to catch the goal at an end, in units of steps, with correction of the defect.
 
         Plans are solved again while the expected miss is less than that of the one before, and at
         most ``near`` [m].
@@ -466,29 +460,29 @@ class Interception:
         for _ in range(TRIES):
             if query.late():
                 return found
-            solver = self.solver(target)
+            solver = self.solver(end, narrow)
             task = query.task.within(solver.problem, aims, solver)
             answer = task.solved()
             query.tried += 1
             plan, status, _ = answer
             if plan is None:
                 return NEVER if status is Status.INFEASIBLE and aims is goals else found
-            end = plan.positions[-1]
-            astray = defect(self.problem(target), query.task.state, plan, self._lag)
-            miss = float(np.linalg.norm(end + astray - goals[-1]))
+            place = plan.positions[-1]
+            astray = defect(solver.problem, query.task.state, plan, self._lag)
+            miss = float(np.linalg.norm(place + astray - goals[-1]))
             if aims is goals:  # only this proof concerns the goal itself
-                never = plan.proof.lower_bound > self.enough(target.end).bound
-                found = _Attempt((task, answer), target.end, miss, never, plan.proof.checked)
+                never = plan.proof.lower_bound > self.enough(end).bound
+                found = _Attempt((task, answer), end, miss, never, plan.proof.checked)
             elif miss < found.miss:
                 found = found._replace(found=(task, answer), miss=miss)
-            left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
+            left, change = aims[-1] - place, goals[-1] - astray - aims[-1]
             worth = min(near, miss - WORTH * self._radius)
-            if self._is_well(found) or self._expected(target, left, change, miss) > worth:
+            if self._is_well(found) or self._expected(end, left, change, miss) > worth:
                 break
             aims = np.concatenate([goals[:-1], aims[-1:] + change])
         return found
 
-    def _expected(self, target: Target, left: Array, change: Array, miss: float) -> float:
+    def _expected(self, end: float, left: Array, change: Array, miss: float) -> float:
         """Return the expected miss of a plan for an aim moved by ``change`` [m].
 
         To first order, for a last plan that ended as near to its aim as possible, by ``left``. If
@@ -496,7 +490,7 @@ class Interception:
         by more than twice the change, since aim and defect both move by it.
         """
         away, size = math.sqrt(left @ left), math.sqrt(change @ change)
-        if away <= self._well(target.end):  # the solver stops early here, so nearer plans may exist
+        if away <= self._well(end):  # the solver stops early here, so nearer plans may exist
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
 
@@ -535,16 +529,6 @@ def _finest(problem: Problem, radius: float) -> float:
     return float(min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share)))))
 
 
-def _doubling(first: int, last: int) -> Iterator[int]:
-    """Return ends after ``first`` at doubling distances, and the last of all."""
-    away = 1
-    while first + away < last:
-        yield first + away
-        away *= 2
-    if first < last:
-        yield last
-
-
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """Return the final position error of a vehicle that follows a plan, shape (n,) [m].
 
@@ -573,10 +557,8 @@ def _means(attitudes: Array) -> Array:
 
 def _speeds(step: float, commanded: Array, lag: float) -> Array:
     """Return the mean share of full speed in each step, (N,), lagging commands, (N + 1,)."""
-    left = math.exp(-step / lag) if lag else 0.0
-    spread = lag / step * (1.0 - left)
     now, means = float(commanded[0]), []
     for wanted in commanded[1:].tolist():
-        means.append(wanted + spread * (now - wanted))
-        now = wanted + left * (now - wanted)
+        now, flown = followed(now, wanted, step, lag)
+        means.append(flown / step)
     return np.array(means)

@@ -427,10 +427,8 @@ class Planner:
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        elif state.hazards:
-            task, (plan, status, words) = self._tracked(task)
         else:
-            plan, status, words = task.solved()
+            task, (plan, status, words) = self._tracked(task)
         reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
@@ -472,12 +470,18 @@ class Planner:
     def _clear(self, task: Task, wary: Task, answer: Answer) -> Answer:
         """Return an answer whose plan, steered, is clear of hazards, as far as there is one.
 
-        Alternatives that keep the reserve of the ``wary`` task come first.
+        The cheapest clear plan replaces it, of the given, the previous and the scouted one: first
+        of those that keep the reserve of the ``wary`` task.
         """
         plan, status, words = answer
         if status is Status.INFEASIBLE or (plan is not None and is_clear(wary, plan)):
             return answer
-        instead = self._clear_way(task, wary, plan)
+        guess = None if plan is None else task.rest
+        found = (
+            cheapest_clear(each, filter(None, (plan, guess, self._scouted(each))))
+            for each in ((wary,) if wary is task else (wary, task))
+        )
+        instead = next(filter(None, found), None)
         if plan is None:
             return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
         instead = instead or clear_instead(wary, plan)
@@ -487,19 +491,6 @@ class Planner:
         instead = replace(instead, proof=plan.proof)
         less = 'a plan that turns in time is followed instead of a cheaper one'
         return instead, instead.status, joined(words, less)
-
-    def _clear_way(self, task: Task, wary: Task, plan: Plan | None) -> Plan | None:
-        """Return the cheapest clear plan of the given, the previous, and the scouted one.
-
-        With the reserve first, then without.
-        """
-        guess = None if plan is None else task.rest
-        for each in (wary,) if wary is task else (wary, task):
-            ways = filter(None, (plan, guess, self._scouted(each)))
-            found = cheapest_clear(each, ways)
-            if found is not None:
-                return found
-        return None
 
     def _scouted(self, task: Task) -> Plan | None:
         """Return a path among hazards along which the vehicle can turn, if one is found."""
