@@ -75,7 +75,7 @@ EFFORT = 0.1  # of the squared radius: largest cost of the inputs of a plan
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, for half a turn
 FARTHEST = 4  # horizons: latest catch that is sought
 COARSEST, FINEST = 0.25, 0.0625  # of a step: range of the resolution of the time of a catch
-TINY = 1e-9  # [m]
+TINY = 1e-9  # [m], [rad]
 MEMORY = 256  # problems
 SHARPEST = 0.5 * math.pi  # turn within a step, above which the path is too inaccurate
 
@@ -293,15 +293,14 @@ class Interception:
     def _flown_on(self, query: InterceptQuery) -> _Attempt:
         """Return the attempt of flying the remainder of the previous plan to its end."""
         end = query.expected
-        whole = end.is_integer()
-        if not (0.0 < end <= self._last(query) and (whole or self._may(query, end))):
+        if not (0.0 < end <= self._last(query) and self._may(query, end)):
             return MISSED
         goals = self._goals(query, end)
         task = query.task.within(self.problem(end), goals)
         plan = task.rest
         if plan is None or not holds(*task.known, plan):
             return MISSED
-        if _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
+        if _turns_too_far(plan, end):
             return MISSED
         answer = plan, plan.status, 'the previous plan to the catch is continued'
         miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
@@ -398,18 +397,20 @@ class Interception:
         return best
 
     def _at(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
-        """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
+        """Try to catch the goal at any end where that is possible, as in :meth:`_attempted`."""
         if not self._may(query, end):
             return MISSED
-        found = self._at_end(query, end, near)
-        if found.plan is not None and _first_turn(found.plan) > end / math.ceil(end) * math.pi:
-            return MISSED
-        return found
+        goals = self._goals(query, end)
+        if self._too_far(query.task.state, goals, self.problem(end))[-1]:
+            return NEVER
+        found = self._attempted(query, end, goals, near, narrow=self._coned)
+        return MISSED if found.plan and _turns_too_far(found.plan, end) else found
 
     def _may(self, query: InterceptQuery, end: float) -> bool:
-        """Return True if catches between the ends of steps may be tried."""
+        """Return True if catches at an end, in units of steps, may be tried."""
         allowed = self._turns_within or end / math.ceil(end) >= query.pause
-        return query.motion is not None and self._divides and allowed
+        within = query.motion is not None and self._divides and allowed
+        return within or end == int(end)
 
     def _is_well(self, attempt: _Attempt) -> bool:
         return attempt.miss <= self._well(attempt.end)
@@ -422,15 +423,8 @@ class Interception:
         """Try to come well within the radius at an end past the horizon."""
         if end <= self._horizon:
             return MISSED
-        attempt = self._at_end(query, end, self._radius)
+        attempt = self._at(query, end, self._radius)
         return attempt if self._is_well(attempt) else MISSED
-
-    def _at_end(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
-        """Try to catch the goal at any end, as in :meth:`_attempted`."""
-        goals = self._goals(query, end)
-        if self._too_far(query.task.state, goals, self.problem(end))[-1]:
-            return NEVER
-        return self._attempted(query, end, goals, near, narrow=self._coned)
 
     def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
         """Try to catch the goal at an end, given its positions at the steps up to it.
@@ -505,9 +499,10 @@ class Interception:
         return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach + self._radius)
 
 
-def _first_turn(plan: Plan) -> float:
-    """Return the angle of turn of a plan in its first step [rad]."""
-    return float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
+def _turns_too_far(plan: Plan, end: float) -> bool:
+    """Return True if a vehicle would turn by more than half a turn before the next tick."""
+    turn = float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
+    return turn > end / math.ceil(end) * math.pi + TINY
 
 
 def _farthest(problem: Problem) -> int:

@@ -148,8 +148,9 @@ def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
     stamps = np.array([seen.time for seen in track])
     past = stamps - stamps.mean()
     velocity = past @ places / (past @ past) if len(track) > 1 else 0.0 * places[0]
-    times, line = last.time + np.array([0.0, 1.0]), np.array([places[-1], places[-1] + velocity])
-    return replace(along(last.body, times, line, at), unsure=0.0 if len(track) > 1 else unseen)
+    body = placed(last.body, places[-1] + (at - last.time) * velocity)
+    moving = MovingObstacle.drifting(body, velocity)
+    return replace(moving, unsure=0.0 if len(track) > 1 else unseen)
 
 
 @dataclass(frozen=True, eq=False)
