@@ -427,8 +427,10 @@ class Planner:
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        else:
+        elif state.hazards:
             task, (plan, status, words) = self._tracked(task)
+        else:
+            plan, status, words = task.solved()
         reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
