@@ -26,7 +26,7 @@ LATER = 2**62  # [ns] after any flight
 
 def flown_again(path: Path) -> Iterator[Flight]:
     """Yield a flight tick by tick: an engine does the same again on the same commands."""
-    told = sim_settings(settings.of_sim(settings.of_bag(path, '') or settings.read('{}')))
+    told = sim_settings(settings.of_sim(settings.of_bag(path)))
     flight, given = departure(told.scenario, told.begin), {}
     orders = Orders(told.scenario.model, told.frames)
     for each in bags.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):

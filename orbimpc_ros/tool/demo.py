@@ -56,9 +56,10 @@ CALL_AGAIN = 5.0  # [s] until a planner that has not answered is called again
 
 def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -> int:
     """Fly, record, summarise and plot a scenario; return 0 only if the job was done."""
-    flights, own = dict[str, Values](), dict[str, Values]()
+    own = dict[str, Values]()
     if scenario in FLEETS:
-        flights[''], own = fleet(vehicles, changes, scenario)
+        shared, own = fleet(vehicles, changes, scenario)
+        flights = {'': shared}
     elif vehicles is not None:
         raise BadInput.stating('--vehicles', 'not a fleet', 'give the scenario fleet or crossing')
     else:
@@ -67,15 +68,13 @@ def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -
             if values['vehicle'] in ENGINES:
                 class_of(values['vehicle'])  # raises before any process is started
     folder = new_folder(out, scenario)
-    bags = {name: folder / name / 'bag' for name in flights}
+    flown, bags = dict[str, History](), []
     for name, values in flights.items():
         (folder / name).mkdir(exist_ok=True)
         fly(values, folder / name, own)
-    if own:
-        flown = {name: history.of_bag(bags[''], name) for name in own}
-    else:
-        flown = {name: history.of_bag(bag) for name, bag in bags.items()}
-    return report(folder, [*bags.values()], flown)
+        bags.append(folder / name / 'bag')
+        flown |= {each or name: history.of_bag(bags[-1], each) for each in own or ('',)}
+    return report(folder, bags, flown)
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:

@@ -171,7 +171,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
     Raises:
         BadInput: no bag, or one without odometry and goal.
     """
-    values = settings.of_bag(path, namespace) or settings.read('{}')
+    values = settings.of_bag(path, namespace)
     found: dict[str, list[Any]] = defaultdict(list)
     for each in bags.of_vehicle(path, namespace, WANTED):
         found[each.topic].append(each.content)

@@ -37,7 +37,6 @@ INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in rang
 PRINT = ('#222222', '#0072B2', '#56B4E9', '#E69F00', '#009E73', '#D55E00', '#8C8C8C', '#B5B5B5')
 DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
 PAGE = '#0D1117'  # background of dark pages
-DOTS_PER_INCH = 200
 PATH, DATA = 'trajectory.png', 'data.png'
 LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of the lines in one chart
 AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
@@ -85,6 +84,7 @@ def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
         **dict.fromkeys(inked, colors[0]),
         'font.size': 9.0,
         'figure.facecolor': page,
+        'savefig.dpi': 200,
         'axes.facecolor': page,
         'axes.prop_cycle': cycler(color=colors),
         'axes.titlesize': 10.0,
@@ -109,17 +109,11 @@ def look(dark: bool = False) -> AbstractContextManager:
     return mpl.rc_context(DARK_STYLE if dark else STYLE)
 
 
-def save(figure: Figure, file: Path) -> None:
-    """Write a figure as PNG."""
-    FigureCanvasAgg(figure)
-    figure.savefig(file, dpi=DOTS_PER_INCH)
-
-
 def in_both_looks(draw: Callable[[], Figure], file: Path) -> None:
     """Write a picture for print and, next to it, ``name-dark.png`` for dark pages."""
     for dark in (False, True):
         with look(dark):
-            save(draw(), file.with_stem(f'{file.stem}-dark') if dark else file)
+            draw().savefig(file.with_stem(f'{file.stem}-dark') if dark else file)
 
 
 def rgb(color: str) -> tuple[int, int, int]:
@@ -156,7 +150,7 @@ def written(flown: Flights, folder: Path) -> list[str]:
     """Draw the pictures of flights into a folder, and return their file names."""
     pictures = of_runs(flown)
     for name, figure in pictures.items():
-        save(figure, folder / name)
+        figure.savefig(folder / name)
     return [*pictures]
 
 

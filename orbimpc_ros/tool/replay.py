@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.core import others
-from orbimpc_ros.tool import history, settings
+from orbimpc_ros.tool import bags, history, settings
 from orbimpc_ros.tool.offline import resolving
 from orbimpc_ros.tool.recording import Answer, Recording, ReplayedTick, recording_of, replayed
 
@@ -68,11 +68,10 @@ def opened(
     if params is not None:
         values = settings.resolve(Path(params), changes)
     else:
-        noted = settings.of_bag(path, namespace)
-        if noted is None and not changes:
+        if not (changes or bags.notes(path)):
             missing = 'no notes of its parameters'
             raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
-        values = settings.changed(settings.read('{}') if noted is None else noted, changes)
+        values = settings.changed(settings.of_bag(path, namespace), changes)
     planner = planner_settings(values)
     recording = recording_of(path, namespace, others(planner, resolving(namespace)))
     return recording, planner, bool(values.get('use_sim_time', recording.simulated))

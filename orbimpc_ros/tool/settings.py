@@ -104,8 +104,8 @@ def _plain(values: Values) -> Values:
     return {name: value for name, value in plain.items() if value != []}
 
 
-def of_bag(path: Path, namespace: str = '') -> Values | None:
-    """Return the values in the recorder's notes of a bag; None without notes.
+def of_bag(path: Path, namespace: str = '') -> Values:
+    """Return the values in the recorder's notes of a bag, and defaults for all others.
 
     Args:
         path: path of the bag.
@@ -114,8 +114,8 @@ def of_bag(path: Path, namespace: str = '') -> Values | None:
     Raises:
         BadInput: no bag, or malformed notes.
     """
-    noted = bags.notes(path).get('parameters')
-    return None if noted is None else read(noted, namespace, f'{path}: parameters')
+    noted = bags.notes(path).get('parameters', '{}')
+    return read(noted, namespace, f'{path}: parameters')
 
 
 def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:

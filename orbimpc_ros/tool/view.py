@@ -61,7 +61,7 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
 
     values, messages = settings.read('{}'), list[bags.Message]()
     if bag is not None:
-        values = settings.of_bag(Path(bag), namespace) or values
+        values = settings.of_bag(Path(bag), namespace)
         messages = bags.of_vehicle(Path(bag), namespace)
     recording = rr.RecordingStream('orbimpc')
     recording.set_log_tick_enabled(False)  # the only timeline is that of message stamps
