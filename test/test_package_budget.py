@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_244,
+    'orbimpc_ros': 33_236,
     'orbimpc_ros/mpc': 16_994,
     'orbimpc_ros/loop': 3_733,
     'orbimpc_ros/ros': 4_729,
     'orbimpc_ros/sim': 2_810,
-    'orbimpc_ros/tool': 4_796,
+    'orbimpc_ros/tool': 4_788,
     'benchmarks': 3_455,
     'test': 17_666,
 }
