@@ -467,13 +467,25 @@ def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
             except RuntimeError as error:  # malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
             _require_ros_words(words)
-            return _lived(make)
+            stack.enter_context(warnings.catch_warnings())
+            warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup
+            node = make()
+            stack.callback(_destroy, node)
+            node.begin()
+            return _live(node)
     except BadInput as error:
         return _ended(error, BAD_INPUT)
     except rclpy_implementation.RCLError as error:  # for example, security is required but missing
         return _ended(f'the node cannot be created: {error}', FAILED)
     finally:
         _end_within(LAST_RESORT)  # the interpreter's exit cleans up the rest
+
+
+def _destroy(node: Managed) -> None:
+    """Destroy a node; else its publishers would be deleted at the exit, after the context."""
+    _end_within(LAST_RESORT)
+    with suppress(RuntimeError):  # of rclpy, after an earlier failure, which is to be reported
+        node.destroy_node()
 
 
 def _ended(error: object, code: int) -> int:
@@ -502,24 +514,6 @@ def _require_ros_words(words: Sequence[str]) -> None:
         raise BadInput.stating('command line', problem, hint)
 
 
-def _lived(make: Callable[[], Managed]) -> int:
-    """Make a node, let it live, and destroy it, whatever happens; return its exit code.
-
-    Otherwise, its publishers would be deleted at the interpreter's exit, after the context.
-    """
-    with warnings.catch_warnings():
-        # From failures of rclpy in its own cleanup, which follow one that is to be reported.
-        warnings.simplefilter('ignore', RuntimeWarning)
-        node = make()
-        try:
-            node.begin()
-            return _live(node)
-        finally:
-            _end_within(LAST_RESORT)
-            with suppress(RuntimeError):
-                node.destroy_node()
-
-
 def _live(node: Managed) -> int:
     """Spin a node until it is done or signalled, send final safe commands; return its code."""
     received = _signals()
@@ -529,11 +523,12 @@ def _live(node: Managed) -> int:
         node.get_logger().warning(f'{PEERS}={os.environ[PEERS]}: open to these machines')
     executor = executor_named(node.get_parameter('executor').value)
     executor.add_node(node)
+    spin = node.guard(executor.spin_once)  # callbacks of rclpy itself fail on a malformed /clock
     # Objects of the start are permanent: each full collection would scan them for 60 ms.
     gc.freeze()
     gc.enable()
     while not received and node.exit_code is None:
-        _spin(node, executor)
+        spin(SPIN)
     _end_within(LAST_RESORT)
     if received:
         node.get_logger().info(f'received {signal.Signals(received[0]).name}, stopping')
@@ -542,13 +537,6 @@ def _live(node: Managed) -> int:
     node.flush()
     executor.shutdown()
     return node.exit_code or DONE
-
-
-def _spin(node: Managed, executor: Executor) -> None:
-    try:
-        executor.spin_once(timeout_sec=SPIN)
-    except BaseException as error:  # in callbacks of rclpy itself, such as on a malformed /clock
-        node.failed('spinning', error)
 
 
 def _signals() -> list[int]:

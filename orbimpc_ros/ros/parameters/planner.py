@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 
 from orbimpc_ros.loop.compensation import DISTURBANCES, ESTIMATED, GIVEN, Response
@@ -37,14 +36,6 @@ OF_PROBLEM = (
     *('max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope'),
 )
 ROUNDING = 1e-5  # in units of a step's length: above the tolerance of checked plans
-
-
-class Ageing(Enum):
-    """Which goals expire: all; those of a streaming source; none."""
-
-    ALL = 'all'
-    STREAMED = 'streamed'
-    NONE = 'none'
 
 
 @dataclass(frozen=True)
@@ -221,12 +212,10 @@ class PlannerSettings(VehicleParameters):
         return max(given if given > 0.0 else 1.0, 1.5 * self.period)
 
     @cached_property
-    def goal_ageing(self) -> Ageing:
-        """Return which goals expire."""
-        if self.given_goal_timeout:
-            return Ageing.ALL if self.given_goal_timeout > 0.0 else Ageing.NONE
+    def hand_sent_expire(self) -> bool:
+        """Return True if goals sent by hand expire, like streamed ones."""
         # A forecast extrapolated indefinitely from the last goal would be meaningless.
-        return Ageing.STREAMED if self.goal_prediction == 'hold' else Ageing.ALL
+        return self.given_goal_timeout > 0.0 or self.goal_prediction != 'hold'
 
     @cached_property
     def response(self) -> Response:

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
-from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
 T = TypeVar('T')
@@ -543,10 +543,8 @@ class Inputs:
         settings, goal = self.settings, self.latest[topic]
         route = isinstance(goal.value, Route)
         by_hand = (topic == 'goal' or route) and goal.run < STREAM
-        lasting = settings.goal_ageing is Ageing.STREAMED or (
-            route and not settings.given_goal_timeout
-        )
-        if settings.goal_ageing is Ageing.NONE or (lasting and by_hand):
+        lasting = not settings.hand_sent_expire or (route and not settings.given_goal_timeout)
+        if settings.given_goal_timeout < 0.0 or (lasting and by_hand):
             return 0.0
         return goal.age(now, ros)
 

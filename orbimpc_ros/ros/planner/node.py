@@ -284,7 +284,8 @@ class PlannerNode(Managed):
         if topic == core.OBSTACLES:
             self._core.planner.expect_hazards()  # its publisher may not have been discovered yet
         if refusal := inputs.update(topic, message, *at):
-            self._refuse(refusal)
+            self._refusal, self._refused_at = refusal, at[0]
+            self._show_changes()
             if topic == 'odom':
                 self._repeat_answer(message)
             return
@@ -337,10 +338,6 @@ class PlannerNode(Managed):
     def _engaged(self) -> bool:
         """Return True if commands may be sent."""
         return self._gate and (self._wing is None or self._wing.engaged)
-
-    def _refuse(self, refusal: str) -> None:
-        self._refusal, self._refused_at = refusal, self.steady_now()
-        self._show_changes()
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
         """Repeat the answer to repeated odometry: the first may have been lost in discovery."""

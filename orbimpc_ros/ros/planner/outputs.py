@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.proof.document import Document, certificate_of, text_of
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
-from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
+from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings
 
 # Topics of decisions, and of commands to the vehicle, which are sent first.
 REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
@@ -386,10 +386,10 @@ def _unit(problem: Problem) -> str:
 
 
 def _ageing(settings: PlannerSettings) -> str:
-    if settings.goal_ageing is Ageing.NONE:
+    if settings.given_goal_timeout < 0.0:
         return 'never stale'
-    streamed = settings.goal_ageing is Ageing.STREAMED
-    return f'stale after {settings.goal_timeout:g} s{" once they stream" if streamed else ""}'
+    streamed = '' if settings.hand_sent_expire else ' once they stream'
+    return f'stale after {settings.goal_timeout:g} s{streamed}'
 
 
 def _safe_command(settings: PlannerSettings) -> str:
