@@ -3,6 +3,7 @@
 
 import math
 import re
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -181,14 +182,16 @@ SECTIONS = """
         ('/pilot', ['/**/planner', '/**/plannr', '/uav1/planner']),
     ],
 )
-def test_sections_that_no_node_takes_are_told(tmp_path, name, unused):
+def test_sections_that_no_node_takes_are_told(tmp_path, monkeypatch, name, unused):
     """Otherwise a misspelt name would silently mean the defaults."""
     file = tmp_path / 'params.yaml'
     file.write_text(SECTIONS)
     node = SimpleNamespace(kind='planner', get_fully_qualified_name=lambda: name)
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0']
-    assert unused_sections(node, words) == [f'{section} in {file}' for section in unused]
-    assert unused_sections(node, ['planner']) == []
+    monkeypatch.setattr(sys, 'argv', words)
+    assert unused_sections(node) == [f'{section} in {file}' for section in unused]
+    monkeypatch.setattr(sys, 'argv', ['planner'])
+    assert unused_sections(node) == []
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

@@ -114,8 +114,8 @@ class Stamp:
 # --- reading
 
 
-def nanoseconds(stamp: Time, culprit: str) -> int:
-    """Return a stamp in nanoseconds.
+def nanoseconds(stamp: Time | Duration, culprit: str) -> int:
+    """Return a stamp or a duration in nanoseconds.
 
     Raises:
         BadInput: negative seconds, or nanoseconds of a whole second or more.
@@ -517,7 +517,8 @@ def read_obstacle(
     stamp, seen = read_sighting(placed(marker), 3, Frames(frames.world))
     assert seen.attitude is not None
     body = _body(marker.type, seen.position, seen.attitude, _scale(marker.scale), dimension)
-    return stamp, ObservedBody(name, seen.time, body, _lifetime(marker))
+    lasting = nanoseconds(marker.lifetime, 'lifetime') / SECOND or math.inf  # 0: for ever
+    return stamp, ObservedBody(name, seen.time, body, lasting)
 
 
 def stamp_of(message: MarkerArray) -> int:
@@ -531,14 +532,6 @@ def _scale(scale: Vector3) -> Array:
     if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
         raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
     return sizes
-
-
-def _lifetime(marker: Marker) -> float:
-    """Return how long a body lasts unless it is seen again [s]; a lifetime of 0 is infinite."""
-    given = marker.lifetime
-    if given.sec < 0 or given.nanosec >= SECOND:
-        raise BadInput('lifetime', [given.sec, given.nanosec], '0 or more seconds')
-    return given.sec + given.nanosec / SECOND or math.inf
 
 
 def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:

@@ -87,7 +87,7 @@ class OfflinePlanner(Core):
         """
         known = self.inputs.odometry
         ros = None if stop else stamp + round(advanced * SECOND)
-        decision = self.decide(now, ros, stop, fresh=True)
+        decision = self.decide(now, ros, stop)
         if decision.solve_time_ms and solve_time_ms is not None:
             decision = replace(decision, solve_time_ms=solve_time_ms)
         self.decision = decision

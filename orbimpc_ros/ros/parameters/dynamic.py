@@ -150,20 +150,16 @@ PARAMETERS = 'ros__parameters'
 NODES = ('planner', 'sim')  # one file may serve both
 
 
-def unused_sections(node: Managed, words: Sequence[str] | None = None) -> list[str]:
-    """Return sections of parameter files whose name matches no node, with their files.
+def unused_sections(node: Managed) -> list[str]:
+    """Return sections of a node's parameter files whose name matches no node, with their files.
 
     Sections in other namespaces belong to other vehicles.
-
-    Args:
-        node: recipient of the files.
-        words: the command line; by default that of this process.
     """
     name = node.get_fully_qualified_name().rpartition('/')[2]
     known = {name, '*', '**', *NODES} - ({node.kind} - {name})
     return [
         f'{section} in {file}'
-        for flag, file in pairwise(sys.argv if words is None else words)
+        for flag, file in pairwise(sys.argv)
         if flag == '--params-file'
         for section, _ in _sections(file)
         if section.rpartition('/')[2] not in known

@@ -676,28 +676,17 @@ class Core:
         age = known.age(now, ros)
         return self.planner.unsafe(Snapshot(known.value, odometry_age=age, stop=stop))
 
-    def decide(
-        self,
-        now: float,
-        ros: int | None = None,
-        stop: Reason | None = None,
-        *,
-        fresh: bool = False,
-    ) -> Decision:
+    def decide(self, now: float, ros: int | None = None, stop: Reason | None = None) -> Decision:
         """Return the next command, the time taken, and the messages used.
 
         Args:
             now: on the steady clock [s].
             ros: on the ROS clock.
             stop: reason for following no plan, if any.
-            fresh: whether odometry counts as fresh, for instance if judged elsewhere.
         """
         begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
-        heard = self.inputs.heard
-        if fresh:
-            snapshot = replace(snapshot, odometry_age=0.0)
-        self.seen = snapshot
+        heard, self.seen = self.inputs.heard, snapshot
         given = math.inf if self._unlimited else self.settings.deadline
         self._deadline = Deadline(self._clock, begun + given)
         if self._counted and self.inputs.in_step:
