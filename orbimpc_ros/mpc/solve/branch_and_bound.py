@@ -303,7 +303,7 @@ class _Run:
         if node.above is None:
             self._root = relaxed.bound
         if relaxed.x is None:  # neither solved nor proved infeasible
-            self._give_up(node)
+            self._close(node.bound)
             return
         trajectory = posed.flown(relaxed.x)
         missed = posed.missed(trajectory)
@@ -317,10 +317,13 @@ class _Run:
             return
         if (self._dives.x is None and not self._guided) or self._is_nearly_round(missed):
             self._dives.dive(rows, trajectory)
-        if posed.request.late:  # branching may take as long as a solve
+        # Branching may take as long as a solve. Without a cut, an imposed face is violated: the
+        # solve was not accurate enough.
+        cut = None if posed.request.late else self._cut(self._known(node), missed)
+        if cut is None:
             self._close(node.bound)
-            return
-        self._branch(node, missed, relaxed.bound, trajectory.headings[1:])
+        else:
+            self._part(node, cut, relaxed.bound, trajectory.headings[1:])
 
     def _rows(self, node: Node) -> dict[int, Held]:
         """Return the half-spaces of a node, by choice."""
@@ -355,16 +358,6 @@ class _Run:
 
     # --- branching
 
-    def _branch(
-        self, node: Node, missed: dict[int, float], dual_value: float, headings: Array
-    ) -> None:
-        """Split the choice that promises the greatest bound; close a node without a split."""
-        cut = self._cut(self._known(node), missed)
-        if cut is not None:
-            self._part(node, cut, dual_value, headings)
-        else:  # an imposed face is violated: the solve was not accurate enough
-            self._close(node.bound)
-
     def _cut(self, known: Known, missed: dict[int, float]) -> Cut | None:
         """Return the split of the choice that promises the greatest bound; None without one."""
         regions = self._regions
@@ -373,33 +366,17 @@ class _Run:
         cuts = (regions.cut(choice, known) for choice in ranked)
         return next((cut for cut in cuts if cut is not None), None)
 
-    def _give_up(self, node: Node) -> None:
-        """Close a node that was not solved; split the root, since its children may be solved."""
-        if self._posed.solved == 1 and not self._posed.request.late:
-            known = self._known(node)
-            for choice in range(len(known.part)):
-                cut = self._regions.cut(choice, known)
-                if cut is not None:
-                    self._part(node, cut)
-                    return
-        self._close(node.bound)
-
-    def _part(
-        self, node: Node, cut: Cut, dual_value: float = -np.inf, headings: Array | None = None
-    ) -> None:
+    def _part(self, node: Node, cut: Cut, dual_value: float, headings: Array) -> None:
         """Create the children of a node and open those that are neither empty nor pruned.
 
         Args:
             node: the node to split.
             cut: the split of one of its choices.
             dual_value: of its solution, from which the gains of the children are counted.
-            headings: of the solution, shape (N, n); None without one.
+            headings: of the solution, shape (N, n).
         """
         regions, sides = self._regions, self._regions.sides(self._known(node), cut)
-        gains: Array = np.zeros(cut.parts)
-        refuted = np.full(cut.parts, -1)
-        if headings is not None:
-            gains, refuted = regions.gains(cut.choice, sides, headings)
+        gains, refuted = regions.gains(cut.choice, sides, headings)
         node.cut, node.first = cut, len(self._nodes)
         for i, row in enumerate(refuted.tolist()):
             bound = max(node.bound, dual_value + float(gains[i]))

@@ -231,9 +231,8 @@ class Regions:
 
     def _side(self, choice: int, known: Known) -> Sides:
         """Return the half-space of a choice in a region."""
-        count, each = self.problem.horizon, slice(choice, choice + 1)
-        flat = self._flat is not None if choice < count else not self._radius(choice)
-        if flat:
+        each = slice(choice, choice + 1)
+        if self._is_flat(choice):
             return self._faced(choice, known.part[each])
         if self.problem.dimension == 2:
             return self._sectors(choice, known.span[each])
@@ -248,6 +247,10 @@ class Regions:
             for i, (place, offset) in enumerate(zip(places.tolist(), offsets.tolist(), strict=True))
             if math.isfinite(offset) and self._moved[place]
         )
+
+    def _is_flat(self, choice: int) -> bool:
+        """Return True for headings beyond faces of the floor, and for boxes."""
+        return self._flat is not None if choice < self.problem.horizon else not self._radius(choice)
 
     def _radius(self, choice: int) -> float:
         """Return the radius of the body of a choice; 0 for a box."""
@@ -440,30 +443,36 @@ class Regions:
 
     def cut(self, choice: int, known: Known) -> Cut | None:
         """Return the split of a choice in a region; None if there is nothing to split."""
-        count, n, whole = self.problem.horizon, self.problem.dimension, known.part[choice] == WHOLE
         if choice < self.first:
             return None
-        heading = choice < count
+        if known.part[choice] == WHOLE:
+            return self._parted(choice)
+        return None if self._is_flat(choice) else self._refined(choice, known)
+
+    def _parted(self, choice: int) -> Cut:
+        """Return the split of a choice that nothing restricts."""
+        n, heading = self.problem.dimension, choice < self.problem.horizon
         if heading and self._flat is not None:
-            return Cut(FACES, choice, len(self._flat[0])) if whole else None
-        if not (heading or self._radius(choice)):
-            return Cut(SIDES, choice, 2 * n) if whole else None
-        if n == 3:
-            if whole:
-                up = heading and choice in self._upright
-                parts = len(self._stated.root.patches) - ICOSAHEDRON if up else ICOSAHEDRON
-                return Cut(PATCHES, choice, parts)
-            wide = np.ptp(known.corners[choice], axis=0).max() >= FINEST
-            return Cut(QUARTERS, choice, 4) if wide else None
-        if whole:
+            return Cut(FACES, choice, len(self._flat[0]))
+        if self._is_flat(choice):
+            return Cut(SIDES, choice, 2 * n)
+        if n == 2:
             faces = self._faces if heading else 0
             return Cut(ARCS, choice, faces or AROUND, self._begun if faces else 0.0)
+        up = heading and choice in self._upright
+        parts = len(self._stated.root.patches) - ICOSAHEDRON if up else ICOSAHEDRON
+        return Cut(PATCHES, choice, parts)
+
+    def _refined(self, choice: int, known: Known) -> Cut | None:
+        """Return the split of a sector or a patch; None if it is too small."""
+        if self.problem.dimension == 3:
+            wide = np.ptp(known.corners[choice], axis=0).max() >= FINEST
+            return Cut(QUARTERS, choice, 4) if wide else None
         low, high = known.span[choice].tolist()
-        at = 0.5 * (low + high)
-        if heading and self._faces:
-            share = 2.0 * math.pi / self._faces
+        at, apart = 0.5 * (low + high), FINEST
+        if choice < self.problem.horizon and self._faces:
+            share, apart = 2.0 * math.pi / self._faces, self._stated.sets.narrow
             at = share * (math.floor(at / share) + 0.5)  # the nearest corner
-        apart = self._stated.sets.narrow if heading and self._faces else FINEST
         return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
 
     def widest(self, known: Known) -> Cut | None:
