@@ -41,7 +41,7 @@ from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
 from orbimpc_ros.mpc.proof.flight import STEP, control_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
-from orbimpc_ros.mpc.proof.stated import Body, Statement, limits_of
+from orbimpc_ros.mpc.proof.stated import Body, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import in_fractions, region_of
 
@@ -295,7 +295,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     case, count = drawn.case, drawn.case.problem.horizon
     catches, empty = drawn.radius > 0.0, _sometimes(rng, 0.4)
     sought = Sought(*case, radius=drawn.radius)
-    posed = Posed(*case, limits_of(*case))
+    posed = Posed(*case, Statement(case.problem).limits(case.state, case.goals))
     if catches or empty:
         known = refutation(sought, ())
         posed = refuted_by(known, count if catches else 1)[-1]
@@ -440,15 +440,15 @@ class Part:
         j = int(self.rng.integers(len(self.posed.limits.bodies)))
         body, choice = self.posed.limits.bodies[j], (2 + j) * self.count + k
         points = self._points(body, k)
-        if not body.radius:
-            low, high = body.low - body.grown[k], body.high + body.grown[k]
+        if isinstance(body.shape, Box):
+            low, high = body.shape.minimum - body.grown[k], body.shape.maximum + body.grown[k]
             outside = np.concatenate([low - points, points - high], axis=1).min(axis=0)
             sides = np.flatnonzero(outside > 1e-12)
             if len(sides):
                 self.cut(trees.SIDES, choice, 2 * self.n, 0.0, int(self.rng.choice(sides)))
             return
-        way, away = separation(points - body.low)
-        if away < body.radius + body.grown[k] + 1e-12:
+        way, away = separation(points - body.shape.centre)
+        if away < body.shape.radius + body.grown[k] + 1e-12:
             return
         if self.n == 3:
             self._patched(choice, way)
@@ -507,7 +507,7 @@ class Part:
             if j < 0:
                 continue
             body, levels = self.posed.limits.bodies[j], self.depth - depth
-            if body.radius and self.n == 2:
+            if isinstance(body.shape, Ball) and self.n == 2:
                 low, high = self.region.span[depth, choice]
                 if high - low > 3:
                     continue

@@ -42,14 +42,14 @@ def generic(function: Callable) -> Callable:
     return function
 
 
-def by_type(function: Callable) -> Callable[[Callable], Callable]:
-    """Return a decorator that registers the implementation of a function for floats."""
+def by_type(in_floats: Callable, in_fractions: Callable) -> Callable:
+    """Return a generic function with an implementation for floats, and one for all else."""
 
-    def registered(in_floats: Callable) -> Callable:
-        IN_FLOATS[function] = in_floats
-        return in_floats
+    def either(x: Number) -> Any:
+        return in_floats(x) if isinstance(x, float) else in_fractions(x)
 
-    return registered
+    IN_FLOATS[either] = in_floats
+    return either
 
 
 def floats(function: Callable) -> Callable:
@@ -75,129 +75,23 @@ def _bound_to_floats(function: Callable) -> Callable:
         if known.get(name) in IN_FLOATS:
             each = known[name]
             known[name] = compiled(_bound_to_floats(each))
-    made = FunctionType(source.__code__, known, function.__name__)
-    made.__module__, made.__qualname__ = function.__module__, function.__qualname__
+    made = FunctionType(source.__code__, known, source.__name__)
+    made.__module__, made.__qualname__ = source.__module__, source.__qualname__
     return made
 
 
-def slack(size: Number) -> Number:
-    """Return the largest rounding error of sums whose terms have a total size."""
-    return FRACTIONS * size if isinstance(size, Fraction) else FLOATS * size
-
-
-def root(x: Number) -> Number:
-    """Return the square root, rounded up for fractions; 0 for negative numbers."""
-    if isinstance(x, (Fraction, int)):
-        return (
-            Fraction(math.isqrt((x.numerator << 2 * BITS) // x.denominator) + 1, UNIT)
-            if x > 0
-            else x * 0
-        )
-    return math.sqrt(x) if x > 0.0 else 0.0
-
-
-def roots(x: np.ndarray) -> np.ndarray:
-    """Return the square root of each element; see :func:`root`."""
-    return np.sqrt(x) if x.dtype == float else np.frompyfunc(root, 1, 1)(x)
-
-
-def direction(angle: Number) -> tuple[Number, Number]:
-    """Return the cosine and the sine of an angle."""
-    if isinstance(angle, Fraction):
-        return _direction(angle)
-    return math.cos(angle), math.sin(angle)
-
-
-def coarse(x: Number) -> Number:
-    """Return a number rounded to fewer digits, with an error far below the slack."""
-    return Fraction((x.numerator << BITS) // x.denominator, UNIT) if isinstance(x, Fraction) else x
-
-
-def least_eigenvalue(matrix: Any) -> Number:
-    """Return a tight lower bound on the least eigenvalue of a matrix, shape (4, 4)."""
-    size = np.abs(matrix).sum()
-    if size == 0:
-        return size
-    found = float(np.linalg.eigvalsh((matrix / size).astype(float))[0])
-    if isinstance(size, float):
-        return (found - 4.0 * FLOATS) * size
-    shift = Fraction(1, 1 << 50)
-    while not _is_definite(
-        matrix, (Fraction(found) - shift) * size
-    ):  # at the latest when the diagonal dominates
-        shift *= 2
-    return (Fraction(found) - shift) * size
-
-
-@by_type(slack)
-def _slack(size):
-    return FLOATS * size
-
-
-@by_type(root)
 def _root(x):
     return math.sqrt(x) if x > 0.0 else 0.0
 
 
-@by_type(direction)
+def _root_above(x: Fraction) -> Fraction:
+    if not x > 0:
+        return x * 0
+    return Fraction(math.isqrt((x.numerator << 2 * BITS) // x.denominator) + 1, UNIT)
+
+
 def _cosine_and_sine(angle):
     return math.cos(angle), math.sin(angle)
-
-
-@by_type(coarse)
-def _coarse(x):
-    return x
-
-
-@by_type(least_eigenvalue)
-def _least_eigenvalue(matrix):
-    """Do the same by Jacobi's method: rotate one pair of rows after another."""
-    size = 0.0
-    for i in range(4):
-        for j in range(4):
-            size += abs(matrix[i, j])
-    for _ in range(SWEEPS):
-        for i in range(3):
-            for j in range(i + 1, 4):
-                if abs(matrix[i, j]) > FLOATS * size:
-                    _turn(matrix, i, j)
-    least = min(matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[3, 3])
-    for i in range(3):
-        for j in range(i + 1, 4):
-            least -= 2.0 * abs(matrix[i, j])
-    return least - 16.0 * FLOATS * size
-
-
-@compiled
-def _turn(matrix, i, j):
-    """Rotate rows and columns i and j of a symmetric matrix so that entry i, j vanishes."""
-    off = (matrix[j, j] - matrix[i, i]) / (2.0 * matrix[i, j])
-    slope = math.copysign(1.0, off) / (abs(off) + math.sqrt(1.0 + off * off))
-    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
-    shift = slope * matrix[i, j]
-    matrix[i, i] -= shift
-    matrix[j, j] += shift
-    matrix[i, j] = matrix[j, i] = 0.0
-    for k in range(4):
-        if k not in (i, j):
-            a, b = matrix[k, i], matrix[k, j]
-            matrix[k, i] = matrix[i, k] = cosine * (a - slope * b)
-            matrix[k, j] = matrix[j, k] = cosine * (b + slope * a)
-
-
-def _is_definite(matrix: Any, shift: Fraction) -> bool:
-    """Return whether matrix - shift I is positive definite, by Gaussian elimination."""
-    rest = [
-        [x - (shift if i == j else 0) for j, x in enumerate(row)] for i, row in enumerate(matrix)
-    ]
-    for k in range(len(rest)):
-        if rest[k][k] <= 0:
-            return False
-        for i in range(k + 1, len(rest)):
-            share = rest[i][k] / rest[k][k]
-            for j in range(k, len(rest)):
-                rest[i][j] -= share * rest[k][j]
-    return True
 
 
 @lru_cache(maxsize=65536)
@@ -216,3 +110,65 @@ def _series(term: int, k: int, square: int) -> int:
         total += sign * term
         term, k, sign = (term * square >> BITS) // (k * (k + 1)), k + 2, -sign
     return total
+
+
+def _slack(size):
+    return FLOATS * size
+
+
+def _same(x):
+    return x
+
+
+def _coarse(x: Fraction) -> Fraction:
+    return Fraction((x.numerator << BITS) // x.denominator, UNIT)
+
+
+slack = by_type(_slack, FRACTIONS.__mul__)  # largest rounding error of sums, from their terms' size
+root = by_type(_root, _root_above)  # a square root, rounded up in fractions; 0 for negative numbers
+direction = by_type(_cosine_and_sine, _direction)  # cosine and sine of an angle
+coarse = by_type(_same, _coarse)  # fewer digits, with an error far below the slack
+
+
+def roots(x: np.ndarray) -> np.ndarray:
+    """Return the square root of each element."""
+    return np.sqrt(x) if x.dtype == float else np.frompyfunc(root, 1, 1)(x)
+
+
+@generic
+def least_eigenvalue(matrix):
+    """Return a tight lower bound on the least eigenvalue of a matrix, shape (4, 4).
+
+    By Jacobi's method, in place: rotate one pair of rows after another.
+    """
+    size = 0 * matrix[0, 0]
+    for i in range(4):
+        for j in range(4):
+            size = size + abs(matrix[i, j])
+    for _ in range(SWEEPS):
+        for i in range(3):
+            for j in range(i + 1, 4):
+                if abs(matrix[i, j]) > slack(size):
+                    _turn(matrix, i, j)
+    least = min(matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[3, 3])
+    for i in range(3):
+        for j in range(i + 1, 4):
+            least = least - 2 * abs(matrix[i, j])
+    return least - 16 * slack(size)
+
+
+@generic
+def _turn(matrix, i, j):
+    """Rotate rows and columns i and j of a symmetric matrix so that entry i, j vanishes."""
+    off = (matrix[j, j] - matrix[i, i]) / (2 * matrix[i, j])
+    slope = coarse(1 / (abs(off) + root(1 + off * off)))
+    slope = slope if off >= 0 else -slope
+    cosine, shift = coarse(1 / root(1 + slope * slope)), coarse(slope * matrix[i, j])
+    matrix[i, i] = matrix[i, i] - shift
+    matrix[j, j] = matrix[j, j] + shift
+    matrix[i, j] = matrix[j, i] = 0 * shift
+    for k in range(4):
+        if k != i and k != j:
+            a, b = matrix[k, i], matrix[k, j]
+            matrix[k, i] = matrix[i, k] = coarse(cosine * (a - slope * b))
+            matrix[k, j] = matrix[j, k] = coarse(cosine * (b + slope * a))

@@ -23,10 +23,10 @@ from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of,
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.flight import END, ENDS, STEP
-from orbimpc_ros.mpc.proof.stated import UP, Body, Cone, Limits, limits_of
+from orbimpc_ros.mpc.proof.stated import UP, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
     EMPTY,
@@ -251,7 +251,7 @@ def refutation(sought: Sought, trees: Sequence[ProofTree]) -> Document:
     if sought.radius:
         refuted['radius'] = sought.radius
         if problem.approach.exists:
-            refuted['cone'] = _plain_cone(limits_of(problem, state, goals).cones[-1])
+            refuted['cone'] = _plain_cone(Statement(problem).limits(state, goals).cones[-1])
             del refuted['cone']['steps']
         problem = replace(problem, approach=Approach())
     return {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
@@ -275,7 +275,7 @@ def statement(problem: Problem, state: State, goals: Array) -> Document:
     made['floor'] = {'shape': floor.shape, **told}
     values = {name: getattr(state, name) for name in STATE}
     known = {name: None if value is None else value.tolist() for name, value in values.items()}
-    limits = _plain_limits(limits_of(problem, state, goals))
+    limits = _plain_limits(Statement(problem).limits(state, goals))
     found = {'problem': made, 'state': known, 'goals': goals.tolist()}
     return {**found, 'limits': limits} if limits else found
 
@@ -298,9 +298,11 @@ def _plain_cone(cone: Cone) -> dict[str, Any]:
 
 
 def _plain_body(body: Body) -> dict[str, Any]:
-    made: dict[str, Any] = {'min': body.low.tolist(), 'max': body.high.tolist()}
-    if body.radius:
-        made = {'centre': body.low.tolist(), 'radius': body.radius}
+    shape, made = body.shape, dict[str, Any]()
+    if isinstance(shape, Ball):
+        made |= {'centre': shape.centre.tolist(), 'radius': shape.radius}
+    else:
+        made |= {'min': shape.minimum.tolist(), 'max': shape.maximum.tolist()}
     made['of'] = next(name for name, of in OF.items() if of == body.of)
     if body.shifts.any() or body.grown.any():
         made |= {'shifts': body.shifts.tolist(), 'grown': body.grown.tolist()}
@@ -369,16 +371,19 @@ def _cone(stated: Any, n: int, count: int) -> Cone:
 
 def _body(stated: Any, n: int, count: int) -> Body:
     ball = isinstance(stated, dict) and 'radius' in stated
-    shape = ('centre', 'radius') if ball else ('min', 'max')
-    known = fields_of(stated, 'body', (*shape, 'of'), ('shifts', 'grown'))
+    names = ('centre', 'radius') if ball else ('min', 'max')
+    known = fields_of(stated, 'body', (*names, 'of'), ('shifts', 'grown'))
     if known['of'] not in OF:
         raise BadInput.choice('body.of', known['of'], OF)
     still = {'shifts': np.zeros((count + 1, n)).tolist(), 'grown': [0.0] * count, **known}
     shifts = _array(still['shifts'], 'body.shifts', (count + 1, n))
     grown = _array(still['grown'], 'body.grown', (count,))
-    corners = [_array(known[name], f'body.{name}', (n,)) for name in shape[: 1 + (not ball)]]
-    radius = number(known['radius'], 'body.radius', 0.0, above=True) if ball else 0.0
-    return Body(corners[0], corners[-1], radius, OF[known['of']], shifts, grown)
+    first = _array(known[names[0]], f'body.{names[0]}', (n,))
+    shape: Box | Ball
+    shape = (
+        Ball(first, known['radius']) if ball else Box(first, _array(known['max'], 'body.max', (n,)))
+    )
+    return Body(shape, OF[known['of']], shifts, grown)
 
 
 def _array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
@@ -465,11 +470,6 @@ def _no_number(word: str) -> Any:
 
 
 # --- certificates with a deadline
-
-
-def patient() -> bool:
-    """Return False, for callers without a deadline."""
-    return False
 
 
 def held_in_time(

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
 from orbimpc_ros.mpc.model.translation import step_of
-from orbimpc_ros.mpc.problem import Ball, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.pace import entry_speed
@@ -78,18 +78,14 @@ class Body(NamedTuple):
     """A box or a ball that plans must stay outside of.
 
     Attributes:
-        low: corner, or the centre of a ball, shape (n,) [m].
-        high: corner, or the centre of a ball.
-        radius: of a ball [m]; 0 for a box.
+        shape: its size, and its place at the start.
         of: the part of each step that is on one of its sides: its ``END``; both ``ENDS``, from the
             second step on; or the whole ``STEP``, that is, its control points.
         shifts: its displacement at the ends of steps 0..N, shape (N + 1, n) [m].
         grown: margin added to its size in each step, shape (N,) [m].
     """
 
-    low: Array
-    high: Array
-    radius: float
+    shape: Box | Ball
     of: int
     shifts: Array
     grown: Array
@@ -304,8 +300,29 @@ class Statement:
         return Costs(weights, braked, turned, double * a)
 
     def limits(self, state: State, goals: Array) -> Limits:
-        """Return the limits as :func:`limits_of` does, with bodies at rest from a cache."""
-        return limits_of(self.problem, state, goals, self.boxes)
+        """Return the limits of the problem from a state to goals, shape (N, n) [m]."""
+        problem = self.problem
+        plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
+        if plain and not (problem.obstacles or state.hazards):
+            return NO_LIMITS
+        cones, slope = list[Cone](), 0.0
+        eased: Array = NOTHING
+        if problem.has_cones:
+            outside = relief(problem, state, goals)
+            if problem.tilt:
+                steps = tuple((1 + np.flatnonzero(outside.tilt == 0.0)).tolist())
+                cones.append(Cone((0.0, 0.0, 1.0), problem.tilt, 0.0, steps))
+            if problem.glide_slope:
+                slope, eased = problem.glide_slope, outside.slope
+        if problem.approach.exists:
+            axis, wide = problem.approach.axis(state), problem.approach.cone + LEEWAY
+            last = problem.least_heading, (problem.horizon,)
+            cones.append(Cone(tuple(axis.tolist()), wide, *last))
+        entry, change = 0.0, math.inf
+        if problem.max_acceleration and problem.rotation_order == 1:
+            entry, change = entry_speed(problem, state), problem.speed_change
+        bodies = self.boxes + _moving(problem, state)
+        return Limits(tuple(cones), slope, eased, bodies, entry, change)
 
     def of(self, state: State, goals: Array, limits: Limits) -> Stated:
         """Return the problem from a state.
@@ -479,8 +496,11 @@ class Statement:
 
     @cached_property
     def boxes(self) -> tuple[Body, ...]:
-        """Return the bodies at rest."""
-        return boxes_of(self.problem)
+        """Return the boxes at rest, which are the first of the bodies."""
+        problem, n, count = self.problem, self.problem.dimension, self.problem.horizon
+        still, kept = np.zeros((count + 1, n)), np.zeros(count)
+        of = ENDS if problem.no_corner_cutting else END
+        return tuple(Body(each, of, still, kept) for each in problem.boxes)
 
     @cached_property
     def _at_rest(self) -> Bodies:
@@ -499,9 +519,9 @@ class Statement:
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
         n, count = self.problem.dimension, self.problem.horizon
-        low = self._rows([each.low for each in bodies]).reshape(-1, n) - origin
-        high = self._rows([each.high for each in bodies]).reshape(-1, n) - origin
-        radii = self._rows([each.radius for each in bodies])
+        sizes = [_corners_and_radius(each.shape) for each in bodies]
+        low, high, radii = map(self._rows, zip(*sizes, strict=True) if sizes else ((), (), ()))
+        low, high = low.reshape(-1, n) - origin, high.reshape(-1, n) - origin
         grown = self._rows([each.grown for each in bodies]).reshape(-1, count)
         shifts = self._rows([each.shifts for each in bodies]).reshape(-1, count + 1, n)
         of = np.array([each.of for each in bodies], np.int64)
@@ -511,12 +531,13 @@ class Statement:
         along = self._rows(np.maximum(at, 0))[..., None] / self._motion.degree
         centres = begun[:, :, None] + moved[:, :, None] * along
         margins = np.stack([grown, 0 * grown])
-        if any(each.radius and each.of == STEP for each in bodies):
-            margins[1] = self._spread(bodies, centres, start)
+        curved = np.flatnonzero((radii > 0) & (of == STEP))
+        if len(curved):
+            margins[1, curved] = self._spread(centres[curved], start)
         extents = np.concatenate([-low, high, radii[:, None]], axis=1)
         return Bodies(of, extents, centres, margins)
 
-    def _spread(self, bodies: Sequence[Body], centres: Rows, start: Rows) -> Rows:
+    def _spread(self, centres: Rows, start: Rows) -> Rows:
         """Return the largest distance of control points, relative to bodies, shape (J, N).
 
         Headings have a length of at most 1.
@@ -525,13 +546,9 @@ class Statement:
         flown = flown_by(self._motion, start[:, :n], self._rows(np.zeros((count, n))))
         free, (a, b) = controls_of(self._motion, flown), np.triu_indices(m, 1)
         fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
-        spread = self._rows(np.zeros((len(bodies), count)))
-        for j, body in enumerate(bodies):
-            if body.radius and body.of == STEP:
-                places = free - centres[j, :, :m]
-                gaps = roots(((places[:, a] - places[:, b]) ** 2).sum(axis=-1))
-                spread[j] = (fastest * self._apart + gaps).max(axis=1)
-        return spread
+        places = free - centres[:, :, :m]
+        gaps = roots(((places[:, :, a] - places[:, :, b]) ** 2).sum(axis=-1))
+        return (fastest * self._apart + gaps).max(axis=2)
 
     @cached_property
     def _apart(self) -> Rows:
@@ -545,48 +562,14 @@ class Statement:
         return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
 
 
-# --- the limits of a problem from one state
+# --- bodies
 
 
-def limits_of(
-    problem: Problem, state: State, goals: Array, boxes: tuple[Body, ...] | None = None
-) -> Limits:
-    """Return the limits of a problem from a state to goals.
-
-    Args:
-        problem: whose limits.
-        state: where plans start.
-        goals: g_1..g_N, shape (N, n) [m].
-        boxes: those of :func:`boxes_of`, if they are known.
-    """
-    plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
-    if plain and not (problem.obstacles or state.hazards):
-        return NO_LIMITS
-    cones, slope = list[Cone](), 0.0
-    eased: Array = NOTHING
-    if problem.has_cones:
-        outside = relief(problem, state, goals)
-        if problem.tilt:
-            steps = tuple((1 + np.flatnonzero(outside.tilt == 0.0)).tolist())
-            cones.append(Cone((0.0, 0.0, 1.0), problem.tilt, 0.0, steps))
-        if problem.glide_slope:
-            slope, eased = problem.glide_slope, outside.slope
-    if problem.approach.exists:
-        axis, wide = tuple(problem.approach.axis(state).tolist()), problem.approach.cone + LEEWAY
-        cones.append(Cone(axis, wide, problem.least_heading, (problem.horizon,)))
-    entry, change = 0.0, math.inf
-    if problem.max_acceleration and problem.rotation_order == 1:
-        entry, change = entry_speed(problem, state), problem.speed_change
-    still = boxes_of(problem) if boxes is None else boxes
-    return Limits(tuple(cones), slope, eased, still + _moving(problem, state), entry, change)
-
-
-def boxes_of(problem: Problem) -> tuple[Body, ...]:
-    """Return the boxes at rest, which are the first of the bodies."""
-    n, count = problem.dimension, problem.horizon
-    still, kept = np.zeros((count + 1, n)), np.zeros(count)
-    of = ENDS if problem.no_corner_cutting else END
-    return tuple(Body(each.minimum, each.maximum, 0.0, of, still, kept) for each in problem.boxes)
+def _corners_and_radius(shape: Box | Ball) -> tuple[Array, Array, float]:
+    """Return the corners of a box and 0, or twice the centre of a ball and its radius."""
+    if isinstance(shape, Ball):
+        return shape.centre, shape.centre, shape.radius
+    return shape.minimum, shape.maximum, 0.0
 
 
 def _moving(problem: Problem, state: State) -> tuple[Body, ...]:
@@ -598,10 +581,5 @@ def _moving(problem: Problem, state: State) -> tuple[Body, ...]:
     if traffic is None:
         return ()
     for body, shifts, grown in zip(traffic.bodies, traffic.shifts, traffic.grown, strict=True):
-        low, high, radius = (
-            (body.centre, body.centre, body.radius)
-            if isinstance(body, Ball)
-            else (body.minimum, body.maximum, 0.0)
-        )
-        found += [Body(low, high, radius, of, shifts, grown) for of in (END, STEP)]
+        found += [Body(body, of, shifts, grown) for of in (END, STEP)]
     return tuple(found)

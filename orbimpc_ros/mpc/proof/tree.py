@@ -131,10 +131,12 @@ def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> boo
         (leaves,), (presses,), (presses,),
         (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (horizon,),
     )  # fmt: skip
-    for i, (value, kind, shape) in enumerate(zip(arrays, KINDS, shapes, strict=True)):
-        if value.dtype != kind or not value.flags.c_contiguous:
+    if nodes == 0 or [each.dtype for each in arrays] != KINDS:
+        return False
+    for i, (value, shape) in enumerate(zip(arrays, shapes, strict=True)):
+        if i < len(ARRAYS) or value.size:
+            if value.shape != shape or not value.flags.c_contiguous:
+                return False
+        elif value.ndim != len(shape):
             return False
-        absent = i >= len(ARRAYS) and not value.size and value.ndim == len(shape)
-        if not absent and value.shape != shape:
-            return False
-    return nodes > 0
+    return True

@@ -63,7 +63,7 @@ class Verifier:
             start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
             still = one(np.zeros((count, self._statement.width)), leaf)
             self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
-            self._bound = bare(_bound)
+            self._depths, self._bound = bare(_depths), bare(_bound)
 
     def bound(
         self,

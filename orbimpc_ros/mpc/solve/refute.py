@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.proof.document import (
     OutOfTime,
     Posed,
     Unproved,
-    patient,
     refutation,
     refuted_by,
 )
@@ -34,7 +33,7 @@ from orbimpc_ros.mpc.solve.request import Request
 TOLERANCE = 1e-6  # of a search, which stops long before
 
 
-def refutation_of(sought: Sought, count: int = 1, out_of_time: OutOfTime = patient) -> Document:
+def refutation_of(sought: Sought, count: int = 1, out_of_time: OutOfTime | None = None) -> Document:
     """Return a proof of infeasibility, or that nothing catches the goal at the first steps.
 
     Args:
@@ -47,7 +46,7 @@ def refutation_of(sought: Sought, count: int = 1, out_of_time: OutOfTime = patie
     """
     trees = list[ProofTree]()
     for posed in refuted_by(refutation(sought, trees), count):
-        if out_of_time():
+        if out_of_time and out_of_time():
             raise Unproved('no certificate: no refutation was found in time')
         tree = _leaf(posed)
         if not _proves(posed, tree):
@@ -78,7 +77,7 @@ def _leaf(posed: Posed) -> ProofTree:
     return leaf._replace(nodes=np.array([[EMPTY, 0, 0, 0, 0]]))
 
 
-def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime) -> ProofTree:
+def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime | None) -> ProofTree:
     """Return the proof tree of the general search.
 
     Raises:
@@ -99,7 +98,7 @@ def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime) -> ProofTree:
         tree = in_users_units(tree, units)
         if _proves(posed, tree):
             return tree
-    if out_of_time():
+    if out_of_time and out_of_time():
         raise Unproved('no certificate: no refutation was found in time')
     what = f'a catch at step {asked.horizon}' if asked.weights.terminal else 'all trajectories'
     raise Unproved(f'no certificate: no refutation of {what} was found')
