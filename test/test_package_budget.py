@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_172,
-    'orbimpc_ros/mpc': 16_980,
+    'orbimpc_ros': 33_107,
+    'orbimpc_ros/mpc': 16_915,
     'orbimpc_ros/loop': 3_733,
     'orbimpc_ros/ros': 4_679,
     'orbimpc_ros/sim': 2_810,
