@@ -109,7 +109,7 @@ def test_a_measurement_moves_on_as_the_vehicle_does(orders, source):
             np.testing.assert_allclose(found, getattr(expected, name), atol=1e-6, err_msg=name)
         if problem.rotation_order == 2:
             np.testing.assert_array_equal(later.body_rate, first.body_rate)
-        assert advanced(problem, later, []) is later
+        assert advanced(problem, later, [], plant.blown) is later
 
 
 A, B, C = command(0.1), command(0.2), command(0.3)

@@ -481,14 +481,14 @@ def test_no_hazard_that_can_be_met_is_left_out(order):
 
 def test_what_cannot_be_met_is_no_concern():
     away = MovingObstacle.drifting(disc(15.0, 0.0), np.array([0.5, 0.0]))
-    assert nearest(Problem(), odometry(), None, [away]) == ((), 0)
-    assert len(nearest(Problem(), odometry(), None, [away], horizons=6.0)[0]) == 1
+    assert nearest(Problem(), odometry(), np.zeros(2), [away]) == ((), 0)
+    assert len(nearest(Problem(), odometry(), np.zeros(2), [away], horizons=6.0)[0]) == 1
 
 
 def test_of_too_many_the_nearest_count():
     crowd = [MovingObstacle.drifting(disc(2.0 + 0.02 * k, 0.0), np.zeros(2)) for k in range(100)]
     shuffled = [crowd[k] for k in np.random.default_rng(74).permutation(100)]
-    used, left_out = nearest(Problem(), odometry(), None, shuffled)
+    used, left_out = nearest(Problem(), odometry(), np.zeros(2), shuffled)
     assert left_out == 100 - MAX_HAZARDS
     assert set(used) == set(crowd[:MAX_HAZARDS])
 

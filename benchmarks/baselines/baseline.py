@@ -83,7 +83,7 @@ class Baseline(ABC):
         hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
         state = State.at(**start.state, hazards=hazards)
         goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))
-        sight = Sight(time, state, ahead.at, np.zeros(2) if wind is None else wind)
+        sight = Sight(time, state, ahead.at, wind)
         command = self._limited(state, *self.steered(self._led(sight)))
         return Decision(
             Status.FEASIBLE, '', state, None, command, problem=self.problem, goals=goals

@@ -84,10 +84,10 @@ def along_the_air(odometry: Odometry) -> Odometry:
     return replace(odometry, attitude=odometry.attitude @ exp(slip), body_velocity=velocity)
 
 
-def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:
+def airspeed(odometry: Odometry, wind: Array, velocity_source: str = 'ground') -> float:
     """Return the airspeed along the thrust axis [m/s]; across it, only wind moves the vehicle."""
     speed = float(odometry.body_velocity[0])
-    if wind is None or velocity_source == 'air':
+    if velocity_source == 'air':
         return speed
     return speed - float(wind @ odometry.attitude[:, 0])
 
@@ -191,7 +191,7 @@ def advanced(
     problem: Problem,
     odometry: Odometry,
     intervals: Sequence[Interval],
-    disturbance: Array | None = None,
+    disturbance: Array,
     velocity_source: str = 'ground',
 ) -> Odometry:
     """Return the measurement propagated over the intervals; unchanged without any.
@@ -205,10 +205,9 @@ def advanced(
     if not intervals:
         return odometry
     attitude, body_velocity = odometry.attitude, odometry.body_velocity
-    blown = np.zeros(problem.dimension) if disturbance is None else disturbance
     # Without inertia, the velocity through the air turns with the body.
     still = velocity_source == 'air' or problem.inertial
-    carrying = np.zeros(problem.dimension) if still else blown
+    carrying = np.zeros(problem.dimension) if still else disturbance
     position, rate = odometry.position, odometry.body_rate
     through_air, velocity = body_velocity - attitude.T @ carrying, attitude @ body_velocity
     for k, (time, command, before) in enumerate(intervals):
@@ -221,11 +220,12 @@ def advanced(
         if problem.inertial:
             push = _forward(problem, 0.0 if before is None else before.speed_fraction)
             once, twice = turned(angle, push)
-            position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
-            velocity = velocity + time * (attitude @ once + blown)
+            moved = time * (attitude @ twice + 0.5 * disturbance)
+            position = position + time * (velocity + moved)
+            velocity = velocity + time * (attitude @ once + disturbance)
         else:
             flown, _ = turned(angle, through_air)
-            position = position + time * (attitude @ flown + blown)
+            position = position + time * (attitude @ flown + disturbance)
         attitude = attitude @ exp(angle)
     body_velocity = through_air + attitude.T @ carrying
     if problem.inertial:
@@ -286,8 +286,6 @@ LARGEST = 0.8  # of full speed or thrust, as the largest estimate: the rest is f
 REPORTED = 1.5  # the same with a reported wind, which may blow wings backwards
 UNSTATED = 1.0  # [m^2/s^2] variance of a reported wind that states none
 ALIKE = 10.0  # [s] correlation time of the errors of reported winds
-
-
 # Standard deviations, relative to full speed or thrust z.
 NOISE_OF_PLACE = 0.01  # of measurements, in z s (order 1) or z s^2 (order 2)
 NOISE_OF_SPEED = 0.01  # of measurements (order 2), in z s
@@ -333,7 +331,6 @@ class Compensator:
     ) -> None:
         self._problem, self.response = problem, response or Response()
         self._velocity_source, self._sideslip = velocity_source, sideslip
-        self._without = given  # disturbance unless it is estimated
         self._given = np.zeros(problem.dimension) if given is None else given
         self._estimated = estimated
         self._gusts = GUSTS_SEEN if sideslip else GUSTS
@@ -358,18 +355,17 @@ class Compensator:
     def continue_from(self, other: Compensator) -> None:
         """Take over the memory of another compensator."""
         self.history = other.history
+        if not self._estimated:
+            return
         self._estimate, self._covariance = other._estimate, other._covariance
         self._last, self._begun = other._last, other._begun
         self._leaning, self._reported = other._leaning, other._reported
         self.innovation, self.refused = other.innovation, other.refused
 
     @property
-    def disturbance(self) -> Array | None:
-        """Return the wind [m/s] or acceleration [m/s^2], shape (n,); None for zero.
-
-        It is the given one or, if estimated, includes it.
-        """
-        return np.asarray(self._given + self._estimate[-1]) if self._estimated else self._without
+    def disturbance(self) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
+        return np.asarray(self._given + self._estimate[-1])
 
     def start(
         self,
@@ -421,7 +417,7 @@ class Compensator:
             commanded = 0.0 if coming is None else coming.speed_fraction
             pushed = problem.forward * (measured.attitude @ exp(0.5 * time * rate))[:, 0]
             left = response.speed * (applied - commanded) * pushed
-            push = commanded * pushed + (0.0 if self.disturbance is None else self.disturbance)
+            push = commanded * pushed + self.disturbance
             velocity = measured.attitude @ measured.body_velocity + left
             position = measured.position + time * velocity + 0.5 * time * time * push
             attitude = measured.attitude @ exp(time * rate)
@@ -540,7 +536,7 @@ class Compensator:
 
     def _limit(self) -> str:
         """Limit the disturbance to what the vehicle can counteract; return a message if limited."""
-        problem, given, whole = self._problem, self._given, self._given + self._estimate[-1]
+        problem, given, whole = self._problem, self._given, self.disturbance
         known = REPORTED if self._reported > -math.inf else LARGEST
         size, most = float(np.linalg.norm(whole)), known * problem.forward
         most = max(most, float(np.linalg.norm(given)))

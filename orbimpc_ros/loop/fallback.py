@@ -76,19 +76,15 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     """
     problem, alone = task.problem, replace(task, state=replace(task.state, hazards=()))
     rest = [] if task.rest is None else [replace(task.rest, proof=UNPROVED)]
-    found = [
-        (_room(task, each, problem.horizon), each)
-        for each in chain(rest, _ways(task, UNPROVED))
-        if holds(*alone.known, each)
-    ]
+    found = [each for each in chain(rest, _ways(task, UNPROVED)) if holds(*alone.known, each)]
     if not found:
         return None, 0.0
-    if not any(_suffices(problem, room) for room, _ in found):
-        lasting = [_clear_steps(task, each) for _, each in found]
-        found = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
-    unit = SAME * problem.length_unit
-    room, plan = max(found, key=lambda each: (round(each[0] / unit), _end(task, each[1])))
-    return plan, room
+    lasting = [_clear_steps(task, each) for each in found]
+    best = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
+    rooms = [_room(task, each, problem.horizon) for each in best]
+    unit, ends = SAME * problem.length_unit, [_end(task, each) for each in best]
+    chosen = max(range(len(best)), key=lambda i: (round(rooms[i] / unit), ends[i]))
+    return best[chosen], rooms[chosen]
 
 
 def _clear_steps(task: Task, plan: Plan) -> int:

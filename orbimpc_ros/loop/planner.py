@@ -97,7 +97,7 @@ class Decision(ByContent):
     refutation: Document | None = None  # proof of infeasibility, or of no earlier catch
     advanced: float = 0.0  # from the measurement to the start of the plan, without ``led`` [s]
     led: float = 0.0  # lead of the start due to the vehicle's lags [s]
-    disturbance: Array | None = None  # of the plan, shape (n,) [m/s] or [m/s^2]; None for zero
+    disturbance: Array | None = None  # of the plan, shape (n,) [m/s] or [m/s^2]; None if unknown
     innovation: float | None = None  # of odometry, in standard deviations, if w is estimated
     left_out: int = 0  # moving obstacles within reach beyond the limit of a plan
     solve_time_ms: float = 0.0  # total, including the check; 0 if nothing was solved [ms]
@@ -123,10 +123,9 @@ class _Memory:
     goals: Array | None = None  # goals of the previous plan
     wanted: Array | None = None  # attitude at its end
     fallbacks: int = 0  # decisions since a plan was found
-    planned: int = 0  # number of steps of the last plan found
+    planned: int = 0  # number of steps of the last plan found; 0 before the first
     since: float = 0.0  # steps since it was found
     last: float | None = None  # stamp of the last decision [s]
-    arriving: bool = False  # whether a plan has been found since the start
     catch: float = 0.0  # planned time of the catch [s]
     route: Route | None = None  # path followed
     along: float = 0.0  # last progress of the vehicle along it [m]
@@ -436,9 +435,8 @@ class Planner:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
         memory.fallbacks, memory.since = 0, 0.0
-        memory.arriving, memory.aim = True, goals[-1]
+        memory.planned, memory.aim = plan.horizon, goals[-1]
         decision = self._following(task, plan, status, reason)
-        memory.planned = plan.horizon
         return replace(decision, catch=catch) if catch and decision.plan else decision
 
     def _paced(self, route: Route, odometry: Odometry) -> Paced:
@@ -448,7 +446,6 @@ class Planner:
         within = self.problem.horizon * self.problem.step * forward
         memory.route, memory.along = route, route.nearest(odometry.position, near, within)
         wind = self._compensator.disturbance
-        wind = np.zeros(self.problem.dimension) if wind is None else wind
         return Paced(route, memory.along, odometry.time, forward, wind)
 
     def _tracked(self, task: Task) -> tuple[Task, Answer]:
@@ -559,7 +556,7 @@ class Planner:
         lasts = memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP
         if lasts and task.rest and holds(*task.known, task.rest):
             return self._following(task, task.rest, status, reason, Fallback.SHIFTED_PLAN)
-        arriving = memory.arriving or task.problem.has_cones  # waiting means falling
+        arriving = memory.planned or task.problem.has_cones  # waiting means falling
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
         if task.state.hazards and not reason.cause:
@@ -582,7 +579,7 @@ class Planner:
         if plan is None:
             return self._safe(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
-        jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.arriving else 0.0
+        jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.planned else 0.0
         if jump > task.problem.length_unit:
             jumped = f'the goal has jumped by {jump:.3g} m'
             reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')

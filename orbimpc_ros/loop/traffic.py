@@ -227,7 +227,7 @@ class Traffic:
 def nearest(
     problem: Problem,
     odometry: Odometry,
-    disturbance: Array | None,
+    disturbance: Array,
     hazards: Sequence[MovingObstacle],
     horizons: float = 1.0,
 ) -> tuple[tuple[MovingObstacle, ...], int]:
@@ -238,7 +238,7 @@ def nearest(
     """
     times = problem.step * np.arange(math.ceil(horizons * problem.horizon) + 1)
     speed = float(np.linalg.norm(odometry.body_velocity))
-    blown = 0.0 if disturbance is None else float(np.linalg.norm(disturbance))
+    blown = float(np.linalg.norm(disturbance))
     reached = np.array([farthest(problem, speed, blown, time) for time in times[1:]])
     met = []
     for hazard in hazards:
