@@ -183,6 +183,7 @@ def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Arra
 Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
 # [rad/s]; geometric below; above, spaced by what twenty seconds of data resolve
 GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
+SOUGHT_IN = 192  # largest number of sightings in which a swing is sought
 NYQUIST = 0.45  # cycles per sighting, the highest resolved frequency
 ASSUMED = 0.01  # [m] noise, for the prior of a swing's size
 FIXED, DRIFTING = 1, 2  # columns of the line followed by the centre of a swing
@@ -193,19 +194,21 @@ def best_swing(past: Past, middle: int) -> tuple[float, float]:
 
     The centre of the swing (``middle``) is ``FIXED`` or ``DRIFTING``; its size has a prior.
     """
-    times, seen = past
+    thinned = slice(None, None, math.ceil(len(past[0]) / SOUGHT_IN))  # to bound the cost
+    times, seen = past[0][thinned], past[1][thinned]
     line, _ = np.linalg.qr(np.vander(times, middle, increasing=True))
     left = seen - line @ (line.T @ seen)  # beyond what a line explains
     phase = GRID[:, None] * times
     swings = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    swings -= (swings @ line) @ line.T
-    moments = swings @ left
-    gram = swings @ swings.transpose(0, 2, 1) + (ASSUMED / SIZE) ** 2 * np.eye(2)
+    along, moments = swings @ line, swings @ left
+    gram = swings @ swings.transpose(0, 2, 1) - along @ along.transpose(0, 2, 1)
+    gram += (ASSUMED / SIZE) ** 2 * np.eye(2)
     explained = np.sum(moments * np.linalg.solve(gram, moments), axis=(1, 2))
     span = math.sqrt(3.0 * float(np.mean(times * times)))  # for times spread evenly from 0
     explained[GRID * span > 2.0 * math.pi * NYQUIST * len(times)] = -np.inf
     found = int(np.argmax(explained))
-    return float(GRID[found]), float(np.sum(left * left) - explained[found])
+    misfit = float(np.sum(left * left) - explained[found])
+    return float(GRID[found]), misfit * len(past[0]) / len(times)
 
 
 MOST_DAMPED = 2.0  # [1/s]
