@@ -435,7 +435,7 @@ class Planner:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
         memory.fallbacks, memory.since = 0, 0.0
-        memory.planned, memory.aim = plan.horizon, goals[-1]
+        memory.planned, memory.aim = task.problem.horizon, goals[-1]
         decision = self._following(task, plan, status, reason)
         return replace(decision, catch=catch) if catch and decision.plan else decision
 
