@@ -20,11 +20,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 sys.path.append(str(Path(__file__).parents[1] / 'test'))
 
-from flying import fly
-from scenarios import retrieval, retrieval_problem
+from scenarios import retrieval_problem, retrieved
 
-from orbimpc_ros.loop.goal.forecast import Hold
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -229,7 +226,9 @@ def draw_slope(axes: Axes) -> None:
 def draw_prices(axes: Axes) -> None:
     """Draw what hull and floor cost at every tick of the retrieval, up to the capture."""
     problem, bills = retrieval_problem(), []
-    for _, tick, _ in fly(Planner(problem), retrieval(), Hold()):
+    for flight, tick in retrieved(problem):
+        if flight.over:
+            break
         prices = explained(problem, tick.state, tick.goals, tick.plan).binding
         bills.append([total(prices, name) for name in ('hull', 'floor')])
     fast, slow = np.array(bills).T

@@ -27,13 +27,13 @@ LATER = 2**62  # [ns] after any flight
 def flown_again(path: Path) -> Iterator[Flight]:
     """Yield a flight tick by tick: an engine does the same again on the same commands."""
     told = sim_settings(settings.of_sim(settings.of_bag(path)))
-    flight, given = departure(told.scenario, told.begin), {}
-    orders = Orders(told.scenario.model, told.frames)
+    flight, given = departure(told), {}
+    orders = Orders(told)
     for each in bags.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):
-        if each.topic == 'cmd_vel' and (order := orders.take_twist(each.content, LATER)):
+        if each.topic == 'cmd_vel' and (order := orders.take(each.topic, each.content, LATER)):
             given[order.stamp] = order
     yield flight
-    while not flight.over and (at := round(flight.vehicle.time * SECOND)) in given:
+    while not flight.over and (at := round((told.begin + flight.vehicle.time) * SECOND)) in given:
         flight = flight.after(given[at].fraction, given[at].body_rate)
         yield flight
 
@@ -57,5 +57,5 @@ def render(bag: Path, file: Path) -> None:
         if not pictures:
             renderer = mujoco.Renderer(engine._model, *SIZE)
         pictures.append(picture(engine, renderer))
-    duration = round(1e3 * flight.scenario.model.step)
+    duration = round(1e3 * flight.settings.model.step)
     pictures[0].save(file, save_all=True, append_images=pictures[1:], duration=duration, loop=0)

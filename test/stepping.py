@@ -27,7 +27,7 @@ def started(plant, heading=0.0, fraction=0.0):
 
 def flown(plant, vehicle, fraction, rate, time):
     """Return a vehicle after a time [s] with a constant command."""
-    return plant.flown(vehicle, time, fraction, rate, 0.0)[-1]
+    return plant.flown(vehicle, time, fraction, rate)[-1]
 
 
 class Motion:

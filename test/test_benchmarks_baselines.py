@@ -12,9 +12,7 @@ from benchmarks.baselines.baseline import Baseline, Sight
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import planner_settings
-from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import flights, settings
 from orbimpc_ros.tool.flights import flown
 from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner, closed_loop
@@ -97,8 +95,7 @@ def flown_on(values, steps, clock=None, margin=0.0):
     known = planner_settings(values)
     pilot = Listener(known)
     planner = OfflinePlanner(known, clock=clock, planner=pilot)
-    flight = departure(sim_settings(settings.of_sim(values)).scenario)
-    loop = closed_loop(planner, flight, View(NO_FAULTS, 0, 1.0), np.inf, 0, margin)
+    loop = closed_loop(planner, sim_settings(settings.of_sim(values)), margin)
     assert len(list(itertools.islice(loop, steps))) == steps
     return pilot
 

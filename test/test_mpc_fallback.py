@@ -256,7 +256,7 @@ def test_every_model_flies_to_its_goal_in_closed_loop(orders):
         there = not COMPILED and tick.plan.objective < 1e-6
         assert tick.status == 'optimal' or there, tick.reason
         given = tick.command.speed_fraction, tick.command.body_rate
-        (vehicle,) = model.flown(vehicle, model.step, *given, 0.0)
+        (vehicle,) = model.flown(vehicle, model.step, *given)
     assert np.linalg.norm(vehicle.position - goal) < 0.1
 
 
@@ -288,7 +288,7 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
         tick = controller.tick(measured(vehicle), np.tile(goal, (6 - k, 1)))
         assert tick.plan is not None, tick.reason
         given = tick.command.speed_fraction, tick.command.body_rate
-        (vehicle,) = model.flown(vehicle, model.step, *given, 0.0)
+        (vehicle,) = model.flown(vehicle, model.step, *given)
     assert np.linalg.norm(vehicle.position - goal) < 1e-6
     after = controller.tick(measured(vehicle), np.zeros((0, 2)))
     assert after.command.speed_fraction == 0.0

@@ -14,11 +14,12 @@ from scipy.integrate import solve_ivp
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.ros import messages
 from orbimpc_ros.sim import engine_vehicle as engines
-from orbimpc_ros.sim.engine_vehicle import EnginePlant, Kind, class_of
+from orbimpc_ros.sim.engine_vehicle import Kind, class_of
 from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.vehicle import launched
-from orbimpc_ros.sim.world import Rope, Scenario, departure, outcome
+from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.world import departure, outcome
 from orbimpc_ros.tool import flights as study
 from orbimpc_ros.tool.study import draws_of
 
@@ -44,16 +45,23 @@ def servicer():
 WIND, STILL, AFAR = np.array([-4.0, 6.0]), np.zeros(2), np.array([1e5, 0.0])
 
 
+def begun(attitude, goal, **own):
+    """Return a flight at its start at the origin."""
+    turned = messages.quaternion(attitude)
+    at = {'start_orientation': (turned.x, turned.y, turned.z, turned.w), 'rope_center': tuple(goal)}
+    return departure(SimSettings(**at, max_ticks=1000, **own))
+
+
 def aircraft(heading=0.0, wind=WIND, goal=AFAR, **others):
-    model = EnginePlant(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
-    start = launched(model, STILL, exp(np.array([heading])), fraction=0.9)
-    return departure(Scenario(model, start, Rope(goal), 5.0, 1000, rope_length=40.0))
+    own = {'vehicle': 'cessna', 'forward': 50.0, 'start_fraction': 0.9, 'wind': tuple(wind)}
+    own |= {'rope_amplitude': (0.0, 0.0), 'rope_length': 40.0, 'capture_radius': 5.0}
+    return begun(exp(np.array([heading])), goal, **own | others)
 
 
 def flown(flight, seconds, fraction=None, turn=0.0):
     """Return the flights after each step, by default at the initial speed."""
-    found, model = [flight], flight.scenario.model
-    fraction = flight.scenario.start.fraction if fraction is None else fraction
+    found, model = [flight], flight.settings.model
+    fraction = flight.settings.start_fraction if fraction is None else fraction
     for _ in range(round(seconds / model.step)):
         found.append(found[-1].after(fraction, np.resize(turn, model.rates)))
     return found
@@ -71,7 +79,7 @@ def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
     monkeypatch.setitem(engines.ENGINES, 'glider', Kind(2, 1, ()))
     module = SimpleNamespace(Glider=Straight)
     monkeypatch.setitem(sys.modules, 'orbimpc_ros.sim.engines.glider', module)
-    vehicle = aircraft(wind=STILL, engine='glider').after(0.9, np.zeros(1)).vehicle
+    vehicle = aircraft(wind=STILL, vehicle='glider').after(0.9, np.zeros(1)).vehicle
     np.testing.assert_allclose(vehicle.position, [45.0, 0.0])
     assert vehicle.airspeed == pytest.approx(45.0)
 
@@ -106,7 +114,7 @@ def test_the_library_of_an_engine_that_is_missing_is_named(monkeypatch, name, mo
 @pytest.mark.parametrize(('name', 'value'), [('dimension', 3), ('translation_order', 2)])
 def test_an_engine_flies_in_its_own_dimension_and_order(name, value):
     with pytest.raises(BadInput, match=f'{name} is {value}; allowed: [12] with vehicle: cessna'):
-        EnginePlant(**{name: value})
+        SimSettings(vehicle='cessna', **{name: value}).model  # noqa: B018
 
 
 # --- the Cessna of JSBSim
@@ -140,16 +148,14 @@ def test_a_point_is_missed_by_height_and_a_line_is_not(cessna):
     height = abs(best.vehicle.height)
     assert best.captured
     assert best.miss < 2.0 < height
-    point = replace(best.scenario, rope_length=0.0)
+    point = replace(best.settings, rope_length=0.0)
     again = departure(point)
     assert min(f.miss for f in flown(again, 6)) == pytest.approx(height, abs=1.0)
 
 
 def test_a_start_that_cannot_be_flown_is_refused(cessna):
-    model = EnginePlant(forward=50.0)
-    start = launched(model, STILL, np.eye(2), fraction=0.2)
     with pytest.raises(BadInput, match=r'vehicle is cessna; .*no level flight'):
-        model.begun(start)
+        aircraft(start_fraction=0.2)
 
 
 # --- the Hummingbird in MuJoCo
@@ -158,17 +164,9 @@ FAR = np.array([50.0, 0.0])
 
 
 def multirotor(rest=FAR, aside=STILL, wind=STILL, **others):
-    rope = Rope(np.asarray(rest), np.asarray(aside), 0.0, np.full(2, 0.5 * math.pi))
-    model = EnginePlant(
-        forward=2.0,
-        step=0.1,
-        engine='hummingbird',
-        rope=rope,
-        disturbance=tuple(map(float, wind)),
-        **others,
-    )
-    start = launched(model, STILL, np.eye(2), fraction=0.0, velocity=STILL)
-    return departure(Scenario(model, start, rope, 0.15, 1000))
+    own = {'vehicle': 'hummingbird', 'forward': 2.0, 'step': 0.1, 'start_fraction': 0.0}
+    own |= {'rope_amplitude': tuple(aside), 'rope_phase': (0.5 * math.pi, 0.5 * math.pi)}
+    return begun(np.eye(2), rest, **own, wind=tuple(wind), capture_radius=0.15, **others)
 
 
 def test_it_hovers_where_it_starts_in_wind(hummingbird):
@@ -239,19 +237,10 @@ FULL = 0.015  # [m/s^2]
 
 
 def spacecraft(goal=AWAY, velocity=REST, rate=REST, push=REST, **others):
-    model = EnginePlant(
-        3,
-        translation_order=2,
-        step=5.0,
-        forward=FULL,
-        mass=60.0,
-        engine='servicer',
-        rope=Rope(goal),
-        disturbance=tuple(map(float, push)),
-        **others,
-    )
-    start = launched(model, REST, TURNED, fraction=0.0, velocity=velocity, body_rate=rate)
-    return departure(Scenario(model, start, Rope(goal), 0.1, 1000, finish='arrival'))
+    own = {'vehicle': 'servicer', 'dimension': 3, 'translation_order': 2, 'step': 5.0}
+    own |= {'forward': FULL, 'mass': 60.0, 'wind': tuple(push), 'rope_amplitude': (0.0, 0.0, 0.0)}
+    own |= {'start_velocity': tuple(velocity), 'start_body_rate': tuple(rate)}
+    return begun(TURNED, goal, **own, start_fraction=0.0, finish='arrival', **others)
 
 
 def falling(_time, state):

@@ -38,13 +38,12 @@ def flown(values):
 
     Planners answer one after the other and receive each other's plans.
     """
-    scenarios = {name: sim_settings(settings.of_sim(v)).scenario for name, v in values.items()}
-    flights = {name: departure(each, 0.0) for name, each in scenarios.items()}
+    flights = {n: departure(sim_settings(settings.of_sim(v))) for n, v in values.items()}
     known = {name: planner_settings(each) for name, each in values.items()}
     avoided = {name: resolved(each, name) for name, each in known.items()}
     planners = {n: OfflinePlanner(each, f'{n}/planner', avoided[n]) for n, each in known.items()}
     tracks, fallbacks = {name: [flight] for name, flight in flights.items()}, []
-    for _ in range(min(each.max_ticks for each in scenarios.values())):
+    for _ in range(min(each.settings.max_ticks for each in flights.values())):
         for name, flight in flights.items():
             planner, now = planners[name], flight.vehicle.time
             planner.sense(now, GoalObservation(now, flight.goal))

@@ -31,7 +31,7 @@ from orbimpc_ros.ros.planner.outputs import (
     values,
 )
 from orbimpc_ros.sim.outputs import world_markers
-from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
@@ -309,11 +309,11 @@ def test_obstacles_fill_their_boxes_and_without_a_floor_there_is_none():
 
 
 def test_the_world_shows_rope_reach_and_vehicle():
-    flight = departure(sim_settings({row.name: row.default for row in SIM}).scenario)
+    flight = departure(SimSettings())
     found = shown(world_markers(AT, flight))
     ball, swing = found['rope']
     assert np.allclose(place(ball.pose.position)[: len(flight.goal)], flight.goal)
-    assert ball.scale.x == pytest.approx(2 * flight.scenario.capture_radius)
+    assert ball.scale.x == pytest.approx(2 * flight.settings.capture_radius)
     assert np.allclose(place(swing.points[1]), place(ball.pose.position))
     (vehicle,) = found['vehicle']
     position = flight.vehicle.position

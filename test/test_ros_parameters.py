@@ -288,7 +288,7 @@ def test_wind_and_gravity_add_up_to_one_disturbance_of_planner_and_simulator():
     np.testing.assert_allclose(planner.disturbance, [0.5, 0.0, -0.62])
     assert planner.safe_command == 'hover'
     known = {name: known[name] for name in known.keys() & defaults(SIM).keys()}
-    model = settings_of(SIM, **known).scenario.model
+    model = settings_of(SIM, **known).model
     np.testing.assert_allclose(model.blown, planner.disturbance)
     assert model.discretisation == planner.problem.discretisation == 'exact'
     np.testing.assert_allclose(settings_of(PLANNER, wind=(0.3, -0.2, 7.0)).disturbance, [0.3, -0.2])

@@ -29,18 +29,18 @@ DYING = Path(__file__).with_name('dying_engine.py')
 def test_parameters_make_the_aircraft_that_they_say():
     values = settings.resolve(config('cessna.yaml'))
     told = sim_settings(settings.of_sim(values))
-    model = told.scenario.model
+    model = told.model
     assert (model.engine, model.step, model.forward, model.gust) == ('cessna', 0.5, 50.0, 0.7)
-    assert model.stall_speed == 27.6
-    assert told.scenario.rope_length == 40.0
-    assert values['floor.fraction'] * model.forward >= 1.1 * model.stall_speed
+    assert told.stall_speed == 27.6
+    assert told.rope_length == 40.0
+    assert values['floor.fraction'] * model.forward >= 1.1 * told.stall_speed
 
 
 @pytest.mark.parametrize('name', ['cessna', 'rope', 'servicer'])
 def test_a_planner_is_told_nothing_of_wind_and_swing(name):
     values = settings.resolve(config(f'{name}.yaml'))
     told = sim_settings(settings.of_sim(values))
-    assert isinstance(told.scenario.model, EnginePlant)
+    assert isinstance(told.model, EnginePlant)
     assert told.goal_path_steps == 0
     assert values['wind'] == (0.0, 0.0, 0.0)
 
@@ -103,19 +103,17 @@ WING = {
 
 def test_parameters_make_the_plant_that_they_say():
     own = {'step': 0.5, 'forward': 15.0, 'max_rate': 0.4, 'max_acceleration': 3.0, 'gain': 1.03}
-    own |= {'stall_speed': 10.0, 'velocity_source': 'air'}
     given = {'vehicle': 'continuous', 'odom_rate': 10.0, 'seed': 7, 'wind': (1.0, -2.0, 0.0)}
     given |= {'response.speed': 0.8, 'response.rate': 0.3, 'gust': 0.5, 'gust_time': 2.0}
     told, lags = sim_settings(DEFAULTS | given | own), {'speed_lag': 0.8, 'rate_lag': 0.3}
     own |= {'gust': 0.5, 'gust_time': 2.0, 'seed': 7, 'step': 0.1}  # period of odometry
-    assert told.scenario.model == Plant(disturbance=(1.0, -2.0), **lags, **own)
+    assert told.model == Plant(disturbance=(1.0, -2.0), **lags, **own)
     assert told.command_timeout == 0.75  # 1.5 steps of the planner
 
 
 def test_a_limit_of_the_planner_alone_is_not_the_discrete_vehicles():
-    assert not isinstance(
-        sim_settings(DEFAULTS | {'max_rate': 0.5, 'max_acceleration': 1.0}).scenario.model, Plant
-    )
+    limited = sim_settings(DEFAULTS | {'max_rate': 0.5, 'max_acceleration': 1.0})
+    assert not isinstance(limited.model, Plant)
 
 
 def test_a_vehicle_in_continuous_time_is_caught_over_dds(tmp_path, capsys):

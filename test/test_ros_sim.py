@@ -19,8 +19,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.simulation import Orders
-from orbimpc_ros.sim.vehicle import Model
 from orbimpc_ros.tool.bags import stamp_of
 
 DISTURBED = {
@@ -191,6 +191,10 @@ NOW = 5_000_000_000  # [ns]
 FRAMES = Frames('odom', 'base_link')
 
 
+STEPPED = SimSettings(forward=2.0, step=0.5)
+PUSHED = SimSettings(translation_order=2, forward=2.0, mass=3.0)
+
+
 def at(stamp=NOW):
     return Stamp(stamp, FRAMES)
 
@@ -206,29 +210,30 @@ def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
     first, later = Stamp(NOW, frames), Stamp(NOW + 1, frames)
     message = messages.twist_message(first, 1.0, rate)
     assert getattr(message.twist.linear, axis) == 1.0
-    orders = Orders(Model(3, 1, 1, forward=2.0), frames)
-    order = orders.take_twist(message, NOW)
+    orders = Orders(SimSettings(dimension=3, forward=2.0, thrust_axis=axis))
+    order = orders.take('cmd_vel', message, NOW)
     assert order.fraction == pytest.approx(0.5)
     np.testing.assert_allclose(order.body_rate, rate, atol=1e-15)
     with pytest.raises(BadInput, match=rf'twist\.linear\.{axis}'):
-        orders.take_twist(messages.twist_message(first, 2.1, rate), NOW)
-    pushed, force = (
-        Orders(Model(3, 1, 2, forward=2.0, mass=3.0), frames),
-        messages.wrench_message(later, 3.0),
-    )
+        orders.take('cmd_vel', messages.twist_message(first, 2.1, rate), NOW)
+    own = {'dimension': 3, 'translation_order': 2, 'forward': 2.0, 'mass': 3.0}
+    pushed = Orders(SimSettings(**own, thrust_axis=axis))
+    force = messages.wrench_message(later, 3.0)
     assert getattr(force.wrench.force, axis) == 3.0
-    assert pushed.take_twist(messages.twist_message(first, 0.0, -rate), NOW) is None
-    assert pushed.take_force(force, NOW) is None
-    order = pushed.take_twist(messages.twist_message(later, 0.0, rate), NOW)
+    assert pushed.take('cmd_vel', messages.twist_message(first, 0.0, -rate), NOW) is None
+    assert pushed.take('cmd_thrust', force, NOW) is None
+    order = pushed.take('cmd_vel', messages.twist_message(later, 0.0, rate), NOW)
     assert order.stamp == NOW + 1
     assert order.fraction == pytest.approx(0.5)
     np.testing.assert_allclose(order.body_rate, rate, atol=1e-15)
 
 
 def test_a_twist_alone_is_an_order_at_translation_order_1():
-    orders = Orders(Model(forward=2.0, step=0.5), FRAMES)
+    orders = Orders(STEPPED)
     for speed, rate in ((0.0, 0.0), (2.0, 2 * math.pi), (-1e-4, -2 * math.pi)):
-        assert orders.take_twist(twist(speed, rate), NOW).fraction == pytest.approx(speed / 2.0)
+        assert orders.take('cmd_vel', twist(speed, rate), NOW).fraction == pytest.approx(
+            speed / 2.0
+        )
 
 
 def force(newtons, stamp=NOW):
@@ -242,7 +247,6 @@ def malformed(message, path):
     return message
 
 
-STEPPED, PUSHED = Model(forward=2.0, step=0.5), Model(2, 1, 2, forward=2.0, mass=3.0)
 REFUSED = [
     (STEPPED, twist(2.1, 0.0), 'twist.linear.x'),
     (STEPPED, twist(-0.1, 0.0), 'twist.linear.x'),
@@ -259,9 +263,9 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(('model', 'message', 'culprit'), REFUSED)
-def test_what_is_malformed_or_beyond_the_vehicle_is_refused(model, message, culprit):
-    orders = Orders(model, FRAMES)
-    take = orders.take_force if isinstance(message, WrenchStamped) else orders.take_twist
+@pytest.mark.parametrize(('vehicle', 'message', 'culprit'), REFUSED)
+def test_what_is_malformed_or_beyond_the_vehicle_is_refused(vehicle, message, culprit):
+    orders = Orders(vehicle)
+    topic = 'cmd_thrust' if isinstance(message, WrenchStamped) else 'cmd_vel'
     with pytest.raises(BadInput, match=re.escape(culprit)):
-        take(message, NOW)
+        orders.take(topic, message, NOW)

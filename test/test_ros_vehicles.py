@@ -18,10 +18,8 @@ from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.outputs import doubts
-from orbimpc_ros.sim.faults import NO_FAULTS, View
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Plant, measured
-from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
@@ -114,10 +112,8 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
 def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """In continuous time with lags, like the demo over DDS."""
     values = settings.resolve(settings.config('lander.yaml'))
-    begun = departure(sim_settings(values).scenario)
-    view = View(NO_FAULTS, 0, begun.scenario.model.step)
     planner = OfflinePlanner(planner_settings(values))
-    flights, ticks, _ = zip(*closed_loop(planner, begun, view, math.inf), strict=True)
+    flights, ticks = zip(*closed_loop(planner, sim_settings(values)), strict=True)
     flight, vehicles = flights[-1], [each for flight in flights for each in flight.trail]
     assert flight.captured
     assert flight.distance < 0.1

@@ -29,7 +29,7 @@ def test_flights_draw_what_is_allowed_and_one_parameter_does_not_change_another(
     draws = draws_of(name)
     assert draws.of(3, 0) != draws.of(3, 1)
     assert draws.of(3, 1) == draws.of(3, 1)
-    assert sim_settings(settings.of_sim(draws.of(3, 0))).scenario.max_ticks > 1
+    assert sim_settings(settings.of_sim(draws.of(3, 0))).max_ticks > 1
     fixed = draws_of(name, ('rope.phase=[0.1, 0.1, 0.0]',)).of(3, 0)
     assert fixed == draws.of(3, 0) | {'rope.phase': (0.1, 0.1, 0.0)}
 

@@ -11,7 +11,8 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.vehicle import Plant, between, measured
+from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.vehicle import between, measured
 from orbimpc_ros.sim.world import departure
 
 TURN = np.array([0.3])
@@ -19,8 +20,9 @@ TURN = np.array([0.3])
 
 def views(faults, *, seed=0, ticks=400, scenario=None):
     """Return the flight and the view of it at each tick of a turning flight."""
-    scenario = replace(scenario or retrieval(), max_ticks=10**6, capture_radius=1e-9)
-    view, flight, seen = View(faults, seed, scenario.model.step), departure(scenario), []
+    own = {'faults': faults, 'seed': seed, 'max_ticks': 10**6, 'capture_radius': 1e-9}
+    scenario = replace(scenario or retrieval(), **own)
+    view, flight, seen = View(scenario), departure(scenario), []
     for _ in range(ticks):
         seen.append((flight, view.of(flight)))
         flight = flight.after(0.8, np.resize(TURN, scenario.model.rates))
@@ -53,8 +55,8 @@ def test_noise_has_its_deviation(scenario):
     assert abs(np.mean(shifts)) < 0.005
 
 
-LAGGING = Plant(step=1.0, speed_lag=0.5, rate_lag=0.4)
-SCENARIOS = {'in steps': retrieval(), 'continuously': replace(retrieval(), model=LAGGING)}
+LAGGING = replace(retrieval(), vehicle='continuous', speed_lag=0.5, rate_lag=0.4)
+SCENARIOS = {'in steps': retrieval(), 'continuously': LAGGING}
 
 
 @pytest.mark.parametrize('scenario', SCENARIOS.values(), ids=SCENARIOS)
@@ -62,7 +64,7 @@ SCENARIOS = {'in steps': retrieval(), 'continuously': replace(retrieval(), model
 def test_delayed_odometry_shows_the_vehicle_where_it_was_on_its_way(delay, scenario):
     """With the speed and the rate at that moment, not at the end of a step."""
     seen = views(Faults(delay=delay), ticks=20, scenario=scenario)
-    within = 0.01 if scenario.model is LAGGING else 1e-9  # error of chords
+    within = 0.01 if scenario is LAGGING else 1e-9  # error of chords
     passed = [each for flight, _ in seen for each in flight.trail or (flight.vehicle,)]
     for flight, sent in seen[4:]:
         (odometry,) = of_kind(sent, odometry=True)
@@ -103,7 +105,7 @@ def test_a_fault_strikes_its_share_of_messages(name):
 
 
 def test_a_share_of_commands_is_lost():
-    view = View(Faults(dropout=0.2), 7, 1.0)
+    view = View(SimSettings(faults=Faults(dropout=0.2), seed=7))
     lost = sum(view.command_lost(tick) for tick in range(2000))
     assert lost / 2000 == pytest.approx(0.2, abs=0.03)
 

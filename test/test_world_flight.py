@@ -6,18 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import fly
-from scenarios import dubins, retrieval, retrieval_problem
+from scenarios import dubins, retrieval, retrieval_problem, retrieved
 
 from orbimpc_ros.loop.capture import STAY, Events, closest_approach, is_headed
 from orbimpc_ros.loop.compensation import Odometry
-from orbimpc_ros.loop.goal.forecast import Hold
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
-from orbimpc_ros.sim.vehicle import Model, Plant, launched
-from orbimpc_ros.sim.world import Rope, departure, met, touched
+from orbimpc_ros.sim.vehicle import Plant, Rope
+from orbimpc_ros.sim.world import departure, met, touched
+
+
+def rope_at(*place):
+    """Return the parameters of a goal at rest."""
+    return {'rope_center': place, 'rope_amplitude': (0.0, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -52,35 +54,38 @@ def test_the_papers_story(seed):
     scenario = retrieval()
     if seed is not None:
         nudge = np.random.default_rng(seed).uniform(-1e-3, 1e-3, 2)
-        scenario = replace(scenario, start=launched(scenario.model, nudge, np.eye(2)))
-    _, ticks, flights = zip(*fly(Planner(retrieval_problem()), scenario, Hold()), strict=True)
+        scenario = replace(scenario, start_position=tuple(nudge))
+    flights, ticks = zip(*retrieved(retrieval_problem(), scenario), strict=True)
     assert flights[-1].captured
     assert 23.0 <= flights[-1].missed_at <= 25.0
-    *misses, caught = (flight.miss for flight in flights)
+    *misses, caught = (flight.miss for flight in flights[1:])
     assert sum(miss < 0.35 for miss in misses) >= 3
     assert caught < scenario.capture_radius - 0.01
     assert min(misses) > scenario.capture_radius + 0.01
     assert all(tick.status == 'optimal' for tick in ticks)
 
 
+FAR_AWAY = {'rope_center': (1e3, 1e3, 1e3)}
 CUT = [
-    Model(step=0.5),
-    Model(translation_order=2),  # without a command it coasts
-    Model(failsafe_fraction=0.5, failsafe_rate=0.4),
-    Model(3, failsafe_fraction=0.5, failsafe_rate=0.4),
-    Plant(step=0.5, speed_lag=0.5, failsafe_fraction=0.7, failsafe_rate=0.1),
-]
+    {'step': 0.5},
+    {'translation_order': 2},  # without a command it coasts
+    {'failsafe_fraction': 0.5, 'failsafe_rate': 0.4},
+    {'dimension': 3, 'failsafe_fraction': 0.5, 'failsafe_rate': 0.4},
+    {'vehicle': 'continuous', 'step': 0.5, 'speed_lag': 0.5, 'failsafe_fraction': 0.7,
+     'failsafe_rate': 0.1},
+]  # fmt: skip
 
 
-@pytest.mark.parametrize('model', CUT)
-def test_a_command_that_ends_within_a_step_is_a_shorter_step_and_one_of_the_failsafe(model):
-    n, held, rate = model.dimension, 0.2 * model.step, np.full(model.rates, 0.3)
-    start = launched(model, np.zeros(n), np.eye(n), fraction=0.9, velocity=np.ones(n))
-    flight = departure(replace(retrieval(), model=model, start=start, rope=Rope(np.full(n, 1e3))))
-    obeyed = model.flown(flight.vehicle, held, 0.6, rate, 0.0)[-1]
+@pytest.mark.parametrize('own', CUT)
+def test_a_command_that_ends_within_a_step_is_a_shorter_step_and_one_of_the_failsafe(own):
+    start = {'start_fraction': 0.9, 'start_velocity': (1.0, 1.0, 1.0)}
+    flight = departure(replace(retrieval(), **own, **start, **FAR_AWAY))
+    model = flight.settings.model
+    held, rate = 0.2 * model.step, np.full(model.rates, 0.3)
+    obeyed = model.flown(flight.vehicle, held, 0.6, rate)[-1]
     lagging, safe = isinstance(model, Plant), model.failsafe_fraction
     released = obeyed if lagging else replace(obeyed, fraction=safe)
-    end = model.flown(released, model.step - held, safe, model.failsafe_turn, held)[-1]
+    end = model.flown(released, model.step - held, safe, model.failsafe_turn)[-1]
     after = flight.after(0.6, rate, held)
     for name in ('position', 'velocity', 'attitude', 'fraction', 'time'):
         np.testing.assert_allclose(getattr(after.vehicle, name), getattr(end, name), atol=1e-12)
@@ -92,7 +97,7 @@ def test_a_command_that_ends_within_a_step_is_a_shorter_step_and_one_of_the_fail
 
 
 def test_a_rope_caught_before_the_vehicle_stops_is_caught():
-    near = replace(retrieval(), rope=Rope(np.array([0.2, 0.05])), capture_radius=0.1)
+    near = replace(retrieval(), **rope_at(0.2, 0.05), capture_radius=0.1)
     caught = departure(near).after(1.0, np.zeros(1), 0.5)
     assert caught.captured
     assert caught.missed_at == pytest.approx(0.2)
@@ -102,22 +107,22 @@ def test_a_rope_caught_before_the_vehicle_stops_is_caught():
 @pytest.mark.parametrize('n', [2, 3])
 def test_a_vehicle_that_cannot_stand_circles_without_a_command(n):
     rate = 2.0 * np.pi / (16 * 0.5)  # a circle in 16 steps
-    model = Model(n, forward=15.0, step=0.5, failsafe_fraction=0.7, failsafe_rate=rate)
-    start = launched(model, np.zeros(n), np.eye(n), fraction=0.7)
-    flight = departure(replace(retrieval(), model=model, start=start, rope=Rope(np.full(n, 1e3))))
+    own = {'dimension': n, 'forward': 15.0, 'step': 0.5, 'start_fraction': 0.7}
+    safe = {'failsafe_fraction': 0.7, 'failsafe_rate': rate}
+    flight = departure(replace(retrieval(), **own, **safe, **FAR_AWAY))
     for _ in range(16):
-        flight = flight.after(0.0, np.zeros(model.rates), 0.0)
+        flight = flight.after(0.0, np.zeros(1 if n == 2 else 3), 0.0)
         assert flight.speed == pytest.approx(0.7 * 15.0)
     np.testing.assert_allclose(flight.vehicle.position, np.zeros(n), atol=1e-9)
     np.testing.assert_allclose(flight.vehicle.attitude, np.eye(n), atol=1e-9)
 
 
 def test_who_is_headed_elsewhere_has_not_caught_the_goal():
-    ahead = replace(retrieval(), rope=Rope(np.array([1.0, 0.0])), capture_radius=0.3)
+    ahead = replace(retrieval(), **rope_at(1.0, 0.0), capture_radius=0.3)
     caught = departure(ahead).after(1.0, np.zeros(1))
     assert caught.captured
     for direction, done in (((1.0, 0.0), True), ((1.0, 1.0), False), ((-1.0, 0.0), False)):
-        coned = replace(ahead, approach=Approach(0.5, direction))
+        coned = replace(ahead, approach_cone=0.5, approach_direction=direction)
         flown = departure(coned).after(1.0, np.zeros(1))
         assert flown.near
         assert flown.captured == done
@@ -132,7 +137,7 @@ def test_headings_at_the_closest_approach_are_those_between_the_ends():
 
 # --- arrivals
 
-AHEAD = replace(dubins(), rope=Rope(np.array([3.0, 0.0])), max_ticks=3, arrival_radius=0.1)
+AHEAD = replace(dubins(), **rope_at(3.0, 0.0), max_ticks=3, arrival_radius=0.1)
 
 
 def flown(scenario, fractions):
@@ -150,7 +155,7 @@ def flown(scenario, fractions):
         ({}, [1.0, 0.5, 0.0], False),  # too far away
         ({'arrival_speed': 0.4}, [1.0, 1.0, 0.5], False),  # too fast
         ({'arrival_speed': 0.4}, [1.0, 1.0, 0.3], True),
-        ({'rope': Rope(np.array([1.0, 0.0]))}, [1.0], False),  # at the goal, but not at the end
+        (rope_at(1.0, 0.0), [1.0], False),  # at the goal, but not at the end
     ],
 )
 def test_an_arrival_is_judged_at_the_end_alone_by_place_and_speed(changes, fractions, captured):
@@ -213,27 +218,22 @@ def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
 @pytest.mark.parametrize('order', [1, 2])
 def test_what_a_plan_may_lead_inside_is_no_touch(order):
     """Past a moving ball and along a wall, inside by the tolerance of plans, and by more."""
-    model = replace(retrieval().model, translation_order=order, step=0.5, forward=4.0)
-    unit, speed = model.length_unit, np.array([4.0, 0.0]) if order == 2 else None
+    own = {'translation_order': order, 'step': 0.5, 'forward': 4.0, 'start_velocity': (4.0, 0.0)}
+    unit = replace(retrieval(), **own).model.length_unit
     assert unit == pytest.approx(Problem(2, 1, order, step=0.5, forward=4.0).length_unit)
     for depth, allowed in ((0.9e-6 * unit, True), (1.1e-6 * unit, False)):
-        ball = MovingObstacle.drifting(
-            Ball(np.array([1.0, 0.3 - depth]), 0.3), np.array([-1.0, 0.0])
-        )
-        wall = Box(np.array([0.5, -1.0]), np.array([1.5, depth]))
-        for bodies in ({'traffic': (ball,)}, {'obstacles': (wall,)}):
-            start = launched(model, np.zeros(2), np.eye(2), velocity=speed)
-            flight = departure(replace(retrieval(), model=model, start=start, **bodies))
+        ball, wall = (1.0, 0.3 - depth, -1.0, 0.0, 0.3), (0.5, -1.0, 1.5, depth)
+        for bodies in ({'given_traffic': ball}, {'obstacles': wall}):
+            flight = departure(replace(retrieval(), **own, **bodies))
             assert (flight.after(1.0, np.zeros(1)).touched == frozenset()) is allowed
 
 
 def test_who_touches_traffic_has_not_caught_anything():
     """One ball crosses the path between the ends of a step, another one comes too late."""
-    crossing_by = MovingObstacle.drifting(Ball(np.array([0.5, 5.0]), 0.2), np.array([0.0, -10.0]))
-    late = MovingObstacle.drifting(Ball(np.array([0.5, 50.0]), 0.2), np.array([0.0, -10.0]))
-    for traffic, numbers in (((crossing_by,), {0}), ((late,), set()), ((late, crossing_by), {1})):
-        scenario = replace(retrieval(), traffic=traffic, capture_radius=1e6)
-        flight = departure(scenario, 100.0).after(1.0, np.zeros(1)).after(1.0, np.zeros(1))
+    crossing_by, late = (0.5, 5.0, 0.0, -10.0, 0.2), (0.5, 50.0, 0.0, -10.0, 0.2)
+    for traffic, numbers in ((crossing_by, {0}), (late, set()), (late + crossing_by, {1})):
+        scenario = replace(retrieval(), given_traffic=traffic, capture_radius=1e6)
+        flight = departure(scenario).after(1.0, np.zeros(1)).after(1.0, np.zeros(1))
         assert flight.touched == numbers  # although a step ago
         assert flight.captured == (not numbers)
 

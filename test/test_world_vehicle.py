@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Model, Plant, gusts, launched, measured
-from orbimpc_ros.sim.world import Rope, Scenario, departure
+from orbimpc_ros.sim.world import departure
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 
@@ -33,7 +34,7 @@ def drawn(model, rng, turning=1.0):
 
 
 def stepped(model, vehicle, fraction, rate):
-    return model.flown(vehicle, model.step, fraction, rate, 0.0)[-1]
+    return model.flown(vehicle, model.step, fraction, rate)[-1]
 
 
 @pytest.mark.parametrize('discretisation', ['euler', 'exact'])
@@ -85,9 +86,11 @@ def moving(plant, rng):
     return plant.begun(drawn(plant, rng, turning=0.3))
 
 
-def scenario_of(plant, vehicle, goal=None):
-    n = plant.dimension
-    return Scenario(plant, vehicle, Rope(np.full(n, 1e5) if goal is None else goal), 1.0, 1000)
+def flight(goal=(1e5, 1e5), **own):
+    """Return a flight at its start at the origin, with a goal at rest."""
+    known = {'vehicle': 'continuous', 'step': 2.0, 'forward': 15.0, 'capture_radius': 1.0} | own
+    rope = {'rope_center': tuple(goal), 'rope_amplitude': (0.0, 0.0, 0.0)}
+    return departure(SimSettings(**known, **rope, max_ticks=1000))
 
 
 @pytest.mark.parametrize(('n', 'order'), ORDERS)
@@ -100,7 +103,7 @@ def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
             n, order, wind=rng.normal(size=n), speed_lag=0.8, rate_lag=0.3, gain=0.9, **own
         )
         vehicle, rate, t = moving(plant, rng), rng.normal(size=plant.rates), 1.3
-        end = plant.flown(vehicle, t, 0.6, rate, 0.0)[-1]
+        end = plant.flown(vehicle, t, 0.6, rate)[-1]
         position, velocity, attitude, body_rate, fraction = integrated(plant, vehicle, t, 0.6, rate)
         np.testing.assert_allclose(end.body_rate, body_rate, atol=1e-9)
         assert end.fraction == pytest.approx(fraction, abs=1e-6)
@@ -150,16 +153,16 @@ def test_it_turns_no_faster_than_it_can(n):
     plant = plant_of(n, max_rate=0.4)
     rate = np.arange(1.0, plant.rates + 1.0)
     vehicle = plant.begun(launched(plant, np.zeros(n), np.eye(n)))
-    end = plant.flown(vehicle, 1.0, 1.0, rate, 0.0)[-1]
+    end = plant.flown(vehicle, 1.0, 1.0, rate)[-1]
     np.testing.assert_allclose(end.body_rate, 0.4 * rate / np.linalg.norm(rate))
     small = 0.3 * rate / np.linalg.norm(rate)
-    np.testing.assert_allclose(plant.flown(vehicle, 1.0, 1.0, small, 0.0)[-1].body_rate, small)
+    np.testing.assert_allclose(plant.flown(vehicle, 1.0, 1.0, small)[-1].body_rate, small)
 
 
 def test_odometry_measures_over_ground_or_through_the_air():
     plant = plant_of(wind=[0.0, 4.0])
     vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2), fraction=0.8))
-    vehicle = plant.flown(vehicle, 1.0, 0.8, np.zeros(1), 0.0)[-1]
+    vehicle = plant.flown(vehicle, 1.0, 0.8, np.zeros(1))[-1]
     np.testing.assert_allclose(measured(vehicle).body_velocity, [12.0, 4.0])
     np.testing.assert_allclose(measured(vehicle, 'air').body_velocity, [12.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(vehicle.position, [12.0, 4.0])
@@ -167,25 +170,21 @@ def test_odometry_measures_over_ground_or_through_the_air():
 
 
 def test_each_fall_below_the_stall_speed_counts_once():
-    plant = plant_of(step=2.0, speed_lag=0.3, stall_speed=10.0)
-    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2))))
+    now = flight(speed_lag=0.3, stall_speed=10.0)
     for fraction in (1.0, 0.5, 0.4, 1.0, 10.0 / 15.0, 0.5, 1.0):
-        flight = flight.after(fraction, np.zeros(1))
-    assert (flight.stalls, flight.stalled) == (2, False)
-    assert 6.0 < flight.least_airspeed < 6.1  # [m/s]: 0.4 * 15 after 2 s of a lag of 0.3 s
-    assert flight.after(0.5, np.zeros(1)).stalled
+        now = now.after(fraction, np.zeros(1))
+    assert (now.stalls, now.stalled) == (2, False)
+    assert 6.0 < now.least_airspeed < 6.1  # [m/s]: 0.4 * 15 after 2 s of a lag of 0.3 s
+    assert now.after(0.5, np.zeros(1)).stalled
 
 
 def test_a_flight_catches_between_its_steps_where_it_flew():
     """On an arc that is 3.7 m off the step's chord."""
-    plant = plant_of(step=2.0)
-    start = launched(plant, np.zeros(2), np.eye(2))
-    trail = plant.flown(start, 2.0, 1.0, np.array([0.5]), 0.0)
-    passed = trail[50].position
-    flight = departure(scenario_of(plant, start, passed)).after(1.0, np.array([0.5]))
-    assert flight.miss == pytest.approx(0.0, abs=1e-9)
-    assert flight.missed_at == pytest.approx(trail[50].time)
-    assert flight.captured
+    trail = flight().after(1.0, np.array([0.5])).trail
+    caught = flight(trail[50].position).after(1.0, np.array([0.5]))
+    assert caught.miss == pytest.approx(0.0, abs=1e-9)
+    assert caught.missed_at == pytest.approx(trail[50].time)
+    assert caught.captured
 
 
 LONG = 10_000.0  # [s] of a long series

@@ -10,27 +10,27 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from flying import fly
-from scenarios import retrieval
+from scenarios import retrieval, retrieved
 
-from orbimpc_ros.loop.compensation import Response
-from orbimpc_ros.loop.goal.forecast import Hold
-from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
+from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.sim.vehicle import Plant, Vehicle, launched, measured
-from orbimpc_ros.sim.world import Flight, Rope
+
+if TYPE_CHECKING:
+    from orbimpc_ros.sim.world import Flight
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 UP = exp(np.array([0.0, -0.5 * math.pi, 0.0]))  # the thrust axis points upwards
 SHORT = 8  # horizon of the controller among boxes, for speed
+LONGER = 10  # steps of the goal's known path beyond the horizon, for vehicles that lag
+SHARED = ('dimension', 'translation_order', 'step', 'forward', 'max_rate')  # with the problem
 
 
 class Instance(NamedTuple):
@@ -55,8 +55,8 @@ def circling(problem: Problem, count: int) -> list[Instance]:
 def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
     """Return a flight around the swinging rope tick by tick, without the approach."""
     endless = replace(retrieval(), max_ticks=APPROACH + count, capture_radius=0.0)
-    flown = islice(fly(Planner(problem), endless, Hold()), APPROACH, None)
-    return [(flight, decision) for flight, decision, _ in flown]
+    flown = islice(retrieved(problem, endless), APPROACH, APPROACH + count)
+    return [(flight, decision) for flight, decision in flown if decision is not None]
 
 
 def scattered(problem: Problem, count: int, distance: float) -> list[Instance]:
@@ -106,84 +106,80 @@ def landings(problem: Problem, count: int) -> list[Instance]:
     return found
 
 
-Departure = Callable[[Problem, np.random.Generator], tuple[Plant, Vehicle, Rope]]
+Departure = Callable[[Problem, np.random.Generator], dict[str, Any]]
 
 
 def in_flight(problem: Problem, count: int, departs: Departure, seconds: float) -> list[Instance]:
     """Return consecutive ticks of random flights, each of a number of seconds."""
     rng, found = np.random.default_rng(SEED), list[Instance]()
     while len(found) < count:
-        flown = _flown(problem, *departs(problem, rng))
+        flown = _flown(problem, departs(problem, rng))
         found += islice(flown, min(count - len(found), round(seconds / problem.step)))
     return found
 
 
-def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iterator[Instance]:
+def _flown(problem: Problem, values: dict[str, Any]) -> Iterator[Instance]:
     """Yield tick after tick of a flight; the controller has a shorter horizon among boxes."""
-    planned = replace(problem, horizon=SHORT) if problem.obstacles else problem
+    # They need ROS, unlike instances that are drawn.
+    from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+    from orbimpc_ros.ros.parameters.spec import TINY, completed
+    from orbimpc_ros.sim.parameters import SIM, sim_settings
+    from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
+
+    known = {name: getattr(problem, name) for name in SHARED} | values
+    own = {'vehicle': 'continuous', 'goal_path_steps': problem.horizon + LONGER}
+    world = sim_settings(completed(SIM, known | own | {'capture_radius': TINY, 'max_ticks': 1000}))
+    settings = planner_settings(completed(PLANNER, known))
     controller = Planner(
-        planned,
+        replace(problem, horizon=SHORT) if problem.obstacles else problem,
         gap_tolerance=1e-2,
-        disturbance=plant.blown,
-        velocity_source=plant.velocity_source,
-        response=Response(plant.speed_lag, plant.rate_lag),
+        disturbance=settings.disturbance,
+        velocity_source=settings.velocity_source,
+        response=settings.response,
     )
-    now = Command(vehicle.fraction, np.zeros(plant.rates), vehicle.attitude)
-    controller.sent(now, vehicle.time)  # odometry does not contain the thrust
-    ahead = problem.step * np.arange(1.0, problem.horizon + 1.0)
-    while True:
-        odometry = measured(vehicle, plant.velocity_source)
-        led = odometry.time + controller.lead
-        goals = np.array([goal.at(led + each) for each in ahead])
-        decision = controller.step(Snapshot(odometry, goals[: planned.horizon]))
-        if decision.state is not None:
-            yield Instance(decision.state, goals)
-        command = decision.command
-        controller.sent(command, vehicle.time)
-        flown = command.speed_fraction, command.body_rate, vehicle.time
-        vehicle = plant.flown(vehicle, problem.step, *flown)[-1]
+    now = Command(world.start_fraction, np.zeros(world.model.rates), world.start.attitude)
+    planner = OfflinePlanner(settings, planner=controller)
+    controller.sent(now, planner.epoch / 1e9)  # odometry does not contain the thrust
+    ahead = controller.lead + problem.step * np.arange(1.0, problem.horizon + 1.0)
+    for flight, decision in closed_loop(planner, world):
+        if decision is not None and decision.state is not None:
+            goals = [world.rope.at(flight.vehicle.time + each) for each in ahead]
+            yield Instance(decision.state, np.array(goals))
 
 
-def wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
-    """Return a wing in a known wind, its start, and a drifting, swinging goal 80 m away.
+def wing(_problem: Problem, rng: np.random.Generator) -> dict[str, Any]:
+    """Return the parameters of a wing in a known wind, and of a swinging goal 80 m away.
 
-    The wing lags behind its commands, and its goal is slower than it can fly: it circles after
+    The wing lags behind its commands, and its goal drifts, slower than it can fly: it circles after
     the approach.
     """
     angles = rng.uniform(-math.pi, math.pi, size=3)
     blowing, bearing, course = np.column_stack([np.cos(angles), np.sin(angles)])
-    plant = Plant(
-        step=problem.step,
-        forward=problem.forward,
-        disturbance=tuple((rng.uniform(0.0, 5.0) * blowing).tolist()),
-        velocity_source='air',
-        speed_lag=0.8,
-        rate_lag=0.3,
-        max_rate=problem.max_rate,
-    )
-    start = launched(plant, np.zeros(2), np.eye(2), fraction=0.8)
-    goal = Rope(
-        80.0 * bearing,
-        rng.uniform(0.0, 3.0, size=2),
-        rng.uniform(0.02, 0.1),
-        rng.uniform(0.0, 2.0 * math.pi, size=2),
-        rng.uniform(0.0, 2.0) * course,
-    )
-    return plant, plant.begun(start), goal
+    return {
+        'wind': tuple(rng.uniform(0.0, 5.0) * blowing),
+        'velocity_source': 'air',
+        'response.speed': 0.8,
+        'response.rate': 0.3,
+        'start.speed_fraction': 0.8,
+        'rope.center': tuple(80.0 * bearing),
+        'rope.amplitude': tuple(rng.uniform(0.0, 3.0, size=2)),
+        'rope.frequency': rng.uniform(0.02, 0.1),
+        'rope.phase': tuple(rng.uniform(0.0, 2.0 * math.pi, size=2)),
+        'rope.velocity': tuple(rng.uniform(0.0, 2.0) * course),
+    }
 
 
-def multirotor(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, Rope]:
-    """Return a multirotor that hovers, and a goal behind the boxes."""
-    plant = Plant(
-        dimension=3,
-        translation_order=2,
-        step=problem.step,
-        forward=problem.forward,
-        disturbance=tuple(GRAVITY.tolist()),
-        speed_lag=0.1,
-        rate_lag=0.1,
-    )
+def multirotor(problem: Problem, rng: np.random.Generator) -> dict[str, Any]:
+    """Return the parameters of a multirotor that hovers, and of a goal behind the boxes."""
     aside, place = rng.uniform(-1.0, 1.0, size=(2, 3))
-    hovering = -GRAVITY[2] / problem.forward
-    start = launched(plant, np.append(0.0, aside[1:]), UP, fraction=hovering)
-    return plant, start, Rope(np.append(10.0, place[1:]))
+    return {
+        'gravity': -GRAVITY[2],
+        'thrust_axis': 'z',
+        'response.speed': 0.1,
+        'response.rate': 0.1,
+        'start.position': (0.0, *aside[1:]),
+        'start.speed_fraction': -GRAVITY[2] / problem.forward,
+        'rope.center': (10.0, *place[1:]),
+        'rope.frequency': 0.0,
+        'rope.amplitude': (0.0, 0.0, 0.0),
+    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import NamedTuple
 
@@ -15,8 +15,7 @@ from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion, Start
-from orbimpc_ros.sim.vehicle import Model, Vehicle
-from orbimpc_ros.sim.world import Rope
+from orbimpc_ros.sim.vehicle import Model, Rope, Vehicle
 
 
 class Kind(NamedTuple):
@@ -47,7 +46,7 @@ class EnginePlant(Model):
     engine: str = 'cessna'  # a key of :data:`ENGINES`
     gust: float = 0.0  # standard deviation of the turbulence along each axis [m/s]
     seed: int = 0  # of the turbulence and all other random draws of the engine
-    rope: Rope | None = None  # the goal, for engines that simulate its motion
+    rope: Rope = field(kw_only=True)  # the goal, for engines that simulate its motion
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -62,25 +61,24 @@ class EnginePlant(Model):
         Raises:
             BadInput: the engine is not installed, or cannot start from this state.
         """
-        goal = self.rope or Rope(vehicle.position)
         start = Start(
             *(vehicle.position, vehicle.velocity, vehicle.attitude, vehicle.body_rate),
             self.forward * vehicle.fraction,
             *(self.blown, self.gust, self.seed),
-            *(goal.center, goal.at(0.0)),
+            *(self.rope.center, self.rope.at(0.0)),
         )
         try:
             engine = class_of(self.engine)(start)
         except EngineFailure as error:
             raise BadInput('vehicle', self.engine, f'a possible start ({error})') from None
-        return self._read(engine, engine.motion(), vehicle.time)
+        return self._read(engine, engine.motion())
 
     def released(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle unchanged: losing the command has no immediate effect."""
         return vehicle
 
     def flown(
-        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
     ) -> tuple[Vehicle, ...]:
         """Return the vehicle at the output times of its engine; see :meth:`Model.flown`.
 
@@ -89,11 +87,10 @@ class EnginePlant(Model):
         """
         assert vehicle.engine is not None
         push, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
-        motions = engine.run(span, push, body_rate)
-        return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
+        return tuple(self._read(engine, each) for each in engine.run(span, push, body_rate))
 
-    def _read(self, engine: Engine, motion: Motion, begun: float) -> Vehicle:
-        """Return a motion as a vehicle state; the clock of the engine started at ``begun`` [s]."""
+    def _read(self, engine: Engine, motion: Motion) -> Vehicle:
+        """Return a motion as a vehicle state."""
         n, height, climb = self.dimension, 0.0, 0.0
         attitude, rate = motion.attitude, motion.body_rate
         if n == 2:
@@ -102,7 +99,7 @@ class EnginePlant(Model):
             height, rate = float(motion.position[2]), np.array([motion.facts['turn']])
             climb = float((motion.velocity - motion.air)[2])
         return Vehicle(
-            time=begun + motion.time,
+            time=motion.time,
             position=motion.position[:n],
             velocity=motion.velocity[:n],
             attitude=attitude,

@@ -11,6 +11,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +22,10 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros.parameters.spec import TINY, parameter
 from orbimpc_ros.sim.vehicle import Vehicle, between, measured
-from orbimpc_ros.sim.world import Flight
+
+if TYPE_CHECKING:  # both refer to the faults
+    from orbimpc_ros.sim.parameters import SimSettings
+    from orbimpc_ros.sim.world import Flight
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's draws
 CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
@@ -63,25 +67,23 @@ class Faults:
     @property
     def any(self) -> bool:
         """Return True if any fault is configured."""
-        return self != NO_FAULTS
+        return self != Faults()
 
     def jumped(self, ticks: int) -> float:
         """Return the error of stamps after a number of steps [s]."""
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
 
 
-NO_FAULTS = Faults()
-
-
 Seen = Odometry | GoalObservation  # a message to the planner, at the true time of measurement
 
 
 class View:
-    """The messages that reach a planner at each tick; ticks are ``step`` [s] apart."""
+    """The messages of a flight that reach its planner at each tick."""
 
-    def __init__(self, faults: Faults, seed: int, step: float) -> None:
-        self.faults, self._seed = faults, seed
-        self._past: deque[tuple[Vehicle, ...]] = deque(maxlen=2 + math.ceil(faults.delay / step))
+    def __init__(self, settings: SimSettings) -> None:
+        self.faults, self._seed = settings.faults, settings.seed
+        past = 2 + math.ceil(self.faults.delay / settings.model.step)
+        self._past: deque[tuple[Vehicle, ...]] = deque(maxlen=past)
         self._held_back: list[Seen] = []
 
     def of(self, flight: Flight) -> list[Seen]:
@@ -90,10 +92,10 @@ class View:
         arriving, self._held_back = self._held_back, []
         chances, shifts, turn = _draws(self._seed, flight.ticks)
         shifts = self.faults.position_noise * shifts[:, : len(flight.goal)]
-        if not self._hidden(flight.elapsed):
+        if not self._hidden(flight.vehicle.time):
             goal = GoalObservation(flight.vehicle.time, flight.goal + shifts[GOAL])
             arriving += self._through(chances[GOAL], goal)
-        seen = measured(self._delayed(), flight.scenario.model.velocity_source)
+        seen = measured(self._delayed(), flight.settings.velocity_source)
         turned = seen.attitude @ exp(self.faults.attitude_noise * turn[: len(seen.body_rate)])
         seen = replace(seen, position=seen.position + shifts[ODOMETRY], attitude=turned)
         return arriving + self._through(chances[ODOMETRY], seen)
@@ -128,10 +130,10 @@ class View:
         drawn = zip(CHANCES, chances, strict=True)
         return {fault for fault, chance in drawn if chance < getattr(self.faults, fault)}
 
-    def _hidden(self, elapsed: float) -> bool:
+    def _hidden(self, time: float) -> bool:
         """Return True if the goal is occluded."""
         length, period = self.faults.occlusion_length, self.faults.occlusion_period
-        window, into = divmod(elapsed, period)
+        window, into = divmod(time, period)
         begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
         return length > 0.0 and begin <= into < begin + length
 

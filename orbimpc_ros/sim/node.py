@@ -51,7 +51,7 @@ class LockStep(FlightSimulation):
             node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
         node.every(LOOK, self.look)
         if settings.rate > 0.0:
-            took = settings.scenario.model.step / settings.rate
+            took = settings.model.step / settings.rate
             node.every(took, self._on_due)
             if settings.rate <= 1.0 / SHORTEST_TIMEOUT:
                 wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
@@ -59,7 +59,7 @@ class LockStep(FlightSimulation):
 
     def start(self) -> None:
         """Start as soon as planner and readers are present."""
-        self._begun = False
+        self._met = False  # whether planner and readers have been present
         self._asking = False  # whether a step waits for a command
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
         self._newest = -np.inf  # true time of the newest odometry sent [s]
@@ -73,13 +73,13 @@ class LockStep(FlightSimulation):
     @property
     def now(self) -> int:
         """Return the simulated time [ns], including jumps by faults."""
-        return round((self.flight.vehicle.time + self.jump) * SECOND)
+        return round((self.begun + self.flight.vehicle.time + self.jump) * SECOND)
 
     def look(self) -> None:
         """Start once planner and readers are present; without an answer, resend or give up."""
         if self.finished:
             return
-        if not self._begun:
+        if not self._met:
             self._begin_or_wait()
         elif self._held_back:
             if self.node.steady_now() - self._asked_at >= 0.5 * LOOK:
@@ -91,7 +91,7 @@ class LockStep(FlightSimulation):
     def _begin_or_wait(self) -> None:
         absent = self.awaited(planner=True)
         if not absent:
-            self._begun = True
+            self._met = True
             self._ask_when_due()
         elif self.waited > self.settings.wait_timeout:
             self._give_up(absent, self.waited)
@@ -118,13 +118,13 @@ class LockStep(FlightSimulation):
 
     def _ask_when_due(self) -> None:
         """Request a command, unless the shared clock has not reached the next step."""
-        half = 0.5 * self.settings.scenario.model.step * SECOND  # far above rounding errors
+        half = 0.5 * self.settings.model.step * SECOND  # far above rounding errors
         if self.now <= self._shared + half:
             self._on_due()
 
     def _on_due(self) -> None:
         """Request the command of the next step, unless one is already awaited."""
-        if not self._begun or self._asking or self.finished:
+        if not self._met or self._asking or self.finished:
             return
         self._asking = True
         self._progress = self.node.steady_now()
@@ -181,7 +181,7 @@ class RealTime(FlightSimulation):
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
         node.every(LOOK, self.look)
-        node.every(settings.scenario.model.step, self.on_time)
+        node.every(settings.model.step, self.on_time)
         # Publishers without a liveliness lease do not match this QoS, which is no fault.
         events = SubscriptionEventCallbacks(
             liveliness=node.at_work(self.on_life), incompatible_qos=lambda _event: None

@@ -29,8 +29,8 @@ def sensed(stamp: Stamp, content: Odometry | GoalObservation) -> tuple[str, Any]
 
 def future(stamp: Stamp, flight: Flight, steps: int) -> Path:
     """Return the path of the goal over a number of steps from now."""
-    step, rope = flight.scenario.model.step, flight.scenario.rope
-    times = flight.elapsed + step * np.arange(steps + 1)
+    step, rope = flight.settings.model.step, flight.settings.rope
+    times = flight.vehicle.time + step * np.arange(steps + 1)
     return messages.path_message(stamp, step, map(messages.pose, [rope.at(time) for time in times]))
 
 
@@ -59,21 +59,21 @@ def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
         **vehicle.facts,
     }
     if flight.stalled:
-        slow = f'stalled: {now:.3g} m/s, below {flight.scenario.model.stall_speed:g} m/s'
+        slow = f'stalled: {now:.3g} m/s, below {flight.settings.stall_speed:g} m/s'
         return messages.diagnostics(at, name, messages.WARN, slow, values)
     return messages.diagnostics(at, name, messages.OK, 'flies', values)
 
 
 def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     """Return markers of the goal with its capture radius, its swing, and the vehicle."""
-    model, radius = flight.scenario.model, flight.scenario.capture_radius
+    model, radius = flight.settings.model, flight.settings.capture_radius
     unit, side = model.forward * model.step, 2.0 * radius
     rope = marker(stamp, 'rope', 0, Marker.SPHERE, messages.ORANGE, model.step)
     rope.scale = Vector3(x=side, y=side, z=side)
     rope.pose.position = point(flight.goal)
     swing = marker(stamp, 'rope', 1, Marker.LINE_STRIP, messages.GREY, model.step)
     swing.scale.x = messages.LINE * unit
-    swing.points = [point(flight.scenario.rope.center), point(flight.goal)]
+    swing.points = [point(flight.settings.rope.center), point(flight.goal)]
     vehicle = marker(stamp, 'vehicle', 0, Marker.ARROW, messages.BLUE, model.step)
     vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
     vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)
@@ -82,9 +82,9 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
 
 def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> MarkerArray:
     """Return markers of the moving balls at their current positions, larger by a margin [m]."""
-    model, markers = flight.scenario.model, []
-    for k, each in enumerate(flight.scenario.traffic):
-        moved = each.moved(np.array([flight.elapsed]))[0]
+    model, markers = flight.settings.model, []
+    for k, each in enumerate(flight.settings.traffic):
+        moved = each.moved(np.array([flight.vehicle.time]))[0]
         ball = marker(stamp, 'traffic', k, Marker.SPHERE, messages.RED, model.step)
         shown(ball, placed(each.body, centre(each.body) + moved))
         for axis in 'xyz'[: model.dimension]:

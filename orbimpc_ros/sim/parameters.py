@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -30,16 +29,13 @@ from orbimpc_ros.ros.parameters.spec import (
 )
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, PLAIN, EnginePlant
-from orbimpc_ros.sim.faults import NO_FAULTS, Faults
-from orbimpc_ros.sim.vehicle import Model, Plant, Vehicle, launched
-from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
+from orbimpc_ros.sim.faults import Faults
+from orbimpc_ros.sim.vehicle import Model, Plant, Rope, Vehicle, launched
 
-Made = TypeVar('Made')
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 ALONG_AXES = (0.0, 0.0, 0.0)
-# Parameters that do not apply, by vehicle.
+# Parameters that do not apply, by vehicle without an engine.
 LACKING = {'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'), 'continuous': ()}
-LACKING |= {name: kind.lacks for name, kind in ENGINES.items()}
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,8 @@ class SimSettings(VehicleParameters):
     capture_radius: float = parameter('capture_radius', 0.2,
         'Distance within which the goal is caught', 'm', TINY, FAR)
     finish: str = parameter('finish', 'capture',
-        'Whether a flight ends by capture, or at max_ticks by arrival', choices=FINISHES)
+        'Whether a flight ends by capture, or at max_ticks by arrival',
+        choices=('capture', 'arrival'))
     arrival_radius: float = parameter('arrival_radius', 0.05,
         'Largest distance to the goal at arrival', 'm', TINY, FAR)
     arrival_speed: float = parameter('arrival_speed', 0.0, 'Largest speed at arrival; 0 for any',
@@ -132,7 +129,7 @@ class SimSettings(VehicleParameters):
         "planner and subscribers, not counting the planner's configuration, and for an answer (20 "
         's at most); 0 for no limit', 's', 0.0, MAX_DURATION)
     # fmt: on
-    faults: Faults = NO_FAULTS  # between the vehicle and its planner
+    faults: Faults = field(default_factory=Faults)  # between the vehicle and its planner
 
     @property
     def command_timeout(self) -> float:
@@ -178,9 +175,11 @@ class SimSettings(VehicleParameters):
         own: dict[str, Any] = {'disturbance': tuple(known) if any(known) else ()}
         if self.odom_rate:
             own['step'] = 1.0 / self.odom_rate
+        kind: type[Model] = Model if self.vehicle == 'discrete' else Plant
         if self.vehicle in ENGINES:
-            return self._made(EnginePlant, engine=self.vehicle, **own)
-        return self._made(Model if self.vehicle == 'discrete' else Plant, **own)
+            kind, own['engine'] = EnginePlant, self.vehicle
+        names = {each.name for each in fields(kind)} - own.keys()
+        return kind(**own, **{name: getattr(self, name) for name in names})
 
     @cached_property
     def start(self) -> Vehicle:
@@ -195,30 +194,21 @@ class SimSettings(VehicleParameters):
             body_rate=self.frames.turned(body_rate)[-self.model.rates :],
         )
 
-    @cached_property
-    def scenario(self) -> Scenario:
-        """Return the scenario to simulate."""
-        return self._made(
-            Scenario, obstacles=self.boxes, traffic=self._traffic(), approach=self._approach()
-        )
-
-    def _made(self, kind: Callable[..., Made], **own: Any) -> Made:
-        """Return a dataclass whose fields are ``own`` or the settings of the same name."""
-        names = [each.name for each in fields(kind) if each.name not in own]  # type: ignore[arg-type]
-        return kind(**{name: getattr(self, name) for name in names if hasattr(self, name)}, **own)
-
     def _along(self, name: str, numbers: tuple[float, ...]) -> Array:
         return vector(numbers, name, self.dimension)
 
     def _refuse_unused(self) -> None:
         """Reject parameters that do not apply to the vehicle, unless zero or at their default."""
+        lacking = ENGINES[self.vehicle].lacks if self.vehicle in ENGINES else LACKING[self.vehicle]
         for each in fields(self):
             spec, value = each.metadata.get('parameter'), getattr(self, each.name)
             name = spec.name if spec else ''
-            if name in LACKING[self.vehicle] and value != each.default and np.any(value):
+            if name in lacking and value != each.default and np.any(value):
                 raise BadInput(name, value, f'{each.default} with vehicle: {self.vehicle}')
 
-    def _traffic(self) -> tuple[MovingObstacle, ...]:
+    @cached_property
+    def traffic(self) -> tuple[MovingObstacle, ...]:
+        """Return the balls with constant velocities from the start on."""
         numbers, n = self.given_traffic, self.dimension
         if len(numbers) % (2 * n + 1):
             raise BadInput('traffic', list(numbers), f'{2 * n + 1} numbers for each ball')
@@ -229,7 +219,8 @@ class SimSettings(VehicleParameters):
             MovingObstacle.drifting(Ball(row[:n], float(row[-1])), row[n:-1]) for row in rows
         )
 
-    def _approach(self) -> Approach:
+    @cached_property
+    def approach(self) -> Approach:
         """Return the approach cone of a catch; the goal's orientation is that of the world."""
         known = self.approach_of_a_catch()
         if not known.is_the_goals:
@@ -249,7 +240,7 @@ def sim_settings(values: Values) -> SimSettings:
     """
     faults = settings_from(Faults, values)
     settings = replace(settings_from(SimSettings, values), faults=faults)
-    for made in ('scenario', 'wait_for'):
+    for made in ('model', 'start', 'rope', 'boxes', 'traffic', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings
 

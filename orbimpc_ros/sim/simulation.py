@@ -11,21 +11,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import TwistStamped, WrenchStamped
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, read_force, read_speed_and_rate
+from orbimpc_ros.ros.messages import SECOND, Stamp, read_force, read_speed_and_rate
 from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, Managed, full_name, qos
 from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Seen, View
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Model, measured
+from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure, outcome
 
 try:
@@ -47,6 +46,7 @@ class FlightSimulation(ABC):
     """A flight on topics that advances step by step; subclasses set its pace.
 
     Attributes:
+        begun: simulated time at its start [s].
         flight: its present state.
         view: the messages of it that reach a planner.
         finished: whether the flight has ended.
@@ -56,7 +56,7 @@ class FlightSimulation(ABC):
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         body = own_frame(settings.child_frame_id, node.get_namespace())
         self.node, self.settings = node, replace(settings, child_frame_id=body)
-        self._orders = Orders(self.settings.scenario.model, self.settings.frames)
+        self._orders = Orders(self.settings)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
         self._refused_at = -np.inf  # time of the last such diagnostic, on the steady clock [s]
         deep, profiles = qos(DEPTH), {'captured': LATCHED, 'world_markers': qos()}
@@ -72,11 +72,10 @@ class FlightSimulation(ABC):
         self._begin(settings.begin)
 
     def _begin(self, time: float) -> None:
-        settings = self.settings
-        self.flight = departure(settings.scenario, time)
-        self.view = View(settings.faults, settings.seed, settings.scenario.model.step)
+        self.begun, self.flight = time, departure(self.settings)
+        self.view = View(self.settings)
         self.finished = False
-        self.order = Order(0, 0.0, np.zeros(settings.scenario.model.rates))
+        self.order = Order(0, 0.0, np.zeros(self.settings.model.rates))
 
     # --- pace
 
@@ -95,7 +94,7 @@ class FlightSimulation(ABC):
 
     def restart(self) -> None:
         """Begin a new flight; time continues, because stamps must not go back."""
-        self._begin(self.flight.vehicle.time + self.settings.scenario.model.step)
+        self._begin(self.begun + self.flight.vehicle.time + self.settings.model.step)
         self._out['captured'].publish(Bool(data=False))
         self.start()
 
@@ -174,9 +173,8 @@ class FlightSimulation(ABC):
 
     def _take(self, topic: str, message: Any) -> None:
         """Take in a command message; a complete command goes to :meth:`on_order`."""
-        take = self._orders.take_twist if topic == 'cmd_vel' else self._orders.take_force
         try:
-            order = take(message, self.now)
+            order = self._orders.take(topic, message, self.now)
         except BadInput as error:
             self._refused[f'refused {topic}: {error.culprit}'] += 1
             if self.node.steady_now() - self._refused_at > REFUSALS_SHOWN:
@@ -263,7 +261,7 @@ class FlightSimulation(ABC):
 def published(settings: SimSettings) -> list[str]:
     """Return the topics that a simulator publishes."""
     optional = {
-        'obstacles': settings.scenario.traffic,
+        'obstacles': settings.traffic,
         'goal_path': settings.goal_path_steps,
         '/clock': settings.clock == 'lockstep',
         'truth': settings.vehicle != 'discrete',
@@ -293,52 +291,44 @@ class Order:
 class Orders:
     """Assembles commands; one of translation order 2 is two messages with the same stamp."""
 
-    def __init__(self, model: Model, frames: Frames) -> None:
-        self._model, self._frames = model, frames
-        self._twist: Order | None = None  # at translation order 2 without its thrust
-        self._thrust = -1, 0.0  # a stamp [ns], and a share of full thrust
+    def __init__(self, settings: SimSettings) -> None:
+        self._settings = settings
+        zero: Array = np.zeros(settings.model.rates)
+        self._turn = -1, zero  # a stamp [ns], and a body rate [rad/s]
+        self._push = -2, 0.0  # a stamp [ns], and a share of full speed or thrust
 
-    def take_twist(self, message: TwistStamped, now: int) -> Order | None:
-        """Take in ``cmd_vel`` at ``now`` [ns] and return the command that it completes, if any.
+    def take(self, topic: str, message: Any, now: int) -> Order | None:
+        """Take in ``cmd_vel`` or ``cmd_thrust``, and return the command that it completes, if any.
+
+        Args:
+            topic: of the message.
+            message: a TwistStamped or a WrenchStamped.
+            now: time [ns].
 
         Raises:
             BadInput: the stamp, a number or a range is not acceptable.
         """
-        stamp, speed, body_rate = read_speed_and_rate(message, self._model.dimension, self._frames)
-        _require_past(stamp, now)
-        fastest = math.pi / self._model.step  # a faster turn would look like a slower one in steps
-        if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
-            allowed = f'at most pi / step = {fastest:.6g} rad/s'
-            raise BadInput('twist.angular', body_rate.tolist(), allowed)
-        share = 0.0
-        if self._model.translation_order == 1:
-            share = self._share(speed, self._model.forward, 'twist.linear', 'm/s')
-        self._twist = Order(stamp, share, body_rate)
-        return self._complete()
-
-    def take_force(self, message: WrenchStamped, now: int) -> Order | None:
-        """Take in ``cmd_thrust``, like :meth:`take_twist`."""
-        stamp, force = read_force(message, self._frames)
-        _require_past(stamp, now)
-        full = self._model.mass * self._model.forward
-        self._thrust = stamp, self._share(force, full, 'wrench.force', 'N')
-        return self._complete()
-
-    def _share(self, value: float, full: float, field: str, unit: str) -> float:
-        share = value / full
-        if not -SLACK <= share <= 1.0 + SLACK:
-            culprit = f'{field}.{self._frames.thrust_axis}'
-            raise BadInput(culprit, value, f'0 to full speed or thrust, {full:g} {unit}')
-        return share
-
-    def _complete(self) -> Order | None:
-        order, (stamp, share) = self._twist, self._thrust
-        if order is None or self._model.translation_order == 1:
-            return order
-        return replace(order, fraction=share) if stamp == order.stamp else None
-
-
-def _require_past(stamp: int, now: int) -> None:
-    if stamp > now + AHEAD * SECOND:
-        ahead = (stamp - now) / SECOND
-        raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
+        settings, frames = self._settings, self._settings.frames
+        turns, thrusts = topic == 'cmd_vel', settings.translation_order == 2
+        if turns:
+            stamp, push, body_rate = read_speed_and_rate(message, settings.dimension, frames)
+            full, culprit, unit = settings.forward, 'twist.linear', 'm/s'
+        else:
+            stamp, push = read_force(message, frames)
+            full, culprit, unit = settings.mass * settings.forward, 'wrench.force', 'N'
+        if stamp > now + AHEAD * SECOND:
+            ahead = (stamp - now) / SECOND
+            raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
+        if turns:
+            fastest = math.pi / settings.model.step  # a faster one would look slower in steps
+            if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
+                allowed = f'at most pi / step = {fastest:.6g} rad/s'
+                raise BadInput('twist.angular', body_rate.tolist(), allowed)
+            self._turn = stamp, body_rate
+        if turns != thrusts:
+            if not -SLACK <= push / full <= 1.0 + SLACK:
+                allowed = f'0 to full speed or thrust, {full:g} {unit}'
+                raise BadInput(f'{culprit}.{frames.thrust_axis}', push, allowed)
+            self._push = stamp, push / full
+        (turned, rate), (pushed, share) = self._turn, self._push
+        return Order(turned, share, rate) if turned == pushed else None

@@ -1,7 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The true motion of a vehicle on SO(n), turned by body rates and driven along its x axis.
 
-It follows the discrete model, or a continuous-time plant with lags and limits in gusty air.
+It follows the discrete model, or a continuous-time plant with lags and limits in gusty air. The
+goal's own motion is that of a rope.
 """
 
 from __future__ import annotations
@@ -34,13 +35,10 @@ class Model:
     translation_order: int = 1  # 1: velocity along the forward axis; 2: acceleration
     step: float = 1.0  # h [s]
     forward: float = 1.0  # z, full speed [m/s] (order 1) or thrust acceleration [m/s^2] (2)
-    mass: float = 1.0  # converts a thrust acceleration into a force [kg]
     failsafe_fraction: float = 0.0  # share of full speed or thrust while no command is in force
     failsafe_rate: float = 0.0  # turn rate about the body's z axis meanwhile [rad/s]
     disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], shape (n,) or (0,)
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
-    velocity_source: str = 'ground'  # of odometry: over ``ground`` or through the ``air``
-    stall_speed: float = 0.0  # airspeed below which it counts as stalled [m/s]; it flies on
 
     def __post_init__(self) -> None:
         fastest = np.pi / self.step
@@ -76,7 +74,7 @@ class Model:
         return vehicle
 
     def flown(
-        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
     ) -> tuple[Vehicle, ...]:
         """Return the vehicle at successive times under one command, the last at the end.
 
@@ -87,9 +85,7 @@ class Model:
             span: duration [s].
             fraction: commanded share of full speed or thrust, clipped to [0, 1].
             body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
-            elapsed: time since the start of the flight [s].
         """
-        del elapsed  # the model is time-invariant
         pushed = self.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
         turning = body_rate if self.rotation_order == 1 else vehicle.body_rate
         attitude = nearest(vehicle.attitude @ exp(span * turning))  # nearest: no drift off SO(n)
@@ -131,10 +127,29 @@ class Model:
 
 
 @dataclass(frozen=True)
+class Rope:
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
+
+    A scalar applies to all axes. A rope with only its center given is at rest.
+    """
+
+    center: Array  # shape (n,) [m]
+    amplitude: Array | float = 0.0  # shape (n,) [m]
+    frequency: float = 0.0  # f [Hz]
+    phase: Array | float = 0.0  # shape (n,) [rad]
+    velocity: Array | float = 0.0  # shape (n,) [m/s]
+
+    def at(self, time: float) -> Array:
+        """Return g(t), shape (n,) [m]."""
+        angle = 2.0 * np.pi * self.frequency * time + self.phase
+        return self.center + self.velocity * time + self.amplitude * np.sin(angle)
+
+
+@dataclass(frozen=True)
 class Vehicle:
     """State of a simulated vehicle; an engine can continue only from its latest state."""
 
-    time: float  # since the start of its clock [s]
+    time: float  # since the start of the flight [s]
     position: Array  # s, shape (n,) [m]
     velocity: Array  # p, in the world frame, shape (n,) [m/s]; a dependent variable at order 1
     attitude: Array  # Q, body to world, shape (n, n)
@@ -212,34 +227,34 @@ def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
 # --- in continuous time
 
 
-def gusts(elapsed: float, dimension: int, memory: float, seed: int) -> Array:
+def gusts(time: float, dimension: int, memory: float, seed: int) -> Array:
     """Return unit-variance first-order Gauss-Markov noise along each axis, shape (n,).
 
     Its correlation over a lag t is exp(-t/memory) [s]. It depends only on seed and time since the
     start [s], so that all vehicles with one seed meet the same gusts.
     """
-    index = elapsed / SAMPLE
+    index = time / SAMPLE
     before = math.floor(index)
+    blocks = 1 << ((before + 1) // BLOCK).bit_length()
+    earlier, later = _series(seed, dimension, memory, blocks)[before : before + 2]
     share = index - before
-    earlier, later = (
-        _block(seed, dimension, memory, k // BLOCK)[k % BLOCK] for k in (before, before + 1)
-    )
     return np.asarray((1.0 - share) * earlier + share * later)
 
 
 @lru_cache(maxsize=64)
-def _block(seed: int, dimension: int, memory: float, number: int) -> Array:
-    """Return unit-variance samples of gusts, shape (BLOCK, n), that continue the block before."""
-    rng = np.random.default_rng((seed, USE, number))
+def _series(seed: int, dimension: int, memory: float, blocks: int) -> Array:
+    """Return unit-variance samples of gusts from the start on, shape (blocks * BLOCK, n)."""
+    from scipy.signal import lfilter  # slow to import, and most flights are without gusts
+
+    drawn = np.concatenate(
+        [
+            np.random.default_rng((seed, USE, k)).normal(size=(BLOCK, dimension))
+            for k in range(blocks)
+        ]
+    )
     kept = math.exp(-SAMPLE / memory)
-    fresh = math.sqrt(1.0 - kept * kept)
-    samples = rng.normal(size=(BLOCK, dimension))  # the very first is stationary noise
-    if number:
-        before = _block(seed, dimension, memory, number - 1)[-1]
-        samples[0] = kept * before + fresh * samples[0]
-    for k in range(1, BLOCK):
-        samples[k] = kept * samples[k - 1] + fresh * samples[k]
-    return sealed(samples)
+    drawn[1:] *= math.sqrt(1.0 - kept * kept)  # the first is stationary noise
+    return sealed(lfilter([1.0], [1.0, -kept], drawn, axis=0))
 
 
 @dataclass(frozen=True)
@@ -282,22 +297,22 @@ class Plant(Model):
         return vehicle
 
     def flown(
-        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
     ) -> tuple[Vehicle, ...]:
         """Return the vehicle after each integration step; see :meth:`Model.flown`."""
         wanted = float(np.clip(fraction, 0.0, 1.0)), self._limited(body_rate)
         count = max(1, math.ceil(span / SUBSTEP - 1e-9))
-        trail, piece = [], span / count
-        for k in range(count):
-            vehicle = self._moved(vehicle, piece, *wanted, elapsed + k * piece)
+        trail = []
+        for _ in range(count):
+            vehicle = self._moved(vehicle, span / count, *wanted)
             trail.append(vehicle)
         return tuple(trail)
 
-    def _wind(self, elapsed: float) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2], shape (n,), after ``elapsed`` [s]."""
+    def _wind(self, time: float) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2] at a time of the flight [s], shape (n,)."""
         if not self.gust:
             return self.blown
-        return self.blown + self.gust * gusts(elapsed, self.dimension, self.gust_time, self.seed)
+        return self.blown + self.gust * gusts(time, self.dimension, self.gust_time, self.seed)
 
     def _limited(self, body_rate: Array) -> Array:
         size = float(np.linalg.norm(body_rate))
@@ -305,14 +320,12 @@ class Plant(Model):
             return body_rate * (self.max_rate / size)
         return np.array(body_rate, dtype=float)
 
-    def _moved(
-        self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array, elapsed: float
-    ) -> Vehicle:
+    def _moved(self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
         """Return the vehicle after a short time ``dt`` [s], by Simpson's rule."""
         pushes, wind, end = list[Array](), vehicle.wind, vehicle
         for after in (0.0, 0.5 * dt, dt):
             end = self._actuated(vehicle, after, fraction, body_rate)
-            wind = self._wind(elapsed + after)
+            wind = self._wind(vehicle.time + after)
             pushes.append(self._pushed(end) + wind)
         if self.translation_order == 1:
             way, velocity = dt / 6.0 * (pushes[0] + 4.0 * pushes[1] + pushes[2]), pushes[2]

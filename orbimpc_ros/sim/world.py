@@ -1,11 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulated world: a swinging rope, boxes, traffic, and the flight of a vehicle among them."""
+"""The simulated world: the flight of a vehicle to its goal, among boxes and traffic."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,63 +13,25 @@ from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle
-from orbimpc_ros.sim.vehicle import Model, Vehicle
+from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle
+from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.vehicle import Vehicle
 
-FINISHES = ('capture', 'arrival')
 ROUNDING = 1e-6  # relative tolerance of the stall speed
 
 
 @dataclass(frozen=True)
-class Rope:
-    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
-
-    A scalar applies to all axes. A rope with only its center given is at rest.
-    """
-
-    center: Array  # shape (n,) [m]
-    amplitude: Array | float = 0.0  # shape (n,) [m]
-    frequency: float = 0.0  # f [Hz]
-    phase: Array | float = 0.0  # shape (n,) [rad]
-    velocity: Array | float = 0.0  # shape (n,) [m/s]
-
-    def at(self, time: float) -> Array:
-        """Return g(t), shape (n,) [m]."""
-        angle = 2.0 * np.pi * self.frequency * time + self.phase
-        return self.center + self.velocity * time + self.amplitude * np.sin(angle)
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """A vehicle, its start and its goal.
-
-    With finish ``capture``, a flight ends as soon as the goal is caught; with ``arrival``, it ends
-    after ``max_ticks``, when it must be at the goal. Touching a box or a ball fails a flight.
-    """
-
-    model: Model
-    start: Vehicle  # its time is the start time
-    rope: Rope  # the goal, swinging or fixed
-    capture_radius: float  # distance within which the goal counts as caught [m]
-    max_ticks: int  # steps after which the flight ends
-    finish: str = 'capture'
-    arrival_radius: float = 0.05  # largest distance from the goal at arrival [m]
-    arrival_speed: float = 0.0  # largest speed at arrival [m/s]; 0 for no limit
-    obstacles: tuple[Box, ...] = ()
-    traffic: tuple[MovingObstacle, ...] = ()  # balls with constant velocities from the start on
-    approach: Approach = field(default_factory=Approach)  # headings that count as a capture
-    rope_length: float = 0.0  # half of it above the plane of flight [m]
-
-
-@dataclass(frozen=True)
 class Flight:
-    """A scenario after some steps.
+    """A flight after some steps.
+
+    With finish ``capture``, it ends as soon as the goal is caught; with ``arrival``, after
+    ``max_ticks``, when the vehicle must be at the goal. Touching a box or a ball fails it.
 
     ``touched`` holds the indices of the boxes, followed by those of the balls, that the vehicle has
     entered so far by more than the tolerance of plans.
     """
 
-    scenario: Scenario
+    settings: SimSettings
     vehicle: Vehicle  # now
     ticks: int = 0  # steps flown
     miss: float = np.inf  # least distance to the goal during the last step [m]
@@ -81,22 +43,17 @@ class Flight:
     stalls: int = 0  # times that it fell below the stall speed since then
 
     @property
-    def elapsed(self) -> float:
-        """Return the time since the start [s], which is the time of the rope."""
-        return self.vehicle.time - self.scenario.start.time
-
-    @property
     def goal(self) -> Array:
         """Return the current position of the goal, shape (n,) [m]."""
         if self.vehicle.goal is not None:
             return self.vehicle.goal
-        return self.scenario.rope.at(self.elapsed)
+        return self.settings.rope.at(self.vehicle.time)
 
     @property
     def _place(self) -> Array:
         """Return the vehicle's position and its height past the rope's ends, shape (n + 1,) [m]."""
         height = self.vehicle.height
-        past = max(0.0, abs(height) - 0.5 * self.scenario.rope_length)
+        past = max(0.0, abs(height) - 0.5 * self.settings.rope_length)
         return np.append(self.vehicle.position, math.copysign(past, height))
 
     @property
@@ -112,7 +69,7 @@ class Flight:
     @property
     def stalled(self) -> bool:
         """Return True if the vehicle is slower than its stall speed."""
-        return self.vehicle.airspeed < self.scenario.model.stall_speed * (1.0 - ROUNDING)
+        return self.vehicle.airspeed < self.settings.stall_speed * (1.0 - ROUNDING)
 
     @property
     def captured(self) -> bool:
@@ -120,12 +77,12 @@ class Flight:
 
         A flight that touched a box or a ball has failed.
         """
-        scenario, fastest = self.scenario, self.scenario.arrival_speed or np.inf
+        settings, fastest = self.settings, self.settings.arrival_speed or np.inf
         if self.touched:
             return False
-        if scenario.finish == 'arrival':
-            there = self.distance <= scenario.arrival_radius and self.speed <= fastest
-            return there and self.ticks >= scenario.max_ticks
+        if settings.finish == 'arrival':
+            there = self.distance <= settings.arrival_radius and self.speed <= fastest
+            return there and self.ticks >= settings.max_ticks
         return self.near and self.headed
 
     @property
@@ -135,12 +92,12 @@ class Flight:
         If an engine judges catches, return True if the goal has been caught.
         """
         judged = self.vehicle.caught
-        return self.miss <= self.scenario.capture_radius if judged is None else judged
+        return self.miss <= self.settings.capture_radius if judged is None else judged
 
     @property
     def over(self) -> bool:
         """Return True if the goal is caught or lost, or the steps are used up."""
-        return self.captured or self.vehicle.lost or self.ticks >= self.scenario.max_ticks
+        return self.captured or self.vehicle.lost or self.ticks >= self.settings.max_ticks
 
     def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
         """Return the flight one step later; the vehicle's model defines when the command acts.
@@ -150,15 +107,12 @@ class Flight:
             body_rate: commanded, shape (1,) or (3,) [rad/s].
             held: duration of the command within the step [s]; then the failsafe of the model acts.
         """
-        model, trail = self.scenario.model, tuple[Vehicle, ...]()
+        model, trail = self.settings.model, tuple[Vehicle, ...]()
         if held > 0.0:
-            span = min(held, model.step)
-            trail = model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
+            trail = model.flown(self.vehicle, min(held, model.step), fraction, body_rate)
         if held < model.step:
-            released = model.released(trail[-1] if trail else self.vehicle)
-            left, elapsed = model.step - max(0.0, held), released.time - self.scenario.start.time
-            safe = model.failsafe_fraction, model.failsafe_turn
-            trail += model.flown(released, left, *safe, elapsed)
+            released, left = model.released((self.vehicle, *trail)[-1]), model.step - max(0.0, held)
+            trail += model.flown(released, left, model.failsafe_fraction, model.failsafe_turn)
         return self._along(trail)
 
     def _along(self, trail: Sequence[Vehicle]) -> Flight:
@@ -173,7 +127,7 @@ class Flight:
                 begun = before.vehicle.time
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
                 ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
-                headed = is_headed(self.scenario.approach, ends, share)
+                headed = is_headed(self.settings.approach, ends, share)
             before = replace(
                 now,
                 touched=now.touched | before._touched(now),
@@ -190,18 +144,17 @@ class Flight:
         )
 
     def _touched(self, now: Flight) -> frozenset[int]:
-        boxes, way = self.scenario.obstacles, (self.vehicle.position, now.vehicle.position)
-        grazed = TOLERANCE * self.scenario.model.length_unit  # penetration allowed in plans
-        balls = met(self.scenario.traffic, way, (self.elapsed, now.elapsed), grazed)
+        boxes, way = self.settings.boxes, (self.vehicle.position, now.vehicle.position)
+        grazed = TOLERANCE * self.settings.model.length_unit  # penetration allowed in plans
+        times = self.vehicle.time, now.vehicle.time
+        balls = met(self.settings.traffic, way, times, grazed)
         return touched(boxes, *way, grazed) | {len(boxes) + number for number in balls}
 
 
-def departure(scenario: Scenario, time: float | None = None) -> Flight:
-    """Return the flight before its first step; ``time`` [s] sets its clock at the start."""
-    start = scenario.model.begun(scenario.start)
-    if time is not None:
-        start = replace(start, time=time)
-    flight = Flight(replace(scenario, start=start), start, least_airspeed=start.airspeed)
+def departure(settings: SimSettings) -> Flight:
+    """Return the flight before its first step."""
+    start = settings.model.begun(settings.start)
+    flight = Flight(settings, start, least_airspeed=start.airspeed)
     return replace(flight, stalls=int(flight.stalled))
 
 
@@ -216,8 +169,8 @@ def outcome(flight: Flight) -> str:
     """Describe how a flight has ended."""
     done = '' if flight.captured else 'not '
     if flight.touched:
-        return f'touched {touched_in_words(flight.touched, len(flight.scenario.obstacles))}'
-    if flight.scenario.finish == 'arrival':
+        return f'touched {touched_in_words(flight.touched, len(flight.settings.boxes))}'
+    if flight.settings.finish == 'arrival':
         where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
         return f'{done}arrived: {where}'
     if not flight.captured and flight.near:
@@ -226,8 +179,7 @@ def outcome(flight: Flight) -> str:
         return 'not captured: another part of the vehicle touched the goal first'
     if not flight.captured:
         return 'not captured'
-    when = flight.missed_at - flight.scenario.start.time
-    return f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
+    return f'captured at t = {flight.missed_at:.2f} s, {flight.miss:.3f} m from the goal'
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:

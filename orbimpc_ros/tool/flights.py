@@ -29,9 +29,8 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.world import Flight, departure
+from orbimpc_ros.sim.world import Flight
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
@@ -67,25 +66,24 @@ def flown(
     planner = OfflinePlanner(
         given, clock=time.thread_time, planner=_pilot(study, controller, given)
     )
-    view = View(simulated.faults, simulated.seed, simulated.model.step)
-    way, ticks, failed = list[Flight](), list[tuple[Decision, float]](), ''
-    known = view, simulated.command_timeout, simulated.goal_path_steps, margin
+    way, ticks, failed = list[Flight](), list[Decision](), ''
     try:
-        begin = departure(simulated.scenario, simulated.begin)
-        for flight, decision, spent in closed_loop(planner, begin, *known):
+        for flight, decision in closed_loop(planner, simulated, margin):
             way.append(flight)
+            if flight.over or flight.touched:
+                break
             if decision is not None:
-                ticks.append((decision, spent))
+                ticks.append(decision)
             if controller == WAYPOINT:
                 _steer(flight)
     except EngineFailure as error:
         failed = str(error)
-    caught, begun = flight.captured, flight.scenario.start.time
+    caught = flight.captured
     return {
         'controller': controller,
         'index': index,
         'caught': caught,
-        'time': flight.missed_at - begun if caught else None,
+        'time': flight.missed_at if caught else None,
         'touched': bool(flight.touched),
         'failed': failed,
         **_of_way(way),
@@ -139,7 +137,7 @@ def _of_way(way: Sequence[Flight]) -> Row:
     """
     last = way[-1]
     row = {'closest': min(flight.miss for flight in way), 'stalls': last.stalls}
-    if last.scenario.finish == 'arrival':
+    if last.settings.finish == 'arrival':
         row |= {'missed': last.distance, 'speed': last.speed}
     if last.vehicle.engine is not None:
         trail = [vehicle for flight in way for vehicle in flight.trail if not vehicle.caught]
@@ -149,18 +147,18 @@ def _of_way(way: Sequence[Flight]) -> Row:
     return row
 
 
-def _of_ticks(ticks: Sequence[tuple[Decision, float]]) -> Row:
+def _of_ticks(ticks: Sequence[Decision]) -> Row:
     """Return the results on the planning of a flight.
 
     The numbers of ``ticks``, of ``optimal`` and of ``unplanned`` (fallback) ones; the largest
     ``gap`` and ``projection`` loss; ``p50_ms`` and ``longest_ms``, the processor time of a tick.
     """
-    plans = [decision.plan for decision, _ in ticks if decision.plan is not None]
-    spent = [each for _, each in ticks] or [0.0]
+    plans = [decision.plan for decision in ticks if decision.plan is not None]
+    spent = [decision.solve_time_ms for decision in ticks] or [0.0]
     return {
         'ticks': len(ticks),
-        'optimal': sum(decision.status is Status.OPTIMAL for decision, _ in ticks),
-        'unplanned': sum(decision.fallback is not Fallback.NONE for decision, _ in ticks),
+        'optimal': sum(decision.status is Status.OPTIMAL for decision in ticks),
+        'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
         'gap': max((plan.gap for plan in plans), default=None),
         'projection': max((_lost(plan) for plan in plans), default=None),
         'p50_ms': float(np.median(spent)),

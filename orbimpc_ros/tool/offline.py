@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -22,7 +21,8 @@ from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
-from orbimpc_ros.sim.world import Flight
+from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.world import Flight, departure
 
 EPOCH = 1_700_000_000 * SECOND  # start of flights in this process, so that stamps are dates
 Clock = Callable[[], float]
@@ -44,8 +44,11 @@ class OfflinePlanner(Core):
         planner: that decides; by default the planner of the package.
 
     Attributes:
+        epoch: stamp of the time 0 of flights in this process [ns].
         decision: behind the last answer; None before the first.
     """
+
+    epoch = EPOCH
 
     def __init__(
         self,
@@ -118,7 +121,7 @@ class OfflinePlanner(Core):
 
     def hear(self, topic: str, message: Any, now: float) -> None:
         """Take in a message at a time [s]."""
-        self.inputs.update(topic, message, now, _nanoseconds(now))
+        self.inputs.update(topic, message, now, self._nanoseconds(now))
 
     def sense(
         self, now: float, content: Odometry | GoalObservation, measured: float | None = None
@@ -129,61 +132,52 @@ class OfflinePlanner(Core):
 
     def report(self, now: float) -> Decision:
         """Plan at a time [s]; return the decision, with its command registered as sent."""
-        at = _nanoseconds(now)
+        at = self._nanoseconds(now)
         decision = self.decide(now, at)
         self.planner.sent(decision.command, at / SECOND)
         return decision
 
     def at(self, now: float) -> Stamp:
         """Return the stamp of a message at a time [s]."""
-        return Stamp(_nanoseconds(now), self.settings.frames)
+        return Stamp(self._nanoseconds(now), self.settings.frames)
 
-
-def _nanoseconds(now: float) -> int:
-    return EPOCH + round(now * SECOND)
+    def _nanoseconds(self, now: float) -> int:
+        return self.epoch + round(now * SECOND)
 
 
 def closed_loop(
-    planner: OfflinePlanner,
-    flight: Flight,
-    view: View,
-    held: float,
-    ahead: int = 0,
-    margin: float = 0.0,
-) -> Iterator[tuple[Flight, Decision | None, float]]:
-    """Yield a flight at each step, the decision then, and its processor time [ms].
+    planner: OfflinePlanner, settings: SimSettings, margin: float = 0.0
+) -> Iterator[tuple[Flight, Decision | None]]:
+    """Yield a flight at each step, with the decision then.
 
-    As in a simulator in lock-step, the planner answers new odometry. If none arrives, or the
-    answer is lost, the last command stays in force until it times out.
+    As in a simulator in lock-step, the planner answers new odometry, the last one included. If none
+    arrives, or the answer is lost, the last command stays in force until it times out.
 
     Args:
         planner: of the vehicle.
-        flight: at its start.
-        view: measurements of the flight that reach the planner, with faults.
-        held: time for which a command stays in force [s].
-        ahead: steps of the goal's future that are published.
+        settings: of the simulator, with faults between the vehicle and its planner.
         margin: added to the reported radii of the balls in the traffic [m].
     """
+    flight, view, faults = departure(settings), View(settings), settings.faults
     answered, came = planner.stamp, -math.inf
-    order: tuple[float, Array] = (0.0, np.zeros(flight.scenario.model.rates))
-    if flight.scenario.traffic:
+    order: tuple[float, Array] = (0.0, np.zeros(settings.model.rates))
+    if settings.traffic:
         planner.planner.expect_hazards()
-    while not (flight.over or flight.touched):
-        now, decision, spent = flight.vehicle.time, None, 0.0
-        jump = view.faults.jumped(flight.ticks)
-        shown = now + jump
-        if flight.scenario.traffic:
+    while True:
+        now, decision = flight.vehicle.time, None
+        shown = now + faults.jumped(flight.ticks)
+        if settings.traffic:
             planner.hear('obstacles', traffic_markers(planner.at(shown), flight, margin), shown)
-        if ahead:
-            planner.hear('goal_path', future(planner.at(shown), flight, ahead), shown)
+        if settings.goal_path_steps:
+            path = future(planner.at(shown), flight, settings.goal_path_steps)
+            planner.hear('goal_path', path, shown)
         for seen in view.of(flight):
-            planner.sense(shown, seen, seen.time + jump)
+            planner.sense(shown, seen, seen.time + shown - now)
         if planner.stamp != answered:
-            answered, begun = planner.stamp, time.thread_time()
-            decision = planner.report(shown)
-            spent = 1e3 * (time.thread_time() - begun)
+            answered, decision = planner.stamp, planner.report(shown)
             if not view.command_lost(flight.ticks):
                 order, came = (decision.command.speed_fraction, decision.command.body_rate), now
-        yield flight, decision, spent
-        flight = flight.after(*order, came + held - now)
-    yield flight, None, 0.0
+        yield flight, decision
+        if flight.over:
+            return
+        flight = flight.after(*order, came + settings.command_timeout - now)

@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Make the golden bags: ``python test/golden/make.py [FOLDER]``, from seeds, without DDS.
 
-The loop is closed as in lock-step over DDS: the planner's own parts take in the messages that the
-simulator would publish, and the vehicle flies their commands. There is one bag per flight; then
+The loop is closed without nodes, as in lock-step: the planner takes in the messages that the
+simulator would publish, and the vehicle flies its commands. There is one bag per flight; then
 ``orbimpc replay`` must find no difference. After an intended change of the planner, the bags are
 made anew.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 
@@ -19,18 +18,16 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.core import DISABLED
 from orbimpc_ros.ros.topics import TYPES, topics_of
-from orbimpc_ros.sim.faults import View
-from orbimpc_ros.sim.outputs import future, sensed
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import BagWriter, store
-from orbimpc_ros.tool.offline import OfflinePlanner
+from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 from orbimpc_ros.tool.settings import config
 
 FLIGHTS = {
@@ -89,12 +86,15 @@ def make(name: str, folder: Path) -> None:
     file, changes = FLIGHTS[name]
     values = settings.resolve(config(f'{file}.yaml'), changes)
     notes = {'parameters': settings.text(values | {'use_sim_time': True})}
+    simulated = sim_settings(settings.of_sim(values))
     with closing(BagWriter(folder, topics_of(), notes)) as bag:
-        Loop(values, bag, hostile=name == 'faulty').fly()
+        planner = Recorder(values, bag, hostile=name == 'faulty')
+        for _ in closed_loop(planner, simulated):
+            pass
 
 
-class Loop:
-    """The closed loop; all its messages go into a bag.
+class Recorder(OfflinePlanner):
+    """A planner whose messages go into a bag, as in lock-step with simulated time.
 
     Args:
         values: of all parameters.
@@ -102,51 +102,52 @@ class Loop:
         hostile: True to send malformed messages as well, and to disable the planner for a while.
     """
 
-    def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
-        self._planner = planner_settings(values)
-        self._sim = sim_settings(settings.of_sim(values))
-        self._pilot, self._bag, self._hostile = OfflinePlanner(self._planner), bag, hostile
-        self._pilot.inputs.lag = self._planner.step
-        self._view = View(self._sim.faults, self._sim.seed, self._sim.scenario.model.step)
-        self._order = (0.0, np.zeros(self._sim.scenario.model.rates))
-        self._draw = np.random.default_rng(self._sim.seed)
-        self._at = self._said = 0
+    epoch = 0
 
-    def fly(self) -> None:
-        """Fly until the capture or the last step; the last odometry is answered as well."""
-        flight = departure(self._sim.scenario)
-        while True:
-            self._at = self._said = round(flight.vehicle.time * SECOND)
-            self._say('clock', Clock(clock=messages.time_message(self._at)))
-            if self._sim.goal_path_steps:
-                stamp = Stamp(self._at, self._sim.frames)
-                self._hear('goal_path', future(stamp, flight, self._sim.goal_path_steps))
-            self._tell(self._view.of(flight))
-            self._answer(flight.ticks)
-            if flight.over:
-                return
-            flight = flight.after(*self._order)
+    def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
+        super().__init__(planner_settings(values))
+        self.inputs.lag = self.settings.step
+        self._bag, self._hostile = bag, hostile
+        self._draw = np.random.default_rng(values['seed'])
+        self._shown, self.said = -1, 0  # time of the clock, and of the latest message [ns]
+
+    def hear(self, topic: str, message: object, now: float) -> None:
+        """Take in a message, which may follow a malformed one."""
+        self._show(now)
+        if self._hostile and topic in ('odom', 'goal') and self._draw.uniform() < 0.1:
+            self._hear(topic, self._malformed(message))
+        self._hear(topic, message)
+
+    def report(self, now: float) -> Decision:
+        """Answer the latest odometry."""
+        disabled = self._hostile and round(now / self.settings.step) in SWITCHED_OFF
+        stop, at = DISABLED if disabled else None, self.stamp
+        told = self.answer(at, self.said / SECOND, stop=stop, solve_time_ms=SOLVE_TIME_MS)
+        self.said += round(1e6 * SOLVE_TIME_MS)
+        for topic, message in told.items():
+            if topic != 'plan_markers':  # large, and derived from the plan
+                self._say(topic, message)
+        self.went_out(at / SECOND)
+        return self.decision
+
+    def _show(self, now: float) -> None:
+        """Set the clock to a time [s]."""
+        at = self.at(now).nanoseconds
+        if at > self._shown:
+            self._shown = self.said = at
+            self._say('clock', Clock(clock=messages.time_message(at)))
 
     def _say(self, topic: str, message: object) -> None:
-        self._said += LATER
-        self._bag.write(f'/{topic}', self._at, serialised(message, TYPES[topic]), self._said)
-
-    def _tell(self, arriving: Iterable) -> None:
-        """Send the observations to the planner, each with the stamp of its measurement."""
-        for sent in arriving:
-            stamp = Stamp(round(sent.time * SECOND), self._sim.frames)
-            topic, message = sensed(stamp, sent)
-            if self._hostile and self._draw.uniform() < 0.1:
-                self._hear(topic, self._malformed(message))
-            self._hear(topic, message)
+        self.said += LATER
+        self._bag.write(f'/{topic}', self._shown, serialised(message, TYPES[topic]), self.said)
 
     def _hear(self, topic: str, message: object) -> None:
         self._say(topic, message)
-        self._pilot.inputs.update(topic, message, self._said / SECOND, self._at)
+        self.inputs.update(topic, message, self.said / SECOND, self._shown)
 
     def _malformed(self, message):
         """Return a message that must be refused, with one of the faults that validators detect."""
-        wrong = type(message)(header=messages.header(self._at, self._sim.frames.world))
+        wrong = type(message)(header=messages.header(self._shown, self.settings.frames.world))
         kind = self._draw.integers(4)
         if kind == 0:
             wrong.header.frame_id = 'map'
@@ -158,25 +159,6 @@ class Loop:
             pose = getattr(wrong.pose, 'pose', wrong.pose)
             pose.orientation.w = 0.5
         return wrong
-
-    def _answer(self, tick: int) -> None:
-        if self._pilot.stamp != self._at:
-            return  # no odometry at this tick: the last command stays in force
-        stop = DISABLED if self._hostile and tick in SWITCHED_OFF else None
-        now = self._said / SECOND
-        told = self._pilot.answer(self._at, now, stop=stop, solve_time_ms=SOLVE_TIME_MS)
-        self._said += round(1e6 * SOLVE_TIME_MS)
-        for topic, message in told.items():
-            if topic != 'plan_markers':  # large, and derived from the plan
-                self._say(topic, message)
-        model, frames = self._sim.scenario.model, self._sim.frames
-        known = told['cmd_vel'], model.dimension, frames
-        _, pushed, rate = messages.read_speed_and_rate(*known)
-        if model.translation_order == 2:
-            _, pushed = messages.read_force(told['cmd_thrust'], frames)
-        self._pilot.went_out(self._at / SECOND)
-        full = model.forward * (1.0 if model.translation_order == 1 else model.mass)
-        self._order = (pushed / full, rate)
 
 
 if __name__ == '__main__':
