@@ -273,11 +273,13 @@ STEP = 0.1  # [s]
 class Watched:
     """A vehicle that flies commands, and an estimator that observes it."""
 
-    def __init__(self, plant, fraction=0.0, step=STEP, floor=Floor(), **known):  # noqa: B008
-        self.plant, self.step, self.rng = plant, step, np.random.default_rng(0)
+    def __init__(self, plant, fraction=0.0, step=STEP, source='ground', **known):
+        self.plant, self.step, self.source = plant, step, source
+        self.rng = np.random.default_rng(0)
+        floor = known.pop('floor', Floor())
         orders = {'translation_order': plant.translation_order, 'floor': floor}
         problem = Problem(plant.dimension, forward=plant.forward, **orders)
-        known |= {'estimated': True, 'velocity_source': plant.velocity_source}
+        known |= {'estimated': True, 'velocity_source': source}
         self.estimator = Compensator(problem, Response(plant.speed_lag), **known)
         self.history, self.vehicle = self.estimator.history, started(plant, 0.3, fraction)
 
@@ -288,7 +290,7 @@ class Watched:
         """
         innovations = []
         for _ in range(ticks):
-            seen = measured(self.vehicle, self.plant.velocity_source)
+            seen = measured(self.vehicle, self.source)
             error = noise * self.rng.normal(size=len(seen.position)) + moved
             self.observe(replace(seen, position=seen.position + error))
             innovations.append(self.estimator.innovation)
@@ -343,7 +345,7 @@ def test_a_jump_of_the_clock_leaves_the_wind_known_and_a_reset_does_not(watched)
 @pytest.mark.parametrize(('source', 'soon'), [('air', 0.3), ('ground', 0.5)])
 def test_who_is_met_in_flight_is_not_taken_for_one_at_rest_in_a_wind(source, soon):
     """Before its first command, a vehicle in flight covers more than it could from rest."""
-    watched, off = Watched(replace(WING, velocity_source=source), 0.8, 0.5), []
+    watched, off = Watched(WING, 0.8, 0.5, source=source), []
     for _ in range(12):
         watched.watch(1, (0.9, 0.3))
         off.append(np.linalg.norm(watched.found - WING.blown))
@@ -375,8 +377,8 @@ def test_a_wind_that_turns_about_is_followed_within_two_seconds(step):
 @pytest.mark.parametrize('believed', [True, False])
 def test_speed_that_is_not_as_commanded_is_no_wind_where_what_is_measured_is_believed(believed):
     """With measured airspeed trusted, flying at 12 of 15 m/s commanded adds nothing to the wind."""
-    slow = replace(WING, speed_lag=0.0, gain=0.8, velocity_source='air')
-    watched = Watched(slow, 1.0, 0.5, sideslip=believed)
+    slow = replace(WING, speed_lag=0.0, gain=0.8)
+    watched = Watched(slow, 1.0, 0.5, source='air', sideslip=believed)
     watched.watch(30, (1.0, 0.0))
     slower = 0.0 if believed else -3.0 * watched.vehicle.attitude[:, 0]
     np.testing.assert_allclose(watched.found, WING.blown + slower, atol=0.1)

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
 from orbimpc_ros.sim.vehicle import Plant, Rope
-from orbimpc_ros.sim.world import departure, met, touched
+from orbimpc_ros.sim.world import departure, touched
 
 
 def rope_at(*place):
@@ -168,6 +168,10 @@ def test_an_arrival_is_judged_at_the_end_alone_by_place_and_speed(changes, fract
 # --- contacts with boxes and balls, and distances within fleets
 
 
+def still(*bodies):
+    return [MovingObstacle.drifting(body, np.zeros(body.dimension)) for body in bodies]
+
+
 def box(rng, n):
     low = rng.uniform(-1.0, 1.0, n)
     return Box(low, low + rng.uniform(0.1, 1.5, n))
@@ -184,7 +188,7 @@ def test_a_way_touches_what_its_points_are_in(n):
         end[axis] = start[axis]
         points = start + np.linspace(0.0, 1.0, 4001)[:, None] * (end - start)
         sampled = {k for k, each in enumerate(boxes) if each.depth(points).max() > 0.0}
-        found = touched(boxes, start, end)
+        found = touched(still(*boxes), (start, end), (0.0, 1.0))
         assert sampled <= found
         for k in found - sampled:  # a corner cut between two samples
             assert boxes[k].depth(points).max() > -1e-3
@@ -195,9 +199,9 @@ def test_a_way_touches_what_its_points_are_in(n):
 def test_along_a_face_and_at_a_standstill():
     unit = Box(np.zeros(3), np.ones(3))
     along, inside, outside = np.array([[0.2, 0.5, 1.0], [0.8, 0.5, 1.0]]), 0.5, 1.5
-    assert not touched([unit], *along)
-    assert touched([unit], np.full(3, inside), np.full(3, inside)) == {0}
-    assert not touched([unit], np.full(3, outside), np.full(3, outside))
+    assert not touched(still(unit), along, (0.0, 1.0))
+    assert touched(still(unit), [np.full(3, inside)] * 2, (0.0, 1.0)) == {0}
+    assert not touched(still(unit), [np.full(3, outside)] * 2, (0.0, 1.0))
 
 
 @pytest.mark.parametrize('dimension', [2, 3])
@@ -212,7 +216,8 @@ def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
         there = place + (start + shares * (stop - start)) * velocity
         least = np.linalg.norm(way - there, axis=1).min()
         if abs(least - radius) > 1e-3:
-            assert met([ball], (begin, end), (start, stop)) == ({0} if least < radius else set())
+            found = touched([ball], (begin, end), (start, stop))
+            assert found == ({0} if least < radius else set())
 
 
 @pytest.mark.parametrize('order', [1, 2])

@@ -171,8 +171,7 @@ class SimSettings(VehicleParameters):
     def model(self) -> Model:
         """Return the vehicle's motion model: the discrete model, a plant, or an engine."""
         self._refuse_unused()
-        known = self.disturbance.tolist()
-        own: dict[str, Any] = {'disturbance': tuple(known) if any(known) else ()}
+        own: dict[str, Any] = {'disturbance': tuple(self.disturbance.tolist())}
         if self.odom_rate:
             own['step'] = 1.0 / self.odom_rate
         kind: type[Model] = Model if self.vehicle == 'discrete' else Plant
@@ -220,6 +219,12 @@ class SimSettings(VehicleParameters):
         )
 
     @cached_property
+    def bodies(self) -> tuple[MovingObstacle, ...]:
+        """Return everything to stay out of: the boxes, then the balls."""
+        still = np.zeros(self.dimension)
+        return (*(MovingObstacle.drifting(box, still) for box in self.boxes), *self.traffic)
+
+    @cached_property
     def approach(self) -> Approach:
         """Return the approach cone of a catch; the goal's orientation is that of the world."""
         known = self.approach_of_a_catch()
@@ -240,7 +245,7 @@ def sim_settings(values: Values) -> SimSettings:
     """
     faults = settings_from(Faults, values)
     settings = replace(settings_from(SimSettings, values), faults=faults)
-    for made in ('model', 'start', 'rope', 'boxes', 'traffic', 'approach', 'wait_for'):
+    for made in ('model', 'start', 'rope', 'bodies', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings
 

@@ -33,7 +33,6 @@ except ImportError:  # the PyPI wheels of ROS have no tf2
     TransformBroadcaster = None
 
 DEPTH = 10  # queue depth: in lock-step no message may be dropped
-REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
 SILENT = 2.0  # [s] of waiting before it is logged
 MEETING = 1.5  # [s] for DDS to match planner and readers, which this node cannot observe
 TRANSITIONS = 'transition_event'  # a topic of every managed node
@@ -58,7 +57,6 @@ class FlightSimulation(ABC):
         self.node, self.settings = node, replace(settings, child_frame_id=body)
         self._orders = Orders(self.settings)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
-        self._refused_at = -np.inf  # time of the last such diagnostic, on the steady clock [s]
         deep, profiles = qos(DEPTH), {'captured': LATCHED, 'world_markers': qos()}
         self._commands, _ = (
             node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)
@@ -102,8 +100,8 @@ class FlightSimulation(ABC):
 
     def _wait(self) -> None:
         """Start waiting for planner and readers; changes of what is missing are logged."""
-        self._since = self._counted_from = self.node.steady_now()
-        self._announced, self._met_at = '', math.inf
+        self._since = self._counted_from = self._met_after = self.node.steady_now()
+        self._announced = ''
 
     @property
     def waited(self) -> float:
@@ -135,19 +133,17 @@ class FlightSimulation(ABC):
         found = self._out['odom'].get_subscription_count()
         if found < wanted:
             return f'subscribers of odom: {wanted} (there are {found})'
-        readers = self.settings.wait_for
-        counts = {topic: self._count(topic) for topic in readers}
+        readers, now = self.settings.wait_for, self.node.steady_now()
         missing = [
-            f'{count} of {topic} (there are {counts[topic]})'
+            f'{count} of {topic} (there are {there})'
             for topic, count in readers.items()
-            if counts[topic] < count
+            if (there := self._count(topic)) < count
         ]
         if missing:
-            self._met_at = math.inf
+            self._met_after = now
             return f'readers: {", ".join(missing)}'
-        self._met_at = min(self._met_at, self.node.steady_now())
-        waited = not readers or self.node.steady_now() - self._met_at >= MEETING
-        return '' if waited else 'the planner to discover its subscribers'
+        met = not readers or now - self._met_after >= MEETING
+        return '' if met else 'the planner to discover its subscribers'
 
     def _count(self, topic: str) -> int:
         """Return the number of readers of a topic other than planner and this node."""
@@ -177,9 +173,7 @@ class FlightSimulation(ABC):
             order = self._orders.take(topic, message, self.now)
         except BadInput as error:
             self._refused[f'refused {topic}: {error.culprit}'] += 1
-            if self.node.steady_now() - self._refused_at > REFUSALS_SHOWN:
-                self._refused_at = self.node.steady_now()
-                self.warn(f'{topic} refused: {error}')
+            self.warn(f'{topic} refused: {error}')
             return
         if order is not None:
             self.on_order(order)

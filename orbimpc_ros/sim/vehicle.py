@@ -8,7 +8,7 @@ goal's own motion is that of a rope.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -115,15 +115,7 @@ class Model:
 
         At translation order 2 it coasts: an expired command leaves the velocity unchanged.
         """
-        velocity = vehicle.velocity
-        if self.translation_order == 1:
-            velocity = self.forward * self.failsafe_fraction * vehicle.attitude[:, 0] + self.wind
-        return replace(
-            vehicle,
-            velocity=velocity,
-            body_rate=self.failsafe_turn,
-            fraction=self.failsafe_fraction,
-        )
+        return replace(vehicle, body_rate=self.failsafe_turn, fraction=self.failsafe_fraction)
 
 
 @dataclass(frozen=True)
@@ -246,12 +238,8 @@ def _series(seed: int, dimension: int, memory: float, blocks: int) -> Array:
     """Return unit-variance samples of gusts from the start on, shape (blocks * BLOCK, n)."""
     from scipy.signal import lfilter  # slow to import, and most flights are without gusts
 
-    drawn = np.concatenate(
-        [
-            np.random.default_rng((seed, USE, k)).normal(size=(BLOCK, dimension))
-            for k in range(blocks)
-        ]
-    )
+    rngs = (np.random.default_rng((seed, USE, block)) for block in range(blocks))
+    drawn = np.concatenate([rng.normal(size=(BLOCK, dimension)) for rng in rngs])
     kept = math.exp(-SAMPLE / memory)
     drawn[1:] *= math.sqrt(1.0 - kept * kept)  # the first is stationary noise
     return sealed(lfilter([1.0], [1.0, -kept], drawn, axis=0))
@@ -321,21 +309,31 @@ class Plant(Model):
         return np.array(body_rate, dtype=float)
 
     def _moved(self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
-        """Return the vehicle after a short time ``dt`` [s], by Simpson's rule."""
-        pushes, wind, end = list[Array](), vehicle.wind, vehicle
-        for after in (0.0, 0.5 * dt, dt):
-            end = self._actuated(vehicle, after, fraction, body_rate)
-            wind = self._wind(vehicle.time + after)
-            pushes.append(self._pushed(end) + wind)
+        """Return the vehicle after a short time ``dt`` [s], by the Runge-Kutta method.
+
+        The actuators' own responses are exact.
+        """
+        times = (0.0, 0.5 * dt, dt)
+        states = [self._actuated(vehicle, after, fraction, body_rate) for after in times]
+        winds = [self._wind(vehicle.time + after) for after in times]
+        first, second, third = (self._pushed(s) + w for s, w in zip(states, winds, strict=True))
         if self.translation_order == 1:
-            way, velocity = dt / 6.0 * (pushes[0] + 4.0 * pushes[1] + pushes[2]), pushes[2]
+            way, velocity, wind = dt / 6.0 * (first + 4.0 * second + third), third, winds[-1]
         else:
-            way, velocity = self._accelerated(vehicle.velocity, pushes, dt)
-            wind = vehicle.wind
-        attitude = nearest(end.attitude)  # nearest: no drift off SO(n)
-        time, position = vehicle.time + dt, vehicle.position + way
+            begun, wind = vehicle.velocity, vehicle.wind
+            a = first - self.drag * begun
+            b = second - self.drag * (begun + 0.5 * dt * a)
+            c = second - self.drag * (begun + 0.5 * dt * b)
+            d = third - self.drag * (begun + dt * c)
+            way = dt * begun + dt * dt / 6.0 * (a + b + c)
+            velocity = begun + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
         return replace(
-            end, time=time, position=position, velocity=velocity, attitude=attitude, wind=wind
+            states[-1],
+            time=vehicle.time + dt,
+            position=vehicle.position + way,
+            velocity=velocity,
+            attitude=nearest(states[-1].attitude),  # nearest: no drift off SO(n)
+            wind=wind,
         )
 
     def _actuated(self, now: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
@@ -354,21 +352,6 @@ class Plant(Model):
     def _pushed(self, now: Vehicle) -> Array:
         """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
         return np.asarray(self.gain * self.forward * now.fraction * now.attitude[:, 0])
-
-    def _accelerated(
-        self, velocity: Array, pushes: Sequence[Array], dt: float
-    ) -> tuple[Array, Array]:
-        """Return displacement [m] and velocity [m/s] after ``dt`` [s], by the Runge-Kutta method.
-
-        ``pushes`` are the accelerations without drag at its beginning, middle and end.
-        """
-        first, second, third = pushes
-        a = first - self.drag * velocity
-        b = second - self.drag * (velocity + 0.5 * dt * a)
-        c = second - self.drag * (velocity + 0.5 * dt * b)
-        d = third - self.drag * (velocity + dt * c)
-        way = dt * velocity + dt * dt / 6.0 * (a + b + c)
-        return way, velocity + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
 
 
 def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
-from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle
@@ -144,11 +143,10 @@ class Flight:
         )
 
     def _touched(self, now: Flight) -> frozenset[int]:
-        boxes, way = self.settings.boxes, (self.vehicle.position, now.vehicle.position)
+        before, after = self.vehicle, now.vehicle
+        ends, times = (before.position, after.position), (before.time, after.time)
         grazed = TOLERANCE * self.settings.model.length_unit  # penetration allowed in plans
-        times = self.vehicle.time, now.vehicle.time
-        balls = met(self.settings.traffic, way, times, grazed)
-        return touched(boxes, *way, grazed) | {len(boxes) + number for number in balls}
+        return touched(self.settings.bodies, ends, times, grazed)
 
 
 def departure(settings: SimSettings) -> Flight:
@@ -182,33 +180,31 @@ def outcome(flight: Flight) -> str:
     return f'captured at t = {flight.missed_at:.2f} s, {flight.miss:.3f} m from the goal'
 
 
-def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:
-    """Return the indices of the boxes that a straight path enters by more than ``grazed`` [m]."""
-    return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end, grazed))
-
-
-def met(
-    traffic: Sequence[MovingObstacle],
+def touched(
+    bodies: Sequence[MovingObstacle],
     flown: tuple[Array, Array],
     times: tuple[float, float],
     grazed: float = 0.0,
 ) -> frozenset[int]:
-    """Return the indices of the balls that a straight path enters while they move linearly.
+    """Return the indices of the bodies that a straight path enters while they move linearly.
 
-    It is ``flown`` between two ``times`` since the start [s]; depths up to ``grazed`` do not count.
+    It is ``flown`` between two ``times`` since the start [s]; depths up to ``grazed`` [m] do not
+    count.
     """
-    found = set()
-    for number, each in enumerate(traffic):
-        begin, end = centre(each.body) + each.moved(np.array(times))
-        nearest, _ = closest_approach(flown, (begin, end))
-        if isinstance(each.body, Ball) and nearest < each.body.radius - grazed:
-            found.add(number)
-    return frozenset(found)
+    paths = (np.array(flown) - each.moved(np.array(times)) for each in bodies)
+    pairs = enumerate(zip(bodies, paths, strict=True))
+    return frozenset(k for k, (each, path) in pairs if _crosses(each.body, path, grazed))
 
 
-def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:
-    """Return True if a path is between both faces of every axis at the same time."""
-    way, low, high = end - start, box.minimum + grazed, box.maximum - grazed
+def _crosses(body: Box | Ball, path: Array, grazed: float) -> bool:
+    """Return True if a straight path, shape (2, n), enters a body by more than ``grazed`` [m].
+
+    Between both faces of a box on every axis at the same time it is inside.
+    """
+    start, end = path
+    if isinstance(body, Ball):
+        return closest_approach((start, end), (body.centre,) * 2)[0] < body.radius - grazed
+    way, low, high = end - start, body.minimum + grazed, body.maximum - grazed
     moves = way != 0.0
     if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():
         return False
