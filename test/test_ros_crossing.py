@@ -21,7 +21,7 @@ from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo import fleet
-from orbimpc_ros.tool.offline import OfflinePlanner, resolved
+from orbimpc_ros.tool.offline import OfflinePlanner
 
 SHORT = ('horizon=4', 'gap_tolerance=0.05', 'max_ticks=15')  # until after the middle of the ring
 RADIUS = 1.0
@@ -39,9 +39,7 @@ def flown(values):
     Planners answer one after the other and receive each other's plans.
     """
     flights = {n: departure(sim_settings(settings.of_sim(v))) for n, v in values.items()}
-    known = {name: planner_settings(each) for name, each in values.items()}
-    avoided = {name: resolved(each, name) for name, each in known.items()}
-    planners = {n: OfflinePlanner(each, f'{n}/planner', avoided[n]) for n, each in known.items()}
+    planners = {n: OfflinePlanner(planner_settings(v), f'{n}/planner') for n, v in values.items()}
     tracks, fallbacks = {name: [flight] for name, flight in flights.items()}, []
     for _ in range(min(each.settings.max_ticks for each in flights.values())):
         for name, flight in flights.items():
@@ -50,9 +48,9 @@ def flown(values):
             planner.sense(now, measured(flight.vehicle))
             said, command = planner.answer(planner.stamp, now), planner.decision.command
             planner.went_out(planner.at(now).nanoseconds / SECOND)
-            for other, topics in avoided.items():
-                if 'plan' in said and f'{name}/plan' in topics:
-                    planners[other].hear(f'{name}/plan', said['plan'], now)
+            for other in planners.values():
+                if 'plan' in said and f'{name}/plan' in other.inputs.others:
+                    other.hear(f'{name}/plan', said['plan'], now)
             flights[name] = flight.after(command.speed_fraction, command.body_rate)
             tracks[name].append(flights[name])
             fallbacks.append(fields(said['tick'])['fallback'])
