@@ -29,13 +29,55 @@ from orbimpc_ros.ros.parameters.spec import (
 )
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, PLAIN, EnginePlant
-from orbimpc_ros.sim.faults import Faults
 from orbimpc_ros.sim.vehicle import Model, Plant, Rope, Vehicle, launched
 
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 ALONG_AXES = (0.0, 0.0, 0.0)
 # Parameters that do not apply, by vehicle without an engine.
 LACKING = {'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'), 'continuous': ()}
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Rates and magnitudes of message faults; each field is a parameter of the simulator."""
+
+    # fmt: off
+    position_noise: float = parameter('faults.position_noise', 0.0,
+        'Standard deviation of noise on odometry and goal along each axis', 'm', 0.0, 1e3)
+    attitude_noise: float = parameter('faults.attitude_noise', 0.0,
+        'Standard deviation of noise on odometry about each axis', 'rad', 0.0, math.pi)
+    dropout: float = parameter('faults.dropout', 0.0,
+        'Share of odometry, goals and commands that is lost', '', 0.0, 1.0)
+    delay: float = parameter('faults.delay', 0.0, 'Age of odometry on arrival', 's', 0.0, 10.0)
+    reorder: float = parameter('faults.reorder', 0.0,
+        'Share of odometry and goals that arrives a step late', '', 0.0, 1.0)
+    duplicate: float = parameter('faults.duplicate', 0.0,
+        'Share of odometry and goals that arrives twice', '', 0.0, 1.0)
+    nan: float = parameter('faults.nan', 0.0,
+        'Share of odometry and goals whose position is not a number', '', 0.0, 1.0)
+    occlusion_length: float = parameter('faults.occlusion_length', 0.0,
+        'How long the goal is hidden in each period', 's', 0.0, 1e6)
+    occlusion_period: float = parameter('faults.occlusion_period', 10.0,
+        'Period in which the goal is hidden once, at a random time', 's', TINY, 1e6)
+    clock_jump: float = parameter('faults.clock_jump', 0.0,
+        'Offset of every stamp from clock_jump_tick on', 's', -1e6, 1e6)
+    clock_jump_tick: int = parameter('faults.clock_jump_tick', 0,
+        'Steps flown before the clock jumps', '', 0, 1_000_000)
+    # fmt: on
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.occlusion_length <= self.occlusion_period:
+            allowed = f'in [0, occlusion_period = {self.occlusion_period:g}]'
+            raise BadInput('faults.occlusion_length', self.occlusion_length, allowed)
+
+    @property
+    def any(self) -> bool:
+        """Return True if any fault is configured."""
+        return self != Faults()
+
+    def jumped(self, ticks: int) -> float:
+        """Return the error of stamps after a number of steps [s]."""
+        return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
 
 
 @dataclass(frozen=True)
