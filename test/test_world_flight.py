@@ -83,9 +83,9 @@ def test_a_command_that_ends_within_a_step_is_a_shorter_step_and_one_of_the_fail
     model = flight.settings.model
     held, rate = 0.2 * model.step, np.full(model.rates, 0.3)
     obeyed = model.flown(flight.vehicle, held, 0.6, rate)[-1]
-    lagging, safe = isinstance(model, Plant), model.failsafe_fraction
+    lagging, (safe, turn) = isinstance(model, Plant), flight.settings.failsafe
     released = obeyed if lagging else replace(obeyed, fraction=safe)
-    end = model.flown(released, model.step - held, safe, model.failsafe_turn)[-1]
+    end = model.flown(released, model.step - held, safe, turn)[-1]
     after = flight.after(0.6, rate, held)
     for name in ('position', 'velocity', 'attitude', 'fraction', 'time'):
         np.testing.assert_allclose(getattr(after.vehicle, name), getattr(end, name), atol=1e-12)

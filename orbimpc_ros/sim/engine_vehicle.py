@@ -48,8 +48,9 @@ class EnginePlant(Model):
     seed: int = 0  # of the turbulence and all other random draws of the engine
     rope: Rope = field(kw_only=True)  # the goal, for engines that simulate its motion
 
+    lags = True
+
     def __post_init__(self) -> None:
-        super().__post_init__()
         for name in ('dimension', 'translation_order'):
             needed = getattr(ENGINES[self.engine], name)
             if getattr(self, name) != needed:
@@ -72,10 +73,6 @@ class EnginePlant(Model):
         except EngineFailure as error:
             raise BadInput('vehicle', self.engine, f'a possible start ({error})') from None
         return self._read(engine, engine.motion())
-
-    def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle unchanged: losing the command has no immediate effect."""
-        return vehicle
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array

@@ -223,6 +223,13 @@ class SimSettings(VehicleParameters):
         return kind(**own, **{name: getattr(self, name) for name in names})
 
     @cached_property
+    def failsafe(self) -> tuple[float, Array]:
+        """Return share of full speed or thrust, and body rate [rad/s], while without a command."""
+        fastest = np.pi / self.model.step
+        rate = number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
+        return self.failsafe_fraction, np.array([0.0, 0.0, rate])[-self.model.rates :]
+
+    @cached_property
     def start(self) -> Vehicle:
         """Return the vehicle in its initial state."""
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
@@ -287,7 +294,7 @@ def sim_settings(values: Values) -> SimSettings:
     """
     faults = settings_from(Faults, values)
     settings = replace(settings_from(SimSettings, values), faults=faults)
-    for made in ('model', 'start', 'rope', 'bodies', 'approach', 'wait_for'):
+    for made in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
-from orbimpc_ros.mpc.arrays import Array, number, sealed
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
 from orbimpc_ros.sim.engines import Engine
@@ -35,14 +35,10 @@ class Model:
     translation_order: int = 1  # 1: velocity along the forward axis; 2: acceleration
     step: float = 1.0  # h [s]
     forward: float = 1.0  # z, full speed [m/s] (order 1) or thrust acceleration [m/s^2] (2)
-    failsafe_fraction: float = 0.0  # share of full speed or thrust while no command is in force
-    failsafe_rate: float = 0.0  # turn rate about the body's z axis meanwhile [rad/s]
     disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], shape (n,) or (0,)
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
 
-    def __post_init__(self) -> None:
-        fastest = np.pi / self.step
-        number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
+    lags = False  # whether it responds to commands with lags
 
     @property
     def length_unit(self) -> float:
@@ -58,11 +54,6 @@ class Model:
     def wind(self) -> Array:
         """Return the velocity of the air, shape (n,) [m/s]; zero at translation order 2."""
         return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
-
-    @property
-    def failsafe_turn(self) -> Array:
-        """Return the body rate while no command is in force, shape (1,) or (3,) [rad/s]."""
-        return np.array([0.0, 0.0, self.failsafe_rate])[-self.rates :]
 
     @property
     def rates(self) -> int:
@@ -110,12 +101,13 @@ class Model:
             ),
         )
 
-    def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle when its command has just expired: by default it stops at once.
+    def released(self, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
+        """Return the vehicle when its command has just expired, given that of its failsafe.
 
-        At translation order 2 it coasts: an expired command leaves the velocity unchanged.
+        The failsafe acts at once, unless the vehicle responds with lags. At translation order 2 the
+        vehicle coasts: an expired command leaves the velocity unchanged.
         """
-        return replace(vehicle, body_rate=self.failsafe_turn, fraction=self.failsafe_fraction)
+        return vehicle if self.lags else replace(vehicle, body_rate=body_rate, fraction=fraction)
 
 
 @dataclass(frozen=True)
@@ -265,8 +257,9 @@ class Plant(Model):
     gust_time: float = 3.0  # their correlation time [s]
     seed: int = 0  # of the gusts
 
+    lags = True
+
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.translation_order == 1 and self.drag:
             raise BadInput('drag', self.drag, '0 at translation_order 1, which commands airspeed')
         if self.translation_order == 2 and self.max_acceleration:
@@ -279,10 +272,6 @@ class Plant(Model):
         if self.translation_order == 2:
             return vehicle
         return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
-
-    def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle unchanged: losing the command has no immediate effect."""
-        return vehicle
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array

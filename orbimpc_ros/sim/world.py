@@ -110,8 +110,8 @@ class Flight:
         if held > 0.0:
             trail = model.flown(self.vehicle, min(held, model.step), fraction, body_rate)
         if held < model.step:
-            released, left = model.released((self.vehicle, *trail)[-1]), model.step - max(0.0, held)
-            trail += model.flown(released, left, model.failsafe_fraction, model.failsafe_turn)
+            safe, left = self.settings.failsafe, model.step - max(0.0, held)
+            trail += model.flown(model.released((self.vehicle, *trail)[-1], *safe), left, *safe)
         return self._along(trail)
 
     def _along(self, trail: Sequence[Vehicle]) -> Flight:

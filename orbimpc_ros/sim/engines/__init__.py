@@ -59,10 +59,8 @@ class Motion(NamedTuple):
     @property
     def finite(self) -> bool:
         """Return True if all numbers are finite."""
-        numbers = np.concatenate([np.ravel(part) for part in self[:7]])
-        if self.goal is not None:
-            numbers = np.append(numbers, self.goal)
-        return bool(np.isfinite(numbers).all()) and all(map(math.isfinite, self.facts.values()))
+        goal = () if self.goal is None else (self.goal,)
+        return all(np.isfinite(each).all() for each in (*self[:7], *self.facts.values(), *goal))
 
 
 class Engine(ABC):
