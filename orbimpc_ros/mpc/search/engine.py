@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The search as a method of the solver: from a request to a trajectory and its proof tree.
+"""Searches as methods of the solver: from a request to a trajectory and its proof tree.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -7,9 +7,9 @@ Mathematics: docs/mathematics.md, 4.3.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
 from threading import get_ident
 
 import numpy as np
@@ -24,29 +24,21 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.tree import LEAF, NOTHING, ProofTree
-from orbimpc_ros.mpc.search.relax import Quadratic, Room, room_for
+from orbimpc_ros.mpc.search.relax import Posed, room_for
 from orbimpc_ros.mpc.search.ring import Ring
-from orbimpc_ros.mpc.search.tree import (
-    KIND,
-    ROW,
-    Tree,
-    begin,
-    search,
-    tree_for,
-)
+from orbimpc_ros.mpc.search.tree import KIND, ROW, Tree, begin, search, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon up to which a search proves more in a tick than sparse solves do
 LONGEST_INERTIAL = 58  # without a floor: beyond it interior steps take longer than sparse solves
 ROOM = 1_000_000  # memory of the search, in nodes times steps
 SLICE = 3e5  # multiplications between checks of the deadline: less than a millisecond
-SPACES = 4  # number of threads whose memory is kept
 NONE: Array = np.zeros((0, 2))  # no guess
 SETTLED = 90.0  # factor on the tolerance of the search if constraints couple steps
 
 
-class Engine:
-    """Solver of problems in the plane by branch and bound over stage sets.
+class TreeSearch:
+    """A method that bounds and branches in machine code.
 
     Args:
         problem: to solve, in natural units.
@@ -55,14 +47,60 @@ class Engine:
 
     trusts_guess = False  # any starting point will do
 
-    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+    def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
         self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
         self._lengths = length_weights(problem)[1:].astype(float)
+        self._arrival, self._stiff = np.zeros(problem.horizon), 0.0
+        self._floor = float(problem.floor.fraction) if problem.floor.exists else 0.0
+
+    def _posed(self, request: Request, left: Array) -> Posed:
+        """Return the problem from a state, with ``left`` to arrive at, shape (n,)."""
+        q, constant = self._condensed.affine(request.state, request.goals)
+        cost = self._hessian, self._inverse, q, self._lengths, constant
+        return Posed(*cost, self._floor, self._arrival, left, self._stiff)
+
+    def _run(self, request: Request, tree: Tree, posed: Posed, search: Callable[[], int]) -> Found:
+        """Continue a search until it ends or the time is up; return its result with the proof."""
+        while search() == PAUSED:
+            if request.late or request.enough.met(self._found(tree, posed)):
+                break
+        return replace(self._found(tree, posed), proof=self._proof(tree))
+
+    def _found(self, tree: Tree, posed: Posed) -> Found:
+        """Return the incumbent, with the bound proved so far."""
+        value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
+        found = tree.best.copy() if value < np.inf else None
+        known = value + posed.constant, bound - self._excess + posed.constant
+        return Found(found, *known, int(tree.counts[NODES]))
+
+    def _proof(self, tree: Tree) -> ProofTree:
+        """Return the tree as the proof of its bound."""
+        made = int(tree.counts[MADE])
+        nodes, none = tree.nodes[:made].copy(), np.zeros(0, np.int64)
+        (leaves,) = np.nonzero((nodes[:, KIND] == LEAF) & (nodes[:, ROW] == 0))
+        nodes[leaves, ROW] = np.arange(len(leaves))
+        spare = 2.0 * self._excess / len(tree.best)  # the verifier's cost is less convex
+        return ProofTree(
+            nodes,
+            tree.at[:made].copy(),
+            tree.point[leaves],
+            (tree.kept[leaves] - spare).sum(axis=1),
+            np.zeros(len(leaves), np.int64),
+            none,
+            np.zeros(0),
+            tree.pull[leaves] if self._stiff else NOTHING,
+        )
+
+
+class Engine(TreeSearch):
+    """Solver of problems in the plane by branch and bound over stage sets."""
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        super().__init__(problem, tolerance)
         floor = problem.floor
-        fraction = float(floor.fraction) if floor.exists else 0.0
-        self._floor = fraction, floor.faces if floor.shape == 'polygon' else 0
+        self._faces = floor.faces if floor.shape == 'polygon' else 0
         self._widest = problem.widest_turn if floor.exists else math.pi
         self.takes_guess = floor.exists  # relaxations over disks need none
         if problem.max_rate or problem.max_acceleration or floor.shape == 'circle':
@@ -95,28 +133,15 @@ class Engine:
         Raises:
             Infeasible: no turns lead to an allowed last heading.
         """
-        ring, quad = self._ring(request.state), self._quadratic(request)
-        tree, room = _working_space(get_ident(), self._problem.horizon)
+        ring, posed = self._ring(request.state), self._posed(request, np.zeros(2))
+        thread, steps = get_ident(), self._problem.horizon
+        tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
-        if not begin(quad, ring, tree, guess, room):
+        if not begin(posed, ring, tree, guess, room):
             raise Infeasible('no turn meets the cone of approach')
-        asked = quad, ring, self._tolerance, tree, room, SLICE
-        while search(*asked) == PAUSED:
-            if request.late or request.enough.met(self._found(tree, quad)):
-                break
-        made = int(tree.counts[MADE])
-        known = tree.nodes[:made], tree.at[:made], tree.point[:made]
-        proof = proof_of(*known, np.zeros((made, len(tree.best))))
-        return replace(self._found(tree, quad), proof=proof)
-
-    def _found(self, tree: Tree, quad: Quadratic) -> Found:
-        return found_of(tree.best, tree.numbers, tree.counts, quad.constant, self._excess)
-
-    def _quadratic(self, request: Request) -> Quadratic:
-        """Return the cost: a quadratic of R_1 e1..R_N e1."""
-        q, constant = self._condensed.affine(request.state, request.goals)
-        return Quadratic(self._hessian, self._inverse, q, self._lengths, constant)
+        asked = posed, ring, self._tolerance, tree, room, SLICE
+        return self._run(request, tree, posed, lambda: search(*asked))
 
     def _ring(self, state: State) -> Ring:
         """Return the floor and the limits of headings and speeds from a state."""
@@ -128,70 +153,5 @@ class Engine:
             axis = problem.approach.axis(state)
             last, within = math.atan2(axis[1], axis[0]), problem.approach.cone + LEEWAY
         first = math.atan2(ahead[1], ahead[0])
-        return Ring(*self._floor, self._widest, first, entry, change, last, within)
-
-
-@lru_cache(maxsize=2 * LONGEST)
-def _working_space(thread: int, steps: int) -> tuple[Tree, Room]:
-    """Return the working memory of a search over N = ``steps`` steps.
-
-    Its nodes overwrite those of the previous search of this thread, which has ended.
-    """
-    nodes, memory = ROOM // steps, _memory(thread)
-    sectors, start, point = (
-        each[: nodes * steps].reshape(nodes, steps, -1)
-        for each in (memory.sectors, memory.start, memory.point)
-    )
-    own = tree_for(steps, 1)
-    made = memory._replace(best=own.best, speeds=own.speeds, turns=own.turns)
-    return made._replace(sectors=sectors, start=start, point=point), room_for(steps)
-
-
-@lru_cache(maxsize=SPACES)
-def _memory(thread: int) -> Tree:
-    """Return memory for the nodes of a search."""
-    return tree_for(1, ROOM)
-
-
-def found_of(
-    best: Array, numbers: Array, counts: np.ndarray, constant: float, excess: float
-) -> Found:
-    """Return the incumbent of a search, with the bound proved so far.
-
-    Args:
-        best: the incumbent, shape (N, n).
-        numbers: of the tree, see :mod:`orbimpc_ros.mpc.kernels.best_first`.
-        counts: the same.
-        constant: omitted from costs.
-        excess: largest increase of costs by the regularisation of H.
-    """
-    value, bound = float(numbers[VALUE]), float(numbers[LEAST])
-    found = best.copy() if value < np.inf else None
-    return Found(found, value + constant, bound - excess + constant, int(counts[NODES]))
-
-
-def proof_of(
-    nodes: np.ndarray, at: Array, point: Array, kept: Array, pull: Array = NOTHING
-) -> ProofTree:
-    """Return the tree of a search as the proof of its bound.
-
-    Args:
-        nodes: as in proofs, but with leaves not numbered yet, shape (M, 5).
-        at: as in proofs, shape (M,).
-        point: tangent point of each node's bound, shape (M, N, n).
-        kept: curvatures assigned to single steps in that bound, shape (M, N).
-        pull: multipliers of the arrival in that bound, shape (M, 1, n), if there is one.
-    """
-    nodes, none = nodes.copy(), np.zeros(0, np.int64)
-    (leaves,) = np.nonzero((nodes[:, KIND] == LEAF) & (nodes[:, ROW] == 0))
-    nodes[leaves, ROW] = np.arange(len(leaves))
-    return ProofTree(
-        nodes,
-        at.copy(),
-        point[leaves],
-        kept[leaves],
-        np.zeros(len(leaves), np.int64),
-        none,
-        np.zeros(0),
-        pull[leaves] if len(pull) else NOTHING,
-    )
+        floor = self._floor, self._faces, self._widest
+        return Ring(*floor, first, entry, change, last, within)

@@ -65,11 +65,11 @@ def set_inside(shapes, z):
 
 
 @compiled
-def set_system(quad, shapes, z, slope, multipliers, aim, system, right):
+def set_system(posed, shapes, z, slope, multipliers, aim, system, right):
     """Set Newton's system: stationarity of the cost, and depths times multipliers equal to ``aim``.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         shapes: outlines, shape (N, 12).
         z: points inside of them, shape (N, 2).
         slope: H z + q, shape (N, 2).
@@ -81,9 +81,9 @@ def set_system(quad, shapes, z, slope, multipliers, aim, system, right):
     depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
     for k in range(len(z)):
         for j in range(k + 1):
-            system[2 * k, 2 * j] = system[2 * k + 1, 2 * j + 1] = quad.hessian[k, j]
+            system[2 * k, 2 * j] = system[2 * k + 1, 2 * j + 1] = posed.hessian[k, j]
             system[2 * k, 2 * j + 1] = system[2 * k + 1, 2 * j] = 0.0
-        x, y, length = z[k, 0], z[k, 1], quad.lengths[k]
+        x, y, length = z[k, 0], z[k, 1], posed.lengths[k]
         right[2 * k], right[2 * k + 1] = -slope[k, 0], -slope[k, 1]
         if length > 0.0:
             size = np.sqrt(x * x + y * y + SHORT * SHORT)
@@ -96,8 +96,8 @@ def set_system(quad, shapes, z, slope, multipliers, aim, system, right):
         count = _depths(shapes[k], x, y, depths, normals)
         for i in range(count):
             if depths[i] <= 0.0:  # no interior
-                system[2 * k, 2 * k] += HELD * quad.hessian[k, k]
-                system[2 * k + 1, 2 * k + 1] += HELD * quad.hessian[k, k]
+                system[2 * k, 2 * k] += HELD * posed.hessian[k, k]
+                system[2 * k + 1, 2 * k + 1] += HELD * posed.hessian[k, k]
                 right[2 * k] = right[2 * k + 1] = 0.0
                 break
             a, b, push = normals[i, 0], normals[i, 1], multipliers[k, i] / depths[i]

@@ -130,18 +130,18 @@ def _changes(ring, z, k):
 
 
 @compiled
-def _rise(quad, ring, chain, stiff, z, there):
+def _rise(posed, ring, chain, stiff, z, there):
     """Return the rise of the augmented cost from z to other headings.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         ring: gives the limit of the change of speed.
         chain: multipliers of its rise and its fall at each step, shape (N, 2).
         stiff: weight of the penalty; 0 for none.
         z: headings, shape (N, 2).
         there: the other headings, shape (N, 2).
     """
-    rise = rise_of(quad, z, there)
+    rise = rise_of(posed, z, there)
     if stiff > 0.0:
         for k in range(len(z)):
             for x, sign in ((there, 1.0), (z, -1.0)):
@@ -177,9 +177,9 @@ def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
 
 
 @compiled
-def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
+def _set_model(posed, ring, chain, stiff, y, z, by, gradient, curved):
     """Set the gradient, shape (2N,), and the Hessian, shape (2N, 2N), in speeds and then turns."""
-    hessian, count, angle = quad.hessian, len(z), ring.first
+    hessian, count, angle = posed.hessian, len(z), ring.first
     for k in range(count):  # derivatives of z_k in t_k and theta_k
         angle += y[count + k]
         c, s = np.cos(angle), np.sin(angle)
@@ -188,7 +188,7 @@ def _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved):
         along = rest * slope
         by[k, 0, 0], by[k, 0, 1] = (1.0 - rho) * c, (1.0 - rho) * s
         by[k, 1, 0], by[k, 1, 1] = along * c - size * s, along * s + size * c
-        a, b, length = quad.q[k, 0], quad.q[k, 1], quad.lengths[k]
+        a, b, length = posed.q[k, 0], posed.q[k, 1], posed.lengths[k]
         for j in range(count):
             a += hessian[k, j] * z[j, 0]
             b += hessian[k, j] * z[j, 1]
@@ -245,7 +245,7 @@ def set_step(curved, gradient, y, bounds, damping, room, step):
 
 
 @compiled
-def _descend(quad, ring, chain, stiff, speeds, turns, z):
+def _descend(posed, ring, chain, stiff, speeds, turns, z):
     """Descend as in :func:`descend`, for given multipliers of the changes of speed."""
     count = len(z)
     size = 2 * count
@@ -260,7 +260,7 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
     set_headings(ring, speeds, turns, z)
     damping = DAMPED
     for _ in range(STEPS):
-        _set_model(quad, ring, chain, stiff, y, z, by, gradient, curved)
+        _set_model(posed, ring, chain, stiff, y, z, by, gradient, curved)
         scale, fall = 1e-300, 0.0
         for i in range(size):
             scale = max(scale, abs(curved[i, i]))
@@ -269,7 +269,7 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
                 for i in range(size):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)
-                fall = -_rise(quad, ring, chain, stiff, z, there)
+                fall = -_rise(posed, ring, chain, stiff, z, there)
                 if fall > 0.0:
                     y, trial = trial, y
                     for k in range(count):
@@ -277,18 +277,18 @@ def _descend(quad, ring, chain, stiff, speeds, turns, z):
                     damping = max(1e-10, CALMED * damping)
                     break
             damping *= STIFFENED
-        if fall <= SETTLED * max(abs(cost_of(quad, z) + quad.constant), NEGLIGIBLE):
+        if fall <= SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE):
             break
     for k in range(count):
         speeds[k], turns[k] = y[k], y[count + k]
 
 
 @compiled
-def descend(quad, ring, speeds, turns, z):
+def descend(posed, ring, speeds, turns, z):
     """Descend to a local optimum.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         ring: floor and turn rate, and the limit of the change of speed.
         speeds: initial t, shape (N,), updated.
         turns: initial d, shape (N,), updated.
@@ -299,10 +299,10 @@ def descend(quad, ring, speeds, turns, z):
     """
     chain, curvature, limited = np.zeros((len(z), 2)), 0.0, ring.change < np.inf
     for k in range(len(z)):
-        curvature = max(curvature, quad.hessian[k, k])
+        curvature = max(curvature, posed.hessian[k, k])
     stiff = STIFF * curvature if limited else 0.0
     for _ in range(ROUNDS):
-        _descend(quad, ring, chain, stiff, speeds, turns, z)
+        _descend(posed, ring, chain, stiff, speeds, turns, z)
         worst = 0.0
         for k in range(len(z) if limited else 0):
             rises, falls = _changes(ring, z, k)

@@ -11,6 +11,7 @@ Mathematics: docs/mathematics.md, 4.3.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -39,17 +40,22 @@ RISES = 0.1  # least rise, as a share of the gap
 LONGEST = 1e7  # most multiplications without a check of the deadline
 ROUNDING = 1e-15  # relative error of terms that cancel
 HALVINGS, SHRINK = 6, 0.4
+SPACES = 4  # number of working memories that are kept
 
 
-class Quadratic(NamedTuple):
-    """The cost 1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + sum_k l_k |z_k|.
+class Posed(NamedTuple):
+    """1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + sum_k l_k |z_k|, maybe with sum_k a_k z_k = b.
 
     Attributes:
         hessian: H, positive definite, shape (N, N).
         inverse: of H, shape (N, N).
-        q: shape (N, 2).
+        q: shape (N, n).
         lengths: l >= 0, shape (N,).
         constant: omitted from the cost; it only scales tolerances.
+        floor: the least modulus.
+        arrival: a, shape (N,); zeros without an arrival.
+        left: b, shape (n,).
+        stiff: weight on |a z - b|^2 / 2 in computations; 0 without an arrival.
     """
 
     hessian: Array
@@ -57,6 +63,10 @@ class Quadratic(NamedTuple):
     q: Array
     lengths: Array
     constant: float
+    floor: float
+    arrival: Array
+    left: Array
+    stiff: float
 
 
 class Room(NamedTuple):
@@ -75,6 +85,8 @@ class Room(NamedTuple):
         basis: the free directions, shape (2N, 2).
         system: matrix of a Newton step, shape (2N, 2N).
         right: its right-hand side, then the step, shape (2N,).
+        speeds: of a trajectory under construction, shape (N,).
+        turns: of the same, shape (N,).
     """
 
     slope: Array
@@ -89,10 +101,13 @@ class Room(NamedTuple):
     basis: Array
     system: Array
     right: Array
+    speeds: Array
+    turns: Array
 
 
-def room_for(steps: int) -> Room:
-    """Return working memory for N = ``steps`` headings."""
+@lru_cache(maxsize=SPACES)
+def room_for(thread: int, steps: int) -> Room:
+    """Return working memory for N = ``steps`` headings, which is the same for all of a thread."""
     size, integers = 2 * steps, np.int64
     return Room(
         np.zeros((steps, 2)),
@@ -107,6 +122,8 @@ def room_for(steps: int) -> Room:
         np.zeros((size, 2)),
         np.zeros((size, size)),
         np.zeros(size),
+        np.zeros(steps),
+        np.zeros(steps),
     )
 
 
@@ -130,19 +147,19 @@ def set_slope(hessian, q, z, slope):
 
 
 @compiled
-def tangent_bound(quad, shapes, z, slope):
+def tangent_bound(posed, shapes, z, slope):
     """Return the cost at a point, and a lower bound on costs: its tangent's minimum over the sets.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         shapes: outlines, shape (N, 12).
         z: tangent point, shape (N, 2).
         slope: H z + q, shape (N, 2).
     """
     cost = least = size = 0.0
     for k in range(len(z)):
-        gx, gy, x, y, length = slope[k, 0], slope[k, 1], z[k, 0], z[k, 1], quad.lengths[k]
-        half = 0.5 * (x * (gx + quad.q[k, 0]) + y * (gy + quad.q[k, 1]))
+        gx, gy, x, y, length = slope[k, 0], slope[k, 1], z[k, 0], z[k, 1], posed.lengths[k]
+        half = 0.5 * (x * (gx + posed.q[k, 0]) + y * (gy + posed.q[k, 1]))
         along = gx * x + gy * y
         there = support(shapes[k], length, gx, gy)
         cost += half + length * np.sqrt(x * x + y * y)
@@ -152,13 +169,13 @@ def tangent_bound(quad, shapes, z, slope):
 
 
 @compiled
-def _sweep(quad, z, room):
+def _sweep(posed, z, room):
     """Move each heading in turn to its proximal map, and update the slope."""
-    hessian, slope, count = quad.hessian, room.slope, len(z)
+    hessian, slope, count = posed.hessian, room.slope, len(z)
     for k in range(count):
         h, x, y = hessian[k, k], z[k, 0], z[k, 1]
         cx, cy = slope[k, 0] - h * x, slope[k, 1] - h * y
-        px, py, face, dx, dy = prox(room.shapes[k], h, quad.lengths[k], cx, cy)
+        px, py, face, dx, dy = prox(room.shapes[k], h, posed.lengths[k], cx, cy)
         room.faces[k], room.along[k, 0], room.along[k, 1] = face, dx, dy
         moved_x, moved_y = px - x, py - y
         if moved_x != 0.0 or moved_y != 0.0:
@@ -169,11 +186,11 @@ def _sweep(quad, z, room):
 
 
 @compiled
-def _set_basis(quad, z, room):
+def _set_basis(posed, z, room):
     """Set directions along faces, with the curvature of lengths and rims; return their number."""
     count, steps, basis, right, system = 0, room.steps, room.basis, room.right, room.system
     for k in range(len(z)):
-        face, x, y, length = room.faces[k], z[k, 0], z[k, 1], quad.lengths[k]
+        face, x, y, length = room.faces[k], z[k, 0], z[k, 1], posed.lengths[k]
         if face == POINT:
             continue
         gx, gy, size = room.slope[k, 0], room.slope[k, 1], np.sqrt(x * x + y * y)
@@ -206,15 +223,15 @@ def _set_basis(quad, z, room):
 
 
 @compiled
-def _newton(quad, z, reached, room):
+def _newton(posed, z, reached, room):
     """Take a Newton step along all faces at once; return the cost, lower if that succeeded."""
-    count, steps, basis, system = _set_basis(quad, z, room), room.steps, room.basis, room.system
+    count, steps, basis, system = _set_basis(posed, z, room), room.steps, room.basis, room.system
     for i in range(count):
         k, a, b = steps[i], basis[i, 0], basis[i, 1]
         for j in range(i):
-            inner = quad.hessian[k, steps[j]] * (a * basis[j, 0] + b * basis[j, 1])
+            inner = posed.hessian[k, steps[j]] * (a * basis[j, 0] + b * basis[j, 1])
             system[i, j] = inner + (system[i, j] if steps[j] == k else 0.0)
-        system[i, i] += quad.hessian[k, k]
+        system[i, i] += posed.hessian[k, k]
     if count == 0 or not solve_spd(system, room.right, count):
         return reached
     trial, slope, share = room.trial, room.slope, 1.0
@@ -224,13 +241,13 @@ def _newton(quad, z, reached, room):
             trial[steps[i], 0] += share * room.right[i] * basis[i, 0]
             trial[steps[i], 1] += share * room.right[i] * basis[i, 1]
         _pull_back(z, room)
-        set_slope(quad.hessian, quad.q, trial, slope)
-        cost = cost_at(quad, trial, slope)
+        set_slope(posed.hessian, posed.q, trial, slope)
+        cost = cost_at(posed, trial, slope)
         if cost < reached:
             copy_to(z, trial)
             return cost
         share *= SHRINK
-    set_slope(quad.hessian, quad.q, z, slope)
+    set_slope(posed.hessian, posed.q, z, slope)
     return reached
 
 
@@ -250,14 +267,14 @@ def _pull_back(z, room):
 
 
 @compiled
-def cost_at(quad, z, slope):
+def cost_at(posed, z, slope):
     """Return the cost, without the constant, at a point with slope H z + q."""
     cost = 0.0
     for k in range(len(z)):
         x, y = z[k, 0], z[k, 1]
-        cost += 0.5 * (x * (slope[k, 0] + quad.q[k, 0]) + y * (slope[k, 1] + quad.q[k, 1]))
-        if quad.lengths[k] > 0.0:
-            cost += quad.lengths[k] * np.sqrt(x * x + y * y)
+        cost += 0.5 * (x * (slope[k, 0] + posed.q[k, 0]) + y * (slope[k, 1] + posed.q[k, 1]))
+        if posed.lengths[k] > 0.0:
+            cost += posed.lengths[k] * np.sqrt(x * x + y * y)
     return cost
 
 
@@ -271,43 +288,43 @@ def length_of(z, k):
 
 
 @compiled
-def cost_of(quad, z):
+def cost_of(posed, z):
     """Return the cost at a point of any dimension, without the constant."""
     cost = 0.0
     for j in range(len(z)):
         for c in range(z.shape[1]):
-            slope = quad.q[j, c]
+            slope = posed.q[j, c]
             for k in range(len(z)):
-                slope += 0.5 * quad.hessian[j, k] * z[k, c]
+                slope += 0.5 * posed.hessian[j, k] * z[k, c]
             cost += z[j, c] * slope
-        if quad.lengths[j] > 0.0:
-            cost += quad.lengths[j] * length_of(z, j)
+        if posed.lengths[j] > 0.0:
+            cost += posed.lengths[j] * length_of(z, j)
     return cost
 
 
 @compiled
-def rise_of(quad, z, there):
+def rise_of(posed, z, there):
     """Return the rise of the cost from z to another point, of any dimension.
 
     The difference of two nearly equal costs would be lost in rounding.
     """
-    rise, hessian = 0.0, quad.hessian
+    rise, hessian = 0.0, posed.hessian
     for j in range(len(z)):
         for c in range(z.shape[1]):
-            slope = quad.q[j, c]
+            slope = posed.q[j, c]
             for k in range(len(z)):
                 slope += 0.5 * hessian[j, k] * (z[k, c] + there[k, c])
             rise += (there[j, c] - z[j, c]) * slope
-        if quad.lengths[j] > 0.0:
-            rise += quad.lengths[j] * (length_of(there, j) - length_of(z, j))
+        if posed.lengths[j] > 0.0:
+            rise += posed.lengths[j] * (length_of(there, j) - length_of(z, j))
     return rise
 
 
 @compiled
-def _raise(quad, node, room):
+def _raise(posed, node, room):
     """Raise a node's bound to that of the tangent at its point; return the cost there."""
     z, best, key = node
-    cost, least = tangent_bound(quad, room.shapes, z, room.slope)
+    cost, least = tangent_bound(posed, room.shapes, z, room.slope)
     if least > key[0]:
         key[0] = least
         copy_to(best, z)
@@ -315,39 +332,39 @@ def _raise(quad, node, room):
 
 
 @compiled
-def _pass_through(quad, node, limits, room):
+def _pass_through(posed, node, limits, room):
     """Minimise through the interior of the hulls; return the outcome."""
     z, _, key = node
     cutoff, gap = limits
     inside = set_inside(room.shapes, z)
     multipliers = np.zeros((len(z), LIMITS))
-    set_slope(quad.hessian, quad.q, z, room.slope)
-    cost, least = tangent_bound(quad, room.shapes, z, room.slope)
+    set_slope(posed.hessian, posed.q, z, room.slope)
+    cost, least = tangent_bound(posed, room.shapes, z, room.slope)
     aim, share = (cost - least) / max(1, inside), 0.0
     set_multipliers(room.shapes, z, aim, multipliers)
     for _ in range(STEPS):
         left, inside = gap_inside(room.shapes, z, multipliers)
         aim = (CENTRED if share > LONG else BLOCKED) * left / max(1, inside)
-        set_system(quad, room.shapes, z, room.slope, multipliers, aim, room.system, room.right)
+        set_system(posed, room.shapes, z, room.slope, multipliers, aim, room.system, room.right)
         if not solve_spd(room.system, room.right, 2 * len(z)):
             break
         share = move_inside(room.shapes, z, room.right, multipliers, aim)
-        set_slope(quad.hessian, quad.q, z, room.slope)
-        cost = _raise(quad, node, room)
+        set_slope(posed.hessian, posed.q, z, room.slope)
+        cost = _raise(posed, node, room)
         if key[0] >= cutoff:
             return PRUNED
-        if cost - key[0] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
-            _sweep(quad, z, room)
+        if cost - key[0] <= gap * max(abs(cost + posed.constant), NEGLIGIBLE):
+            _sweep(posed, z, room)
             return SOLVED
     return STALLED
 
 
 @compiled
-def relax(quad, node, limits, room, work):
+def relax(posed, node, limits, room, work):
     """Minimise over the hulls, starting at a point.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         node: the point, shape (N, 2); the tangent point of its bound, shape (N, 2); that bound,
             shape (1,); all updated.
         limits: the bound at which the node is pruned, and the relative gap that suffices.
@@ -360,25 +377,25 @@ def relax(quad, node, limits, room, work):
     z, _, key = node
     cutoff, gap = limits
     count = len(z)
-    set_slope(quad.hessian, quad.q, z, room.slope)
+    set_slope(posed.hessian, posed.q, z, room.slope)
     cost, before = 0.0, -np.inf
     while True:
         for _ in range(PATIENCE):
-            _sweep(quad, z, room)
+            _sweep(posed, z, room)
             for turn in range(2):
-                cost = _raise(quad, node, room)
+                cost = _raise(posed, node, room)
                 if key[0] >= cutoff:
                     return PRUNED, work
-                if cost - key[0] <= gap * max(abs(cost + quad.constant), NEGLIGIBLE):
+                if cost - key[0] <= gap * max(abs(cost + posed.constant), NEGLIGIBLE):
                     return SOLVED, work
                 if turn == 0:
-                    _newton(quad, z, cost, room)
+                    _newton(posed, z, cost, room)
             work -= 10.0 * count * count + count**3
         if not key[0] - before >= RISES * (cost - key[0]):  # nearly at the limit of rounding
             spent = STEPS * 2.0 * count**3
             if spent > LONGEST:
                 return STALLED, work
-            return _pass_through(quad, node, limits, room), work - spent
+            return _pass_through(posed, node, limits, room), work - spent
         if work <= 0.0 and before > -np.inf:
             return GOING, work
         before = key[0]

@@ -69,6 +69,17 @@ def cut_near(angle, low, high):
 
 
 @compiled
+def take_part(sector, k, low, high, cut, parts, i):
+    """Narrow a step's range, in columns low and high, to one of two parts or of many arcs."""
+    if parts > 2:
+        sector[k, low], sector[k, high] = cut + i * TURN / parts, cut + (i + 1) * TURN / parts
+    elif i == 0:
+        sector[k, high] = cut
+    else:
+        sector[k, low] = cut
+
+
+@compiled
 def least_speed(fraction, faces, angle):
     """Return the least speed of a floor along an angle [rad]."""
     if faces == 0:

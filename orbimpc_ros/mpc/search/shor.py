@@ -37,11 +37,11 @@ from orbimpc_ros.mpc.kernels.linear import (
     solve_factored,
     solve_spd,
 )
-from orbimpc_ros.mpc.search.shells import set_tangents
+from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN
+from orbimpc_ros.mpc.search.shells import missed_by, set_tangents
+from orbimpc_ros.mpc.search.tree import KEY, MU, TAKEN
 
 GOING, CLIMBED, PRUNED = range(3)  # outcomes of a climb
-KEY, TAKEN, MU = range(3)  # in Node.known: bound; Newton steps; smoothing of the dual function
-LOW, HIGH = range(2)  # of sectors
 MODULUS, ARC, FIRST_EDGE, LAST_EDGE = range(4)  # kinds of multipliers of a step
 KINDS = 4
 CLIMBS = 60  # most Newton steps of a climb
@@ -55,30 +55,6 @@ ON_BOUND = 1e-6  # a heading this close to the rim or the floor counts as on it
 SPARES = (1e-14, 1e-10, 1e-8, 1e-6, 1e-5, 1e-4, 1e-3)  # increases of theta, relative to max |H|
 MARGIN = 1e-13  # of verified convexity, in units of the largest curvature, per step
 ROUNDING = 4e-16  # relative, of the terms of a bound, per step
-
-
-class Posed(NamedTuple):
-    """1/2 <z, H z> + q . z + sum_k l_k |z_k| over floor <= |z_k| <= 1, with sum_k a_k z_k = b.
-
-    Attributes:
-        hessian: H, positive definite, shape (N, N).
-        q: shape (N, n).
-        lengths: l >= 0, shape (N,).
-        arrival: a, shape (N,); zeros without an arrival.
-        left: b, shape (n,).
-        stiff: weight on |a z - b|^2 / 2 in computations; 0 without an arrival.
-        floor: the least modulus.
-        constant: omitted from the cost; it only scales tolerances.
-    """
-
-    hessian: Array
-    q: Array
-    lengths: Array
-    arrival: Array
-    left: Array
-    stiff: float
-    floor: float
-    constant: float
 
 
 class Rows(NamedTuple):
@@ -99,29 +75,6 @@ class Rows(NamedTuple):
     offsets: Array
 
 
-class Node(NamedTuple):
-    """A node of the search.
-
-    Attributes:
-        sector: first and last direction of each heading [rad], a full turn apart if unconstrained,
-            shape (N, 2).
-        z: the current point of its climb, shape (N, n).
-        held: multipliers by kind, shape (4, N).
-        point: tangent point of its bound, shape (N, n).
-        kept: curvatures assigned to single steps in that bound, shape (N,).
-        pull: multipliers of the arrival in that bound, shape (n,).
-        known: see the names of its entries, shape (3,).
-    """
-
-    sector: Array
-    z: Array
-    held: Array
-    point: Array
-    kept: Array
-    pull: Array
-    known: Array
-
-
 @compiled
 def rows_of(floor, sector, dimension):
     """Return the rows of moduli, and of sectors narrower than half a turn.
@@ -131,7 +84,7 @@ def rows_of(floor, sector, dimension):
 
     Args:
         floor: f, the least modulus.
-        sector: shape (N, 2); full turns in space.
+        sector: shape (N, 4); full turns in space.
         dimension: n.
     """
     steps, most = len(sector), KINDS * len(sector)
@@ -171,7 +124,7 @@ def rows_of(floor, sector, dimension):
 
 
 @compiled
-def stiffen(posed, matrix, linear):
+def _stiffen(posed, matrix, linear):
     """Add the arrival's weight to a matrix and to linear terms; return its constant term."""
     constant, a = 0.0, posed.arrival
     if posed.stiff > 0.0:
@@ -193,8 +146,8 @@ def _set_minimiser(posed, rows, weights, inverse, z, pull):
         The Lagrangian there without moduli, and log det of the matrix that P inverts, both for z
         subject to the arrival; -inf, with nothing set, if that matrix is not positive definite.
     """
-    matrix, linear = posed.hessian.copy(), posed.q.copy()
-    constant = stiffen(posed, matrix, linear)
+    matrix, linear, a = posed.hessian.copy(), posed.q.copy(), posed.arrival
+    constant = _stiffen(posed, matrix, linear)
     for i in range(len(weights)):
         k = rows.steps[i]
         matrix[k, k] += weights[i] * rows.curved[i]
@@ -214,12 +167,10 @@ def _set_minimiser(posed, rows, weights, inverse, z, pull):
     along, bent = np.zeros(len(z)), 0.0
     for j in range(len(z)):
         for k in range(len(z)):
-            along[j] += inverse[j, k] * posed.arrival[k]
-        bent += along[j] * posed.arrival[j]
+            along[j] += inverse[j, k] * a[k]
+        bent += along[j] * a[j]
     for c in range(z.shape[1]):
-        missed = -posed.left[c]
-        for k in range(len(z)):
-            missed += posed.arrival[k] * z[k, c]
+        missed = missed_by(posed, z, c)
         pull[c] = missed / bent
         constant += 0.5 * missed * pull[c]
         for k in range(len(z)):
@@ -324,10 +275,10 @@ def _least_over(posed, k, curvature, slope, sector):
     for c in range(len(slope)):
         size += slope[c] * slope[c]
     along = -np.sqrt(size)
-    if high - low < 2.0 * np.pi:
+    if high - low < TURN:
         angle = np.arctan2(-slope[1], -slope[0])
         off = abs(angle - 0.5 * (low + high))
-        off = abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi)))
+        off = abs(off - TURN * np.round(off / (TURN)))
         along *= np.cos(max(0.0, off - 0.5 * (high - low)))
     along += posed.lengths[k]
     if curvature > 0.0:
@@ -337,7 +288,7 @@ def _least_over(posed, k, curvature, slope, sector):
 
 
 @compiled
-def prove(posed, theta, z, pull, node):
+def prove(posed, theta, z, pull, tree, node):
     """Raise a node's bound to that of the tangent at a point, if it is higher.
 
     Args:
@@ -345,7 +296,8 @@ def prove(posed, theta, z, pull, node):
         theta: curvatures that make the cost convex, shape (N,).
         z: tangent point, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
-        node: its tangent and its bound are updated.
+        tree: the node's tangent and its bound are updated.
+        node: its index.
     """
     (count, n), top, least, terms = z.shape, 0.0, 0.0, 0.0
     slope = posed.q.copy()
@@ -362,17 +314,17 @@ def prove(posed, theta, z, pull, node):
             pulled = pull[c] * posed.arrival[k]
             slope[k, c] += pulled - kept[k] * z[k, c]
             value += 0.5 * z[k, c] * (posed.q[k, c] + pulled - slope[k, c])
-        there = _least_over(posed, k, kept[k], slope[k], node.sector[k])
+        there = _least_over(posed, k, kept[k], slope[k], tree.sectors[node, k])
         least += value + there
         terms += abs(value) + abs(there)
     least -= ROUNDING * count * terms
-    if least > node.known[KEY]:
-        node.known[KEY] = least
-        node.point[:], node.kept[:], node.pull[:] = z, kept, pull
+    if least > tree.known[node, KEY]:
+        tree.known[node, KEY] = least
+        tree.point[node], tree.kept[node, 0], tree.pull[node, 0] = z, kept, pull
 
 
 @compiled
-def certify(posed, z, pull, node, cutoff):
+def certify(posed, z, pull, tree, cutoff):
     """Raise the root's bound to that of the multipliers of a stationary point, if it is higher.
 
     With mu_k the multiplier of the modulus, theta_k is mu_k plus as much of the length's curvature
@@ -383,13 +335,13 @@ def certify(posed, z, pull, node, cutoff):
         posed: the problem.
         z: the point, on the shells, shape (N, n).
         pull: multipliers of the arrival, shape (n,).
-        node: the root.
+        tree: its root is updated.
         cutoff: the bound that suffices.
     """
     (count, n), floor = z.shape, posed.floor
     force, theta, right = posed.q.copy(), np.zeros(count), posed.q.copy()
     stiffened, matrix = posed.hessian.copy(), np.empty((count, count))
-    stiffen(posed, stiffened, right)
+    _stiffen(posed, stiffened, right)
     there, column, held = np.empty((count, n)), np.empty(count), np.zeros(n)
     add_product(posed.hessian, z, 1.0, force)
     for k in range(count):
@@ -426,13 +378,10 @@ def certify(posed, z, pull, node, cutoff):
             solve_factored(matrix, column, count)
             there[:, c] = column
             if bent > 0.0:
-                missed = -posed.left[c]
-                for k in range(count):
-                    missed += posed.arrival[k] * there[k, c]
-                held[c] = missed / bent
+                held[c] = missed_by(posed, there, c) / bent
                 there[:, c] -= along * held[c]
-        prove(posed, theta, there, held, node)
-        if node.known[KEY] >= cutoff:
+        prove(posed, theta, there, held, tree, 0)
+        if tree.known[0, KEY] >= cutoff:
             break
 
 
@@ -453,12 +402,13 @@ def _begin(posed, held, known, rows, weights):
 
 
 @compiled
-def climb(posed, node, near, cutoff, work):
+def climb(posed, tree, node, near, cutoff, work):
     """Maximise the dual function by Newton's method, with shrinking barriers; interruptible.
 
     Args:
         posed: the problem.
-        node: updated.
+        tree: its node is updated.
+        node: index of the node.
         near: share of the gap to the cutoff; the climb ends when it can gain no more than that.
         cutoff: the bound at which the node is pruned.
         work: multiplications to do; one Newton step is done at least.
@@ -466,8 +416,8 @@ def climb(posed, node, near, cutoff, work):
     Returns:
         The outcome, and the remaining multiplications.
     """
-    z, held, known = node.z, node.held, node.known
-    count, rows = len(z), rows_of(posed.floor, node.sector, z.shape[1])
+    z, held, known = tree.z[node], tree.held[node], tree.known[node]
+    count, rows = len(z), rows_of(posed.floor, tree.sectors[node], z.shape[1])
     total, status = len(rows.steps), CLIMBED
     weights, inverse, pull = np.empty(total), np.empty((count, count)), np.zeros(z.shape[1])
     system, step, theta = np.empty((total, total)), np.empty(total), np.empty(count)
@@ -483,7 +433,7 @@ def climb(posed, node, near, cutoff, work):
         theta[:] = 0.0
         for i in range(total):
             theta[rows.steps[i]] += rows.curved[i] * weights[i]
-        prove(posed, theta, z, pull, node)
+        prove(posed, theta, z, pull, tree, node)
         lacking = cutoff - known[KEY]
         if lacking <= 0.0:
             status = PRUNED
@@ -501,7 +451,7 @@ def climb(posed, node, near, cutoff, work):
 
 
 @compiled
-def set_spread(posed, node, side, aside):
+def set_spread(posed, tree, node, side, aside):
     """Set headings on one side of the end of a climb, at the reach of its second moments.
 
     These are those of z plus 2 mu P. If two paths around cost nearly the same, the inverse of P is
@@ -509,15 +459,16 @@ def set_spread(posed, node, side, aside):
 
     Args:
         posed: the problem.
-        node: whose climb has ended.
+        tree: the search.
+        node: index of a node whose climb has ended.
         side: index among 2 (n - 1) sides: both directions along each tangent.
         aside: shape (N, n), set.
     """
-    z, (count, n) = node.z, node.z.shape
-    rows, inverse = rows_of(posed.floor, node.sector, n), np.zeros((count, count))
+    z, (count, n) = tree.z[node], aside.shape
+    rows, inverse = rows_of(posed.floor, tree.sectors[node], n), np.zeros((count, count))
     weights, j = np.empty(len(rows.steps)), 0
     for i in range(len(weights)):
-        weights[i] = node.held[rows.kinds[i], rows.steps[i]]
+        weights[i] = tree.held[node, rows.kinds[i], rows.steps[i]]
     _set_minimiser(posed, rows, weights, inverse, aside, np.zeros(n))
     for k in range(count):
         if inverse[k, k] > inverse[j, j]:
@@ -529,7 +480,7 @@ def set_spread(posed, node, side, aside):
     if square > 0.0:
         by[0] = z[j] / np.sqrt(square)
     set_tangents(by)
-    reach = np.sqrt(2.0 * node.known[MU] / SHRINK / (inverse[j, j] + 1e-300))
+    reach = np.sqrt(2.0 * tree.known[node, MU] / SHRINK / (inverse[j, j] + 1e-300))
     reach *= 1.0 if side % 2 == 0 else -1.0
     for k in range(count):
         for c in range(n):
@@ -537,13 +488,13 @@ def set_spread(posed, node, side, aside):
 
 
 @compiled
-def priced_branching(posed, node, narrowest):
+def priced_branching(posed, tree, node, narrowest):
     """Return the step whose violation of the modulus is priced highest, or -1 for none."""
-    chosen, most, floor, sector = -1, 0.0, posed.floor, node.sector
-    for k in range(len(node.z)):
-        bent, square = node.held[MODULUS, k] - 2.0 * posed.lengths[k] / (1.0 + floor), 0.0
-        for c in range(node.z.shape[1]):
-            square += node.z[k, c] * node.z[k, c]
+    chosen, most, floor, sector, z = -1, 0.0, posed.floor, tree.sectors[node], tree.z[node]
+    for k in range(len(z)):
+        bent, square = tree.held[node, MODULUS, k] - 2.0 * posed.lengths[k] / (1.0 + floor), 0.0
+        for c in range(z.shape[1]):
+            square += z[k, c] * z[k, c]
         missed = abs(bent * ((1.0 if bent > 0.0 else floor * floor) - square))
         if missed > most and sector[k, HIGH] - sector[k, LOW] > narrowest:
             chosen, most = k, missed

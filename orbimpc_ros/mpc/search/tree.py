@@ -10,6 +10,7 @@ Mathematics: docs/mathematics.md, 4.3.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.best_first import (
-    CLOSED,
     DONE,
     FULL,
     LEAST,
@@ -32,13 +32,14 @@ from orbimpc_ros.mpc.kernels.best_first import (
     leave_open,
     take,
 )
+from orbimpc_ros.mpc.kernels.linear import add_product
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, SPEED
 from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
 from orbimpc_ros.mpc.search.relax import (
     GOING,
     SOLVED,
+    SPACES,
     STALLED,
-    Quadratic,
     copy_to,
     cost_of,
     relax,
@@ -61,70 +62,125 @@ from orbimpc_ros.mpc.search.ring import (
     nearest_speed,
     outline,
     prox,
+    take_part,
 )
 
 PROMISES = 3  # in Tree.counts
 KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
+KEY, TAKEN, MU = range(3)  # in Tree.known: bound; Newton steps; smoothing of the dual function
 MOST_ARCS = 5  # most arcs that the headings of a step are split into
 NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
 NARROWEST = 1e-6  # narrower sectors [rad] and ranges of speeds are not cut
 SATISFIED = 1e-8  # smaller violations of a floor or a turn are not branched on
 ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
-PULLS = (1.0, 30.0, 1000.0)  # weights on the last heading, in units of the largest curvature
 
 
 class Tree(NamedTuple):
     """A search: its M nodes, and the incumbent.
 
+    Without Shor multipliers, K = C = 0 and the tangent's curvature is that of the cost; else K = 4
+    and C = 1.
+
     Attributes:
         sectors: low, high, slow, fast for each step, shape (M, N, 4).
-        start: point where a node's relaxation begins or has ended, shape (M, N, 2).
-        point: tangent point of a node's bound, shape (M, N, 2).
-        bounds: of all nodes, shape (M, 1).
+        z: point where a node's relaxation begins or has ended, shape (M, N, n).
+        point: tangent point of a node's bound, shape (M, N, n).
+        held: multipliers by kind, shape (M, K, N).
+        kept: curvatures assigned to single steps in that bound, shape (M, C, N).
+        pull: multipliers of an arrival in that bound, shape (M, C, n).
+        known: see the names of its entries, shape (M, 3).
         nodes: as in proofs (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but with leaves not
             numbered yet, shape (M, 5).
         at: the first angle [rad], or the speed, between a node's children, shape (M,).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: indices of these nodes, shape (M,).
-        best: the incumbent, shape (N, 2).
-        speeds: of a trajectory under construction, shape (N,).
-        turns: of the same, shape (N,).
-        counts: see the names of its entries, shape (4,).
+        best: the incumbent, shape (N, n).
+        counts: see the names of its entries, shape (8,).
         numbers: shape (3,).
     """
 
     sectors: Array
-    start: Array
+    z: Array
     point: Array
-    bounds: Array
+    held: Array
+    kept: Array
+    pull: Array
+    known: Array
     nodes: np.ndarray
     at: Array
     keys: Array
     heap: np.ndarray
     best: Array
-    speeds: Array
-    turns: Array
     counts: np.ndarray
     numbers: Array
 
 
-def tree_for(steps: int, nodes: int) -> Tree:
-    """Return memory for a tree over N = ``steps`` steps, allocated page by page."""
+@lru_cache(maxsize=SPACES)
+def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
+    """Return memory for a search, used page by page; it overwrites the last one of its thread.
+
+    Args:
+        thread: identifies it.
+        nodes: M.
+        steps: N.
+        n: dimension.
+        kinds: K.
+    """
+    shor = min(1, kinds)
     return Tree(
         np.empty((nodes, steps, SECTOR)),
-        np.empty((nodes, steps, 2)),
-        np.empty((nodes, steps, 2)),
-        np.empty((nodes, 1)),
+        np.empty((nodes, steps, n)),
+        np.empty((nodes, steps, n)),
+        np.empty((nodes, kinds, steps)),
+        np.empty((nodes, shor, steps)),
+        np.empty((nodes, shor, n)),
+        np.empty((nodes, 3)),
         np.zeros((nodes, 5), np.int64),
         np.zeros(nodes),
         np.empty(nodes),
         np.empty(nodes, np.int64),
-        np.zeros((steps, 2)),
-        np.zeros(steps),
-        np.zeros(steps),
-        np.zeros(4, np.int64),
+        np.zeros((steps, n)),
+        np.zeros(8, np.int64),
         np.zeros(3),
     )
+
+
+@compiled
+def plant(tree):
+    """Begin a search with an open root, which is zero but for its sectors, and no incumbent."""
+    for data in (tree.z, tree.point, tree.held, tree.kept, tree.pull):
+        data[0] = 0.0
+    tree.nodes[0], tree.known[0], tree.known[0, KEY] = 0, 0.0, -np.inf
+    tree.counts[:], tree.numbers[:] = 0, np.inf
+    tree.counts[MADE], tree.numbers[LEAST] = 1, -np.inf
+    leave_open(tree, 0, -np.inf, np.inf)
+
+
+@compiled
+def branch(tree, node, kind, choice, cut, parts):
+    """Split a node; return its first child. The children are copies of it, and leaves."""
+    counts, nodes, first = tree.counts, tree.nodes, tree.counts[MADE]
+    counts[MADE] += parts
+    nodes[node, KIND], nodes[node, CHOICE], nodes[node, ROW] = kind, choice, -1
+    nodes[node, FIRST], nodes[node, PARTS], tree.at[node] = first, parts, cut
+    for i in range(first, first + parts):
+        for data in (tree.sectors, tree.z, tree.point, tree.held, tree.kept, tree.pull):
+            for k in range(data.shape[1]):
+                for c in range(data.shape[2]):
+                    data[i, k, c] = data[node, k, c]
+        for c in range(nodes.shape[1]):
+            nodes[i, c] = 0
+        tree.known[i, KEY], tree.known[i, MU] = tree.known[node, KEY], tree.known[node, MU]
+        tree.known[i, TAKEN] = 0.0
+    return first
+
+
+@compiled
+def take_better(posed, tree, z):
+    """Make a trajectory the incumbent if it is better."""
+    if tree.numbers[VALUE] == np.inf or rise_of(posed, tree.best, z) < 0.0:
+        tree.numbers[VALUE] = cost_of(posed, z)
+        copy_to(tree.best, z)
 
 
 @compiled
@@ -185,14 +241,6 @@ def _aim(ring, sector):
         if ring.widest < HALF:
             _narrow(sector, len(sector) - 1, LOW, HIGH, ring.widest)
     return first, ways
-
-
-@compiled
-def _set_leaf(tree, node, key):
-    """Make a node a leaf with a bound."""
-    for i in range(5):
-        tree.nodes[node, i] = 0
-    tree.bounds[node, 0] = key
 
 
 @compiled
@@ -303,19 +351,14 @@ def _set_part(ring, sector, choice, cut, parts, i):
     low, high, most = LOW, HIGH, ring.widest
     if choice >= count:
         low, high, most = SLOW, FAST, ring.change
-    if parts > 2:
-        sector[k, LOW], sector[k, HIGH] = cut + i * TURN / parts, cut + (i + 1) * TURN / parts
-    elif i == 0:
-        sector[k, high] = cut
-    else:
-        sector[k, low] = cut
+    take_part(sector, k, low, high, cut, parts, i)
     if choice >= count or most < HALF:
         _narrow(sector, k, low, high, most)
     return _aim(ring, sector)[1] > 0 and not _is_empty(ring, sector)
 
 
 @compiled
-def _moved(quad, shapes, changed, start, z):
+def _moved(posed, shapes, changed, start, z):
     """Move the most violated heading onto its set, the others by least cost; False if none is."""
     count, worst, k, ox, oy = len(z), 0.0, -1, 0.0, 0.0
     for j in range(count):
@@ -323,37 +366,26 @@ def _moved(quad, shapes, changed, start, z):
             continue
         px, py, _, _, _ = prox(shapes[j], 1.0, 0.0, -start[j, 0], -start[j, 1])
         dx, dy = px - start[j, 0], py - start[j, 1]
-        missed = (dx * dx + dy * dy) / quad.inverse[j, j]
+        missed = (dx * dx + dy * dy) / posed.inverse[j, j]
         if missed > worst:
             worst, k, ox, oy = missed, j, dx, dy
     if k < 0:
         return False
     for j in range(count):
-        share = quad.inverse[j, k] / quad.inverse[k, k]
+        share = posed.inverse[j, k] / posed.inverse[k, k]
         z[j, 0], z[j, 1] = start[j, 0] + share * ox, start[j, 1] + share * oy
     return True
 
 
 @compiled
-def _split(quad, ring, tree, node, choice, cut, parts, cutoff, room):
+def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
     """Create the children of a node, each with the bound of its parent's point or a moved one."""
-    counts = tree.counts
-    kind = SPEED if choice >= len(quad.q) else ARCS if parts > 2 else CUT
-    tree.nodes[node, KIND], tree.nodes[node, CHOICE], tree.nodes[node, ROW] = kind, choice, -1
-    tree.nodes[node, FIRST], tree.nodes[node, PARTS] = counts[MADE], parts
-    tree.at[node] = cut
-    for i in range(parts):
-        made = counts[MADE]
-        counts[MADE] += 1
-        sector = tree.sectors[made]
-        for k in range(len(sector)):
-            for e in range(SECTOR):
-                sector[k, e] = tree.sectors[node, k, e]
-        copy_to(tree.start[made], tree.start[node])
-        copy_to(tree.point[made], tree.point[node])
-        _set_leaf(tree, made, tree.bounds[node, 0])
-        if not _set_part(ring, sector, choice, cut, parts, i):
-            tree.nodes[made, ROW], tree.bounds[made, 0] = -1, np.inf  # it is empty
+    kind = SPEED if choice >= len(posed.q) else ARCS if parts > 2 else CUT
+    first = branch(tree, node, kind, choice, cut, parts)
+    for i in range(first, first + parts):
+        sector = tree.sectors[i]
+        if not _set_part(ring, sector, choice, cut, parts, i - first):
+            tree.nodes[i, ROW], tree.known[i, KEY] = -1, np.inf  # it is empty
             continue
         for k in range(len(sector)):
             room.changed[k] = False
@@ -363,21 +395,13 @@ def _split(quad, ring, tree, node, choice, cut, parts, cutoff, room):
                 outline(ring, sector[k], room.parts[k])
             else:
                 room.parts[k] = room.shapes[k]
-        if _moved(quad, room.parts, room.changed, tree.start[made], room.trial):
-            set_slope(quad.hessian, quad.q, room.trial, room.slope)
-            key = tangent_bound(quad, room.parts, room.trial, room.slope)[1]
-            if key > tree.bounds[made, 0]:
-                tree.bounds[made, 0] = key
-                copy_to(tree.point[made], room.trial)
-        leave_open(tree, made, tree.bounds[made, 0], cutoff)
-
-
-@compiled
-def _take(quad, tree, z):
-    """Make a trajectory the incumbent if it is better."""
-    if tree.numbers[VALUE] == np.inf or rise_of(quad, tree.best, z) < 0.0:
-        tree.numbers[VALUE] = cost_of(quad, z)
-        copy_to(tree.best, z)
+        if _moved(posed, room.parts, room.changed, tree.z[i], room.trial):
+            set_slope(posed.hessian, posed.q, room.trial, room.slope)
+            key = tangent_bound(posed, room.parts, room.trial, room.slope)[1]
+            if key > tree.known[i, KEY]:
+                tree.known[i, KEY] = key
+                copy_to(tree.point[i], room.trial)
+        leave_open(tree, i, tree.known[i, KEY], cutoff)
 
 
 @compiled
@@ -390,74 +414,53 @@ def _way(ring, turns):
 
 
 @compiled
-def is_promising(quad, ring, tree, z, sector, share, room):
+def is_promising(posed, ring, tree, z, sector, share, room):
     """Round headings to a trajectory; return True if that is worth a descent.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         ring: floor and limits.
-        tree: its speeds and turns are set; where a descent may end infeasible, its incumbent is
-            replaced by a better trajectory.
+        tree: where a descent may end infeasible, its incumbent is replaced by a better trajectory.
         z: headings, shape (N, 2).
         sector: to which they are clipped, shape (N, 4).
         share: largest excess of the rounded cost, relative to that of the incumbent.
-        room: working memory.
+        room: working memory; its speeds and turns are set.
     """
     value = tree.numbers[VALUE]
-    round_off(ring, z, sector, tree.speeds, tree.turns)
-    if ring.change < np.inf and not is_paced(ring, tree.speeds, tree.turns):
+    round_off(ring, z, sector, room.speeds, room.turns)
+    if ring.change < np.inf and not is_paced(ring, room.speeds, room.turns):
         return False
-    set_headings(ring, tree.speeds, tree.turns, room.trial)
-    rounded = cost_of(quad, room.trial)
+    set_headings(ring, room.speeds, room.turns, room.trial)
+    rounded = cost_of(posed, room.trial)
     free = ring.faces > 0 and ring.widest >= HALF  # cells of a polygon need no descent
-    angle, way = _way(ring, tree.turns)
+    angle, way = _way(ring, room.turns)
     aimed = ring.within >= HALF or abs(angle - way) <= ring.within + SATISFIED
     if aimed and (ring.change < np.inf or ring.within < HALF or free):
-        _take(quad, tree, room.trial)
+        take_better(posed, tree, room.trial)
         if free:
             return False
-    return rounded <= value + share * abs(value + quad.constant)
+    return rounded <= value + share * abs(value + posed.constant)
 
 
 @compiled
-def improve(quad, ring, tree, room):
-    """Descend from the speeds and turns of a promising trajectory."""
-    hessian, q, z, end = quad.hessian.copy(), quad.q.copy(), room.trial, len(quad.q) - 1
-    pulled = Quadratic(hessian, quad.inverse, q, quad.lengths, quad.constant)
-    curvature, sector = 0.0, np.empty((end + 1, SECTOR))
-    for k in range(end + 1):
-        curvature = max(curvature, hessian[k, k])
-    for attempt in range(len(PULLS)):
-        legal = descend(pulled, ring, tree.speeds, tree.turns, z)
-        angle, way = _way(ring, tree.turns)
-        if ring.within >= HALF or abs(angle - way) <= ring.within:
-            break
-        # Pull the last heading towards the nearest allowed one, by growing weights.
-        edge, size = (
-            way + np.copysign(ring.within, angle - way),
-            np.sqrt(z[end, 0] ** 2 + z[end, 1] ** 2),
-        )
-        force = PULLS[attempt] * curvature
-        hessian[end, end] = quad.hessian[end, end] + force
-        q[end, 0] = quad.q[end, 0] - force * size * np.cos(edge)
-        q[end, 1] = quad.q[end, 1] - force * size * np.sin(edge)
+def improve(posed, ring, tree, room):
+    """Descend from the speeds and turns of a promising trajectory, then clip it to the approach."""
+    z, sector, end = room.trial, tree.sectors[0].copy(), len(posed.q) - 1
+    legal = descend(posed, ring, room.speeds, room.turns, z)
     if ring.within < HALF:
-        if not set_reachable(ring, sector):
-            return
+        _, way = _way(ring, room.turns)
         sector[end, LOW] = max(sector[end, LOW], way - ring.within)
         sector[end, HIGH] = min(sector[end, HIGH], way + ring.within)
         _narrow(sector, end, LOW, HIGH, ring.widest)
-        if _is_empty(ring, sector):
-            return
-        copy_to(room.other, z)
-        if is_promising(quad, ring, tree, room.other, sector, 0.0, room):
-            return
-    if legal:
-        _take(quad, tree, z)
+        if not _is_empty(ring, sector):
+            copy_to(room.other, z)
+            is_promising(posed, ring, tree, room.other, sector, 0.0, room)
+    elif legal:
+        take_better(posed, tree, z)
 
 
 @entry_point
-def begin(quad, ring, tree, guess, room):
+def begin(posed, ring, tree, guess, room):
     """Begin a search with its root and an incumbent near the best point known.
 
     That is the guess, shape (N, 2), or the unconstrained optimum if there is none, shape (0, 2). If
@@ -466,83 +469,73 @@ def begin(quad, ring, tree, guess, room):
     Returns:
         False if the root is empty.
     """
-    counts, numbers, start, ahead = tree.counts, tree.numbers, tree.start[0], room.other
-    for i in range(len(counts)):
-        counts[i] = 0
-    counts[MADE] = 1
-    numbers[VALUE], numbers[CLOSED], numbers[LEAST] = np.inf, np.inf, -np.inf
-    for k in range(len(start)):
-        start[k, 0] = start[k, 1] = 0.0
-        for j in range(len(start)):
-            start[k, 0] -= quad.inverse[k, j] * quad.q[j, 0]
-            start[k, 1] -= quad.inverse[k, j] * quad.q[j, 1]
+    plant(tree)
+    start, ahead = tree.z[0], np.empty_like(tree.best)
+    add_product(posed.inverse, posed.q, -1.0, start)
     copy_to(tree.point[0], start)
-    _set_leaf(tree, 0, -np.inf)
     if not set_reachable(ring, tree.sectors[0]):
         return False
-    leave_open(tree, 0, -np.inf, np.inf)
     if ring.fraction == 0.0:  # over disks the relaxation finds the optimum itself
         return True
-    near = guess if len(guess) > 0 else start
-    if is_promising(quad, ring, tree, near, tree.sectors[0], np.inf, room):
-        improve(quad, ring, tree, room)
-    if numbers[VALUE] == np.inf:
-        for k in range(len(ahead)):
-            ahead[k, 0] = ring.entry * np.cos(ring.first)
-            ahead[k, 1] = ring.entry * np.sin(ring.first)
-        if is_promising(quad, ring, tree, ahead, tree.sectors[0], np.inf, room):
-            improve(quad, ring, tree, room)
+    for k in range(len(ahead)):
+        ahead[k, 0], ahead[k, 1] = np.cos(ring.first), np.sin(ring.first)
+        ahead[k, 0], ahead[k, 1] = ring.entry * ahead[k, 0], ring.entry * ahead[k, 1]
+    for near in (guess if len(guess) > 0 else start, ahead):
+        if tree.numbers[VALUE] == np.inf and is_promising(
+            posed, ring, tree, near, tree.sectors[0], np.inf, room
+        ):
+            improve(posed, ring, tree, room)
     return True
 
 
 @compiled
-def _choose(quad, ring, tree, node, room):
+def _choose(posed, ring, tree, node, room):
     """Round the point of a relaxation; return the choice to split (-1 for none), where and how."""
-    counts, sector, z = tree.counts, tree.sectors[node], tree.start[node]
-    choice, cut, parts = _branching(ring, quad.inverse, z, sector)
+    counts, sector, z = tree.counts, tree.sectors[node], tree.z[node]
+    choice, cut, parts = _branching(ring, posed.inverse, z, sector)
     if choice < 0 and ring.change == np.inf and ring.within >= HALF:
-        _take(quad, tree, z)
+        take_better(posed, tree, z)
     elif ring.fraction > 0.0:
         share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # at powers of two
-        counts[PROMISES] = is_promising(quad, ring, tree, z, sector, share, room)
+        counts[PROMISES] = is_promising(posed, ring, tree, z, sector, share, room)
     return choice, cut, parts
 
 
 @compiled
-def _solve_node(quad, ring, tree, node, tolerance, room, work):
+def _solve_node(posed, ring, tree, node, tolerance, room, work):
     """Relax a node, round its point, and split it; return the remaining multiplications."""
     counts, numbers = tree.counts, tree.numbers
     first, ways = _aim(ring, tree.sectors[node])
-    choice, cut, parts, status = len(quad.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
-    for k in range(len(quad.q)):
+    choice, cut, parts, status = len(posed.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
+    for k in range(len(posed.q)):
         outline(ring, tree.sectors[node, k], room.shapes[k])
     if ways == 1:
-        limits = cutoff_of(numbers[VALUE], quad.constant, tolerance), ACCURATE * tolerance
-        relaxed = tree.start[node], tree.point[node], tree.bounds[node]
-        status, work = relax(quad, relaxed, limits, room, work)
+        limits = cutoff_of(numbers[VALUE], posed.constant, tolerance), ACCURATE * tolerance
+        relaxed = tree.z[node], tree.point[node], tree.known[node]
+        status, work = relax(posed, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
-            choice, cut, parts = _choose(quad, ring, tree, node, room)
+            choice, cut, parts = _choose(posed, ring, tree, node, room)
     if status == GOING:
         if ring.fraction == 0.0:
-            _take(quad, tree, tree.start[node])
-        leave_open(tree, node, tree.bounds[node, 0], np.inf)
+            take_better(posed, tree, tree.z[node])
+        leave_open(tree, node, tree.known[node, KEY], np.inf)
         return work
     counts[NODES] += 1
     if choice < 0:
-        close(tree, tree.bounds[node, 0])
+        close(tree, tree.known[node, KEY])
         return work
-    cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
-    _split(quad, ring, tree, node, choice, cut, parts, cutoff, room)
+    cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
+    _split(posed, ring, tree, node, choice, cut, parts, cutoff, room)
     return work
 
 
 @entry_point
-def search(quad, ring, tolerance, tree, room, work):
+def search(posed, ring, tolerance, tree, room, work):
     """Continue a best-first search.
 
     Args:
-        quad: the cost.
+        posed: the problem.
         ring: floor and limits.
         tolerance: relative gap at which to stop.
         tree: begun by :func:`begin`; updated in place.
@@ -555,16 +548,16 @@ def search(quad, ring, tolerance, tree, room, work):
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
     if counts[PROMISES] > 0:
-        improve(quad, ring, tree, room)
+        improve(posed, ring, tree, room)
     counts[PROMISES] = 0
     while work > 0.0 and status == PAUSED and counts[PROMISES] == 0:
-        cutoff = cutoff_of(numbers[VALUE], quad.constant, tolerance)
+        cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
         if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
             status = DONE
         elif counts[MADE] + max(MOST_ARCS, ring.faces) > len(tree.sectors):
             status = FULL
         else:
-            work = _solve_node(quad, ring, tree, take(tree), tolerance, room, work)
-            work -= NODE + STEP * len(quad.q)
+            work = _solve_node(posed, ring, tree, take(tree), tolerance, room, work)
+            work -= NODE + STEP * len(posed.q)
     numbers[LEAST] = min(least_left(tree), numbers[VALUE])
     return status
