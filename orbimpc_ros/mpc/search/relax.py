@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.search.interior import (
     set_multipliers,
     set_system,
 )
-from orbimpc_ros.mpc.search.ring import FREE, OUTER, OUTLINE, POINT, RIM, prox, support
+from orbimpc_ros.mpc.search.ring import FREE, OUTER, POINT, RIM, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # outcomes of a relaxation
 PATIENCE = 2  # rounds between checks of whether the bound still rises
@@ -74,9 +74,7 @@ class Room(NamedTuple):
 
     Attributes:
         slope: H z + q, shape (N, 2).
-        shapes: outlines of the sets, shape (N, 12).
-        parts: those of a child, shape (N, 12).
-        changed: whether the child's outline differs, shape (N,).
+        changed: whether a child's outline differs from its parent's, shape (N,).
         faces: of each heading, the face that contains it, shape (N,).
         along: directions of these faces, shape (N, 2).
         trial: a trial point, shape (N, 2).
@@ -90,8 +88,6 @@ class Room(NamedTuple):
     """
 
     slope: Array
-    shapes: Array
-    parts: Array
     changed: np.ndarray
     faces: np.ndarray
     along: Array
@@ -111,8 +107,6 @@ def room_for(thread: int, steps: int) -> Room:
     size, integers = 2 * steps, np.int64
     return Room(
         np.zeros((steps, 2)),
-        np.zeros((steps, OUTLINE)),
-        np.zeros((steps, OUTLINE)),
         np.zeros(steps, np.bool_),
         np.zeros(steps, integers),
         np.zeros((steps, 2)),
@@ -169,13 +163,13 @@ def tangent_bound(posed, shapes, z, slope):
 
 
 @compiled
-def _sweep(posed, z, room):
+def _sweep(posed, shapes, z, room):
     """Move each heading in turn to its proximal map, and update the slope."""
     hessian, slope, count = posed.hessian, room.slope, len(z)
     for k in range(count):
         h, x, y = hessian[k, k], z[k, 0], z[k, 1]
         cx, cy = slope[k, 0] - h * x, slope[k, 1] - h * y
-        px, py, face, dx, dy = prox(room.shapes[k], h, posed.lengths[k], cx, cy)
+        px, py, face, dx, dy = prox(shapes[k], h, posed.lengths[k], cx, cy)
         room.faces[k], room.along[k, 0], room.along[k, 1] = face, dx, dy
         moved_x, moved_y = px - x, py - y
         if moved_x != 0.0 or moved_y != 0.0:
@@ -223,7 +217,7 @@ def _set_basis(posed, z, room):
 
 
 @compiled
-def _newton(posed, z, reached, room):
+def _newton(posed, shapes, z, reached, room):
     """Take a Newton step along all faces at once; return the cost, lower if that succeeded."""
     count, steps, basis, system = _set_basis(posed, z, room), room.steps, room.basis, room.system
     for i in range(count):
@@ -240,7 +234,7 @@ def _newton(posed, z, reached, room):
         for i in range(count):
             trial[steps[i], 0] += share * room.right[i] * basis[i, 0]
             trial[steps[i], 1] += share * room.right[i] * basis[i, 1]
-        _pull_back(z, room)
+        _pull_back(shapes, z, room)
         set_slope(posed.hessian, posed.q, trial, slope)
         cost = cost_at(posed, trial, slope)
         if cost < reached:
@@ -252,9 +246,9 @@ def _newton(posed, z, reached, room):
 
 
 @compiled
-def _pull_back(z, room):
+def _pull_back(shapes, z, room):
     """Project a trial point back onto the hulls."""
-    trial, shapes = room.trial, room.shapes
+    trial = room.trial
     for k in range(len(z)):
         face = room.faces[k]
         if face == POINT:
@@ -323,8 +317,8 @@ def rise_of(posed, z, there):
 @compiled
 def _raise(posed, node, room):
     """Raise a node's bound to that of the tangent at its point; return the cost there."""
-    z, best, key = node
-    cost, least = tangent_bound(posed, room.shapes, z, room.slope)
+    z, best, key, shapes = node
+    cost, least = tangent_bound(posed, shapes, z, room.slope)
     if least > key[0]:
         key[0] = least
         copy_to(best, z)
@@ -334,27 +328,27 @@ def _raise(posed, node, room):
 @compiled
 def _pass_through(posed, node, limits, room):
     """Minimise through the interior of the hulls; return the outcome."""
-    z, _, key = node
+    z, _, key, shapes = node
     cutoff, gap = limits
-    inside = set_inside(room.shapes, z)
+    inside = set_inside(shapes, z)
     multipliers = np.zeros((len(z), LIMITS))
     set_slope(posed.hessian, posed.q, z, room.slope)
-    cost, least = tangent_bound(posed, room.shapes, z, room.slope)
+    cost, least = tangent_bound(posed, shapes, z, room.slope)
     aim, share = (cost - least) / max(1, inside), 0.0
-    set_multipliers(room.shapes, z, aim, multipliers)
+    set_multipliers(shapes, z, aim, multipliers)
     for _ in range(STEPS):
-        left, inside = gap_inside(room.shapes, z, multipliers)
+        left, inside = gap_inside(shapes, z, multipliers)
         aim = (CENTRED if share > LONG else BLOCKED) * left / max(1, inside)
-        set_system(posed, room.shapes, z, room.slope, multipliers, aim, room.system, room.right)
+        set_system(posed, shapes, z, room.slope, multipliers, aim, room.system, room.right)
         if not solve_spd(room.system, room.right, 2 * len(z)):
             break
-        share = move_inside(room.shapes, z, room.right, multipliers, aim)
+        share = move_inside(shapes, z, room.right, multipliers, aim)
         set_slope(posed.hessian, posed.q, z, room.slope)
         cost = _raise(posed, node, room)
         if key[0] >= cutoff:
             return PRUNED
         if cost - key[0] <= gap * max(abs(cost + posed.constant), NEGLIGIBLE):
-            _sweep(posed, z, room)
+            _sweep(posed, shapes, z, room)
             return SOLVED
     return STALLED
 
@@ -365,23 +359,23 @@ def relax(posed, node, limits, room, work):
 
     Args:
         posed: the problem.
-        node: the point, shape (N, 2); the tangent point of its bound, shape (N, 2); that bound,
-            shape (1,); all updated.
+        node: the point, shape (N, 2); the tangent point of its bound, shape (N, 2); an array that
+            begins with that bound; all updated; and the outlines of the sets, shape (N, 12).
         limits: the bound at which the node is pruned, and the relative gap that suffices.
-        room: working memory, with the outlines of the sets.
+        room: working memory.
         work: multiplications to do; a few rounds are done at least.
 
     Returns:
         The outcome, and the remaining multiplications.
     """
-    z, _, key = node
+    z, _, key, shapes = node
     cutoff, gap = limits
     count = len(z)
     set_slope(posed.hessian, posed.q, z, room.slope)
     cost, before = 0.0, -np.inf
     while True:
         for _ in range(PATIENCE):
-            _sweep(posed, z, room)
+            _sweep(posed, shapes, z, room)
             for turn in range(2):
                 cost = _raise(posed, node, room)
                 if key[0] >= cutoff:
@@ -389,7 +383,7 @@ def relax(posed, node, limits, room, work):
                 if cost - key[0] <= gap * max(abs(cost + posed.constant), NEGLIGIBLE):
                     return SOLVED, work
                 if turn == 0:
-                    _newton(posed, z, cost, room)
+                    _newton(posed, shapes, z, cost, room)
             work -= 10.0 * count * count + count**3
         if not key[0] - before >= RISES * (cost - key[0]):  # nearly at the limit of rounding
             spent = STEPS * 2.0 * count**3

@@ -54,6 +54,7 @@ from orbimpc_ros.mpc.search.ring import (
     HIGH,
     LOW,
     MARGIN,
+    OUTLINE,
     SECTOR,
     SLOW,
     TURN,
@@ -78,11 +79,11 @@ ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
 class Tree(NamedTuple):
     """A search: its M nodes, and the incumbent.
 
-    Without Shor multipliers, K = C = 0 and the tangent's curvature is that of the cost; else K = 4
-    and C = 1.
+    With Shor multipliers, K = 4, C = 1 and S = 0. Without them, K = C = 0 and S = N.
 
     Attributes:
         sectors: low, high, slow, fast for each step, shape (M, N, 4).
+        shapes: outlines of the sectors, shape (M, S, 12).
         z: point where a node's relaxation begins or has ended, shape (M, N, n).
         point: tangent point of a node's bound, shape (M, N, n).
         held: multipliers by kind, shape (M, K, N).
@@ -100,6 +101,7 @@ class Tree(NamedTuple):
     """
 
     sectors: Array
+    shapes: Array
     z: Array
     point: Array
     held: Array
@@ -129,6 +131,7 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
     shor = min(1, kinds)
     return Tree(
         np.empty((nodes, steps, SECTOR)),
+        np.empty((nodes, 0 if kinds else steps, OUTLINE)),
         np.empty((nodes, steps, n)),
         np.empty((nodes, steps, n)),
         np.empty((nodes, kinds, steps)),
@@ -164,7 +167,7 @@ def branch(tree, node, kind, choice, cut, parts):
     nodes[node, KIND], nodes[node, CHOICE], nodes[node, ROW] = kind, choice, -1
     nodes[node, FIRST], nodes[node, PARTS], tree.at[node] = first, parts, cut
     for i in range(first, first + parts):
-        for data in (tree.sectors, tree.z, tree.point, tree.held, tree.kept, tree.pull):
+        for data in tree[:7]:
             for k in range(data.shape[1]):
                 for c in range(data.shape[2]):
                     data[i, k, c] = data[node, k, c]
@@ -383,7 +386,7 @@ def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
     kind = SPEED if choice >= len(posed.q) else ARCS if parts > 2 else CUT
     first = branch(tree, node, kind, choice, cut, parts)
     for i in range(first, first + parts):
-        sector = tree.sectors[i]
+        sector, shapes = tree.sectors[i], tree.shapes[i]
         if not _set_part(ring, sector, choice, cut, parts, i - first):
             tree.nodes[i, ROW], tree.known[i, KEY] = -1, np.inf  # it is empty
             continue
@@ -392,12 +395,10 @@ def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
             for e in range(SECTOR):
                 room.changed[k] |= sector[k, e] != tree.sectors[node, k, e]
             if room.changed[k]:
-                outline(ring, sector[k], room.parts[k])
-            else:
-                room.parts[k] = room.shapes[k]
-        if _moved(posed, room.parts, room.changed, tree.z[i], room.trial):
+                outline(ring, sector[k], shapes[k])
+        if _moved(posed, shapes, room.changed, tree.z[i], room.trial):
             set_slope(posed.hessian, posed.q, room.trial, room.slope)
-            key = tangent_bound(posed, room.parts, room.trial, room.slope)[1]
+            key = tangent_bound(posed, shapes, room.trial, room.slope)[1]
             if key > tree.known[i, KEY]:
                 tree.known[i, KEY] = key
                 copy_to(tree.point[i], room.trial)
@@ -475,6 +476,8 @@ def begin(posed, ring, tree, guess, room):
     copy_to(tree.point[0], start)
     if not set_reachable(ring, tree.sectors[0]):
         return False
+    for k in range(len(start)):
+        outline(ring, tree.sectors[0, k], tree.shapes[0, k])
     if ring.fraction == 0.0:  # over disks the relaxation finds the optimum itself
         return True
     for k in range(len(ahead)):
@@ -507,11 +510,9 @@ def _solve_node(posed, ring, tree, node, tolerance, room, work):
     counts, numbers = tree.counts, tree.numbers
     first, ways = _aim(ring, tree.sectors[node])
     choice, cut, parts, status = len(posed.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
-    for k in range(len(posed.q)):
-        outline(ring, tree.sectors[node, k], room.shapes[k])
     if ways == 1:
         limits = cutoff_of(numbers[VALUE], posed.constant, tolerance), ACCURATE * tolerance
-        relaxed = tree.z[node], tree.point[node], tree.known[node]
+        relaxed = tree.z[node], tree.point[node], tree.known[node], tree.shapes[node]
         status, work = relax(posed, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
