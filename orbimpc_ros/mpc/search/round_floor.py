@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Circular floors, without constraints that couple headings except an arrival.
+"""Round floors, without constraints that couple headings except an arrival.
 
 The cost may depend on R e1 only. In the plane that determines R; in space the other columns are
 then free, and are carried along by the shortest turns from one thrust axis to the next.
@@ -221,7 +221,7 @@ def _search(posed, tolerance, tree, descent, starts, work):
 
 
 class RoundFloor(TreeSearch):
-    """Solver of problems of rotation order 1 with a circular floor and no limit but a terminal one.
+    """Solver of problems of rotation order 1 with a round floor and no limit but a terminal one.
 
     Args:
         problem: to solve, in natural units.

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Primal heuristic for circular floors: descent over shells, floor <= |z_k| <= 1.
+"""Primal heuristic for round floors: descent over shells, floor <= |z_k| <= 1.
 
 The variables are the modulus of each heading, between its bounds, and its direction, in the tangent
 plane of the sphere. A damped Newton method descends in these; a modulus on a bound that the

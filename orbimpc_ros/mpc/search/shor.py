@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Shor multipliers for circular floors: bounds that assign curvature to single steps.
+"""Shor multipliers for round floors: bounds that assign curvature to single steps.
 
 With multipliers theta_k of |z_k|^2 / 2, and w >= 0 of constraints in narrow sectors
 (:class:`Rows`), the dual function is

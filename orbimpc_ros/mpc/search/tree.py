@@ -182,8 +182,7 @@ def branch(tree, node, kind, choice, cut, parts):
 def take_better(posed, tree, z):
     """Make a trajectory the incumbent if it is better."""
     if tree.numbers[VALUE] == np.inf or rise_of(posed, tree.best, z) < 0.0:
-        tree.numbers[VALUE] = cost_of(posed, z)
-        copy_to(tree.best, z)
+        tree.numbers[VALUE], tree.best[:] = cost_of(posed, z), z
 
 
 @compiled
