@@ -23,10 +23,10 @@ from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
-from orbimpc_ros.mpc.proof.tree import LEAF, NOTHING, ProofTree
+from orbimpc_ros.mpc.proof.tree import NOTHING, ProofTree
 from orbimpc_ros.mpc.search.relax import Posed, room_for
 from orbimpc_ros.mpc.search.ring import Ring
-from orbimpc_ros.mpc.search.tree import KIND, ROW, Tree, begin, search, tree_for
+from orbimpc_ros.mpc.search.tree import ROW, Tree, begin, search, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon up to which a search proves more in a tick than sparse solves do
@@ -79,14 +79,17 @@ class TreeSearch:
         """Return the tree as the proof of its bound."""
         made = int(tree.counts[MADE])
         nodes, none = tree.nodes[:made].copy(), np.zeros(0, np.int64)
-        (leaves,) = np.nonzero((nodes[:, KIND] == LEAF) & (nodes[:, ROW] == 0))
+        (leaves,) = np.nonzero(nodes[:, ROW] == 0)  # -1 for splits and for empty parts
         nodes[leaves, ROW] = np.arange(len(leaves))
-        spare = 2.0 * self._excess / len(tree.best)  # the verifier's cost is less convex
+        kept: Array = np.zeros((len(leaves), len(tree.best)))
+        if tree.kept.size:
+            spare = 2.0 * self._excess / len(tree.best)  # the verifier's cost is less convex
+            kept = tree.kept[leaves, 0] - spare
         return ProofTree(
             nodes,
             tree.at[:made].copy(),
             tree.point[leaves],
-            (tree.kept[leaves] - spare).sum(axis=1),
+            kept,
             np.zeros(len(leaves), np.int64),
             none,
             np.zeros(0),
