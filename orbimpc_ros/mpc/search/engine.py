@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from threading import get_ident
 
 import numpy as np
@@ -61,8 +62,21 @@ class TreeSearch:
         cost = self._hessian, self._inverse, q, self._lengths, constant
         return Posed(*cost, self._floor, self._arrival, left, self._stiff)
 
-    def _run(self, request: Request, tree: Tree, posed: Posed, search: Callable[[], int]) -> Found:
-        """Continue a search until it ends or the time is up; return its result with the proof."""
+    def _run(
+        self,
+        request: Request,
+        tree: Tree,
+        posed: Posed,
+        begin: Callable[[], object],
+        search: Callable[[], int],
+    ) -> Found:
+        """Search until it ends or the time is up; return the result with its proof.
+
+        Raises:
+            Infeasible: the search begins with an empty root.
+        """
+        if begin() is False:
+            raise Infeasible('no turn meets the cone of approach')
         while search() == PAUSED:
             if request.late or request.enough.met(self._found(tree, posed)):
                 break
@@ -141,10 +155,9 @@ class Engine(TreeSearch):
         tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
-        if not begin(posed, ring, tree, guess, room):
-            raise Infeasible('no turn meets the cone of approach')
-        asked = posed, ring, self._tolerance, tree, room, SLICE
-        return self._run(request, tree, posed, lambda: search(*asked))
+        begun = partial(begin, posed, ring, tree, guess, room)
+        asked = partial(search, posed, ring, self._tolerance, tree, room, SLICE)
+        return self._run(request, tree, posed, begun, asked)
 
     def _ring(self, state: State) -> Ring:
         """Return the floor and the limits of headings and speeds from a state."""

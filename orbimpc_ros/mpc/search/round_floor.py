@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from threading import get_ident
 
 import numpy as np
@@ -273,9 +274,9 @@ class RoundFloor(TreeSearch):
         if guess is not None:
             starts[0] = guess.x[:, :n]
         starts[1] = -(self._inverse @ posed.q)  # without bounds on lengths
-        _begin(posed, tree, descent, 0 if guess is not None else 1)
-        asked = posed, self._tolerance, tree, descent, starts, SLICE
-        found = self._run(request, tree, posed, lambda: _search(*asked))
+        begun = partial(_begin, posed, tree, descent, 0 if guess is not None else 1)
+        asked = partial(_search, posed, self._tolerance, tree, descent, starts, SLICE)
+        found = self._run(request, tree, posed, begun, asked)
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
         # Setting up the general search takes longer than callers with a deadline can wait.
