@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,6 +33,7 @@ ORTHOGONAL = 1e-9
 RATE_TOLERANCE = 1e-6  # relative
 SUMMING = 1e-9  # relative: between two summations of the same objective
 ROUNDING = 1e-15  # relative: of coordinates far from the origin
+IDENTITY = {n: np.eye(n) for n in (2, 3)}
 
 
 def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
@@ -56,8 +56,7 @@ def holds(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
 def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
     """Yield the reasons why a plan must not be published; the slowest checks are last."""
     parts = plan.rotations, plan.projected, plan.inputs, plan.positions, plan.velocities
-    numbers = np.concatenate([each.ravel() for each in parts])
-    if not (math.isfinite(plan.objective) and np.isfinite(numbers).all()):
+    if not (math.isfinite(plan.objective) and np.isfinite(np.concatenate(parts, axis=None)).all()):
         yield 'plan is not finite'
         return
     yield from _dynamics_violations(problem, state, plan)
@@ -74,13 +73,13 @@ def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> Iterator
     if problem.rotation_order == 2 and state.coasted is not None:
         yield from _coasting_violations(problem, state.coasted, plan)
     length = _length_tolerance(problem, state)
-    tolerances = {
-        'rotations': TOLERANCE, 'positions': length, 'velocities': length / problem.step
-    }  # fmt: skip
-    for (name, allowed), rolled in zip(
-        tolerances.items(), _rolled_out(problem, state, plan), strict=True
+    rotations, positions, velocities = _rolled_out(problem, state, plan)
+    for name, rolled, planned, allowed in (
+        ('rotations', rotations, plan.rotations, TOLERANCE),
+        ('positions', positions, plan.positions, length),
+        ('velocities', velocities, plan.velocities, length / problem.step),
     ):
-        error = np.abs(rolled - getattr(plan, name)).max()
+        error = np.abs(rolled - planned).max()
         if not error <= allowed:  # true for NaN, too, after an overflow
             yield f'{name} differ by {error:.2g} from a rollout of the inputs'
 
@@ -95,13 +94,19 @@ def _rolled_out(problem: Problem, state: State, plan: Plan) -> tuple[Array, Arra
         rates = np.concatenate([first[None], problem.step * plan.inputs[:-1]]).cumsum(axis=0)
     rotations = np.concatenate([state.rotation[None], problem.step * rates]).cumsum(axis=0)
     headings = rotations[:, :, 0]
-    transition, *moves = step_of(problem.translation, problem.step, problem.forward)
-    push, follow, blow = (each[:, None] for each in moves)
-    pushed = push * headings[:-1, None] + follow * headings[1:, None] + blow * state.disturbance
-    start = np.array([state.position, state.velocity][: len(push)])
-    rolled = np.array([*accumulate(pushed, lambda y, more: transition @ y + more, initial=start)])
-    velocities = problem.forward * headings + state.disturbance
-    return rotations, rolled[:, 0], rolled[:, 1] if problem.inertial else velocities
+    once = step_of(problem.translation, problem.step, problem.forward)
+    push, follow, blow = (each[:, None, None] for each in once[1:])
+    moved, *sped = push * headings[:-1] + follow * headings[1:] + blow * state.disturbance
+    if problem.inertial:
+        (_, lasts), (_, kept) = once.transition
+        velocities = [state.velocity]
+        for more in sped[0]:
+            velocities.append(kept * velocities[-1] + more)
+        rolled = np.array(velocities)
+        moved += lasts * rolled[:-1]
+    else:
+        rolled = problem.forward * headings + state.disturbance
+    return rotations, np.concatenate([state.position[None], moved]).cumsum(axis=0), rolled
 
 
 def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterator[str]:
@@ -149,26 +154,26 @@ def _limits(
 ) -> dict[str, tuple[float, float]]:
     """Return the least margin to each limit, and its tolerance."""
     rotations, length = plan.rotations, _length_tolerance(problem, state)
-    shares: dict[str, Any] = {'hull': margin(rotations[1:])}
-    lengths: dict[str, Any] = {}
+    shares = {'hull': float(margin(rotations[1:]).min())}
+    lengths = dict[str, float]()
     if problem.floor.exists:
-        shares['floor'] = problem.floor.margin(rotations[1:, :, 0])
+        shares['floor'] = float(problem.floor.margin(rotations[1:, :, 0]).min())
     if problem.max_rate > 0.0:
-        shares['max_rate'] = turn_margin(problem, state, rotations)
+        shares['max_rate'] = float(turn_margin(problem, state, rotations).min())
     if problem.max_acceleration > 0.0:
-        shares['max_acceleration'] = speed_margin(problem, state, rotations)
+        shares['max_acceleration'] = float(speed_margin(problem, state, rotations).min())
     if problem.approach.exists:
         shares['approach'] = approach_margin(problem, state, rotations[-1, :, 0])
     if problem.has_cones:
         tilt, slope = cone_margins(problem, state, goals, plan)
-        shares |= {'tilt': tilt} if problem.tilt else {}
-        lengths |= {'glide_slope': slope} if problem.glide_slope else {}
+        shares |= {'tilt': float(tilt.min())} if problem.tilt else {}
+        lengths |= {'glide_slope': float(slope.min())} if problem.glide_slope else {}
     if problem.boxes:
         lengths['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:
         lengths |= clearances(problem, state, plan)
-    found = {name: (float(np.min(each)), TOLERANCE) for name, each in shares.items()}
-    return found | {name: (float(np.min(each)), length) for name, each in lengths.items()}
+    found = {name: (least, TOLERANCE) for name, least in shares.items()}
+    return found | {name: (least, length) for name, least in lengths.items()}
 
 
 def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
@@ -304,7 +309,7 @@ def _flown(problem: Problem, plan: Plan) -> float:
 
 def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator[str]:
     turned = plan.projected
-    skewed = np.swapaxes(turned, 1, 2) @ turned - np.eye(problem.dimension)
+    skewed = np.swapaxes(turned, 1, 2) @ turned - IDENTITY[problem.dimension]
     if np.abs(skewed).max() > ORTHOGONAL:
         yield 'a projected rotation is not orthogonal'
         return
@@ -324,19 +329,24 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator
 def _off_projection(plan: Plan, known: int) -> float:
     """Return the largest error of Q_k, k >= known, as projections of R_k.
 
-    If R e1 vanishes, Q is the rotation before it. Otherwise a thrust-aligned Q has its first axis
-    on R e1, and M = Q'R cannot be improved by a roll about it: M_23 = M_32, and M_22 + M_33 >= 0.
-    The nearest Q makes M symmetric, with no two eigenvalues whose sum is negative (the optimality
-    conditions of Wahba's problem); in the plane it is thrust-aligned.
+    If R e1 vanishes, Q is the rotation before it. Otherwise in the plane R = |R e1| Q; a
+    thrust-aligned Q in space has its first axis on R e1, and M = Q'R cannot be improved by a roll
+    about it: M_23 = M_32, and M_22 + M_33 >= 0. The nearest Q makes M symmetric, with no two
+    eigenvalues whose sum is negative (the optimality conditions of Wahba's problem).
     """
     r, q, before = plan.rotations[known:], plan.projected[known:], plan.projected[known - 1 : -1]
     sizes, plane = _sizes(r[:, :, 0]), r.shape[-1] == 2
-    free = sizes >= HEADING_UNDEFINED
-    strays = [np.abs(q - before)[~free]]
-    if plane or plan.projection == 'thrust_aligned':
-        strays.append(np.abs(r[:, :, 0] - sizes[:, None] * q[:, :, 0])[free])
+    held = sizes < HEADING_UNDEFINED
+    strays = []
+    if held.any():
+        strays.append(np.abs(q - before)[held])
+        r, q, sizes = r[~held], q[~held], sizes[~held]
+    if plane:
+        strays.append(np.abs(sizes[:, None, None] * q - r))
+    elif plan.projection == 'thrust_aligned':
+        strays.append(np.abs(sizes[:, None] * q[:, :, 0] - r[:, :, 0]))
     if not plane:
-        m = np.swapaxes(q[free], 1, 2) @ r[free]
+        m = np.swapaxes(q, 1, 2) @ r
         m = m[:, 1:, 1:] if plan.projection == 'thrust_aligned' else m
         transposed = np.swapaxes(m, 1, 2)
         pairs = np.linalg.eigvalsh(0.5 * (m + transposed))[:, :2].sum(axis=1)

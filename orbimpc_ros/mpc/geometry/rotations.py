@@ -315,7 +315,7 @@ def margin(rotation: Array) -> Array:
     singular values s1 >= s2 >= |s3| alone (Sanyal, Sottile, Sturmfels, *Orbitopes*).
     """
     if rotation.shape[-1] == 2:
-        return 1.0 - np.linalg.norm(rotation[..., :, 0], axis=-1)
+        return np.asarray(1.0 - np.hypot(rotation[..., 0, 0], rotation[..., 1, 0]))
     singular = np.linalg.svd(rotation, compute_uv=False)
     s1, s2 = singular[..., 0], singular[..., 1]
     s3 = singular[..., 2] * np.where(np.linalg.det(rotation) < 0.0, -1.0, 1.0)
