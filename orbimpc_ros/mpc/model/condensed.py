@@ -94,7 +94,7 @@ class Condensed:
         c includes the constant length term of R_0 e1.
         """
         known = knowns(state, goals)
-        c = float(np.sum(known * (self.squared @ known)))
+        c = float(np.vdot(known, self.squared @ known))
         if self._problem.weights.length:
             c += first_length(self._problem, state)
         return self.pulled @ known, c

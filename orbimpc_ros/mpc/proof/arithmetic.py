@@ -57,16 +57,6 @@ def floats(function: Callable) -> Callable:
     return entry_point(_bound_to_floats(function)) if COMPILED else function
 
 
-def bare(function: Callable) -> Callable:
-    """Return the machine code of :func:`floats` without its dispatch on types.
-
-    Dispatch on the types of a problem's numbers takes longer than to bound a leaf. Arguments must
-    have the types of the one call that it was compiled for; arrays must be contiguous.
-    """
-    known = list(getattr(function, 'overloads', {}).values())
-    return known[0].entry_point if len(known) == 1 else function
-
-
 @cache
 def _bound_to_floats(function: Callable) -> Callable:
     """Return a generic function that calls the implementations for floats of generic functions."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from threading import get_ident
 
@@ -17,14 +16,14 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.kernels.best_first import LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
-from orbimpc_ros.mpc.proof.tree import NOTHING, ProofTree
+from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ProofTree
 from orbimpc_ros.mpc.search.relax import Posed, room_for
 from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import ROW, Tree, begin, search, tree_for
@@ -35,6 +34,7 @@ LONGEST_INERTIAL = 58  # without a floor: beyond it interior steps take longer t
 ROOM = 1_000_000  # memory of the search, in nodes times steps
 SLICE = 3e5  # multiplications between checks of the deadline: less than a millisecond
 NONE: Array = np.zeros((0, 2))  # no guess
+NO_ROWS = np.zeros(0, np.int64)
 SETTLED = 90.0  # factor on the tolerance of the search if constraints couple steps
 
 
@@ -80,20 +80,20 @@ class TreeSearch:
         while search() == PAUSED:
             if request.late or request.enough.met(self._found(tree, posed)):
                 break
-        return replace(self._found(tree, posed), proof=self._proof(tree))
+        return self._found(tree, posed, self._proof(tree))
 
-    def _found(self, tree: Tree, posed: Posed) -> Found:
+    def _found(self, tree: Tree, posed: Posed, proof: ProofTree | None = None) -> Found:
         """Return the incumbent, with the bound proved so far."""
         value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
         found = tree.best.copy() if value < np.inf else None
         known = value + posed.constant, bound - self._excess + posed.constant
-        return Found(found, *known, int(tree.counts[NODES]))
+        return Found(found, *known, int(tree.counts[NODES]), proof=proof)
 
     def _proof(self, tree: Tree) -> ProofTree:
         """Return the tree as the proof of its bound."""
         made = int(tree.counts[MADE])
-        nodes, none = tree.nodes[:made].copy(), np.zeros(0, np.int64)
-        (leaves,) = np.nonzero(nodes[:, ROW] == 0)  # -1 for splits and for empty parts
+        nodes = tree.nodes[:made].copy()
+        leaves = np.flatnonzero(nodes[:, ROW] == 0)  # -1 for splits and for empty parts
         nodes[leaves, ROW] = np.arange(len(leaves))
         kept: Array = np.zeros((len(leaves), len(tree.best)))
         if tree.kept.size:
@@ -105,8 +105,8 @@ class TreeSearch:
             tree.point[leaves],
             kept,
             np.zeros(len(leaves), np.int64),
-            none,
-            np.zeros(0),
+            NO_ROWS,
+            NOWHERE,
             tree.pull[leaves] if self._stiff else NOTHING,
         )
 
@@ -122,26 +122,32 @@ class Engine(TreeSearch):
         self.takes_guess = floor.exists  # relaxations over disks need none
         if problem.max_rate or problem.max_acceleration or floor.shape == 'circle':
             self._tolerance *= SETTLED
+        self._begin, self._search = begin, search
         # The first call compiles or loads machine code: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
         with suppress(Infeasible):
             goals = np.ones((problem.horizon, 2))
             self.solve(Request(start, goals, out_of_time=lambda: True))
+        self._begin, self._search = bare(begin), bare(search)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return True if stage sets express all limits of a problem, and there is machine code."""
-        floor, changes = problem.floor, problem.max_rate > 0.0 or problem.max_acceleration > 0.0
-        disks = not (floor.exists or changes or problem.approach.exists)
+        floor, aimed = problem.floor, problem.approach.exists
+        changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
+        disks = not any((floor.exists, changes, aimed))
         straight = (disks or floor.shape == 'polygon') and not problem.weights.length
-        return (
-            COMPILED
-            and (problem.dimension, problem.rotation_order) == (2, 1)
-            and (straight or (floor.shape == 'circle' and changes))
-            and problem.terminal == 'penalty'
-            and not problem.obstacles
-            and not (problem.approach.exists and floor.fraction < problem.least_heading)
-            and problem.horizon <= (LONGEST_INERTIAL if disks and problem.inertial else LONGEST)
+        known = problem.dimension, problem.rotation_order, problem.terminal
+        longest = LONGEST_INERTIAL if disks and problem.inertial else LONGEST
+        return all(
+            (
+                COMPILED,
+                known == (2, 1, 'penalty'),
+                not problem.obstacles,
+                straight or (floor.shape == 'circle' and changes),
+                not (aimed and floor.fraction < problem.least_heading),
+                problem.horizon <= longest,
+            )
         )
 
     def solve(self, request: Request) -> Found:
@@ -155,8 +161,8 @@ class Engine(TreeSearch):
         tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
-        begun = partial(begin, posed, ring, tree, guess, room)
-        asked = partial(search, posed, ring, self._tolerance, tree, room, SLICE)
+        begun = partial(self._begin, posed, ring, tree, guess, room)
+        asked = partial(self._search, posed, ring, self._tolerance, tree, room, SLICE)
         return self._run(request, tree, posed, begun, asked)
 
     def _ring(self, state: State) -> Ring:

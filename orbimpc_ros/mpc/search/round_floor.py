@@ -23,7 +23,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
-from orbimpc_ros.mpc.kernels import compiled, entry_point
+from orbimpc_ros.mpc.kernels import bare, compiled, entry_point
 from orbimpc_ros.mpc.kernels.best_first import (
     CLOSED,
     DONE,
@@ -238,11 +238,13 @@ class RoundFloor(TreeSearch):
             largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
             self._stiff = STIFF * float(largest)
         self._general = General(problem, self._tolerance)
+        self._begin, self._search = _begin, _search
         # The first call compiles or loads machine code: at start-up, not in a tick.
         steps, n = problem.horizon, problem.dimension
         start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
         with suppress(Infeasible):
             self.solve(Request(start, np.zeros((steps, n)), out_of_time=lambda: True))
+        self._begin, self._search = bare(_begin), bare(_search)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -274,8 +276,8 @@ class RoundFloor(TreeSearch):
         if guess is not None:
             starts[0] = guess.x[:, :n]
         starts[1] = -(self._inverse @ posed.q)  # without bounds on lengths
-        begun = partial(_begin, posed, tree, descent, 0 if guess is not None else 1)
-        asked = partial(_search, posed, self._tolerance, tree, descent, starts, SLICE)
+        begun = partial(self._begin, posed, tree, descent, 0 if guess is not None else 1)
+        asked = partial(self._search, posed, self._tolerance, tree, descent, starts, SLICE)
         found = self._run(request, tree, posed, begun, asked)
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
