@@ -123,6 +123,10 @@ else:
                 return
             _link_parts(self)
             module = self._final_module
+            entries = {each.name for each in added.functions}
+            for each in module.functions:  # so that what has a single caller is inlined
+                if not each.is_declaration and each.name not in entries:
+                    each.linkage = 'internal'
             makes_arrays = any(each.name.startswith(MAKES) for each in module.functions)
             module.link_in(parse_assembly(str(_counting() if makes_arrays else _idle(*COUNTS))))
             for name in COUNTS:
@@ -201,6 +205,16 @@ def _lock_file(folder: Path) -> int:
 def entry_point(function: Callable) -> Callable:
     """Compile a function at its first call from Python, and cache the code for later processes."""
     return _kept(function) if COMPILED else function
+
+
+def bare(function: Callable) -> Callable:
+    """Return the machine code of an :func:`entry_point` without its dispatch on types.
+
+    Dispatch on the types of a problem's numbers takes longer than to bound a leaf. Arguments must
+    have the types of the one call that it was compiled for; arrays must be contiguous.
+    """
+    known = list(getattr(function, 'overloads', {}).values())
+    return known[0].entry_point if len(known) == 1 else function
 
 
 def compiled(function: Callable) -> Callable:

@@ -60,6 +60,7 @@ class Work(NamedTuple):
         squares: the Hessian of the cost, its remainder, and the rows of an arrival,
             shape (2 N + 2, N).
         gone: whether an arrival has eliminated a step, shape (N,).
+        edges: the latest angle at each end of a step's sector, and its direction, shape (N, 2, 3).
     """
 
     flown: Any
@@ -68,6 +69,7 @@ class Work(NamedTuple):
     matrix: Any
     squares: Any
     gone: np.ndarray
+    edges: Any
 
 
 @generic
@@ -218,7 +220,7 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     point, shor, slopes, n = tree.point[leaf], tree.shor[leaf], work.slopes, stated.n
     count, zero, sets = len(point), 0 * stated.sets.full, stated.sets
     span, corners = region.span[depth], region.corners[depth]
-    known = region.part[depth], span, count
+    known = region.part[depth], span, count, work.edges
     value, size = _at_point(stated, tree, leaf, empty, work)
     more, terms, held = _held(stated, region, depth, tree, leaf, work)
     if not held:
@@ -471,4 +473,6 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
     squares = np.zeros((2 * count + 2, count), kind)
     vectors, matrix = np.zeros((2, width), kind), np.zeros((4, 4), kind)
-    return Work(flown, slopes, vectors, matrix, squares, np.zeros(count, np.bool_))
+    edges = np.zeros((count, 2, 3), kind)
+    edges[:, :, 1] = 1  # the direction of angle 0
+    return Work(flown, slopes, vectors, matrix, squares, np.zeros(count, np.bool_), edges)

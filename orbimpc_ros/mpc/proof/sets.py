@@ -42,13 +42,23 @@ def size_of(g, n):
 
 
 @generic
-def in_sector(g, low, high, sets):
-    """Return the least g . (cos, sin) over directions from low to high [rad]."""
-    size, width = size_of(g, 2), high - low
+def edge(known, k, side):
+    """Return the unit vector at an end of a step's sector, from a memo if it is the latest."""
+    angle, latest = known[1][k, side], known[3][k, side]
+    if latest[0] != angle:
+        latest[1], latest[2] = direction(angle)
+        latest[0] = angle
+    return latest[1], latest[2]
+
+
+@generic
+def in_sector(g, known, k, sets):
+    """Return the least g . (cos, sin) over the directions of a step's sector."""
+    size, width = size_of(g, 2), known[1][k, 1] - known[1][k, 0]
     if width >= sets.full - sets.narrow:
         return -size
-    lx, ly = direction(low)
-    ux, uy = direction(high)
+    lx, ly = edge(known, k, 0)
+    ux, uy = edge(known, k, 1)
     off = -TOLERANCE * slack(size)
     after, before = ly * g[0] - lx * g[1] >= off, ux * g[1] - uy * g[0] >= off
     inside = after and before
@@ -77,35 +87,35 @@ def nearest_floor(low, high, least, sets):
 
 
 @generic
-def over_polygon(g, along, low, high, least, fastest, sets):
-    """Return the least g . z over a sector, from a polygonal floor to the fastest speed.
+def over_polygon(g, along, known, k, fastest, sets):
+    """Return the least g . z over a step's sector, from a polygonal floor to the fastest speed.
 
-    A linear function is least on the rim, or at an end or a corner of the floor.
+    A linear function is least on the rim, or at an end or a corner of the floor; on the rim if it
+    is not positive there.
 
     Args:
         g: slope, shape (2,).
         along: the least g . u over directions u of the sector.
-        low: the first of these [rad].
-        high: the last.
-        least: distance of the polygon's faces.
+        known: restrictions of all choices.
+        k: the step, from 0 on.
         fastest: speed.
         sets: data of stage sets.
     """
-    best = along * fastest
-    share = sets.full / sets.polygon
-    if high - low >= sets.full / 2:
+    low, high, best = known[1][k, 0], known[1][k, 1], along * fastest
+    if along <= 0 or high - low >= sets.full / 2:
         return best
+    share = sets.full / sets.polygon
     first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
     for i in range(first - 1, last + 2):
-        angle = (2 * i + 1) * share / 2  # of a corner
-        if i < first:
-            angle = low
-        elif i > last:
-            angle = high
-        x, y = direction(angle)
+        if first <= i <= last:
+            angle = (2 * i + 1) * share / 2  # of a corner
+            x, y = direction(angle)
+        else:
+            side = 0 if i < first else 1
+            angle, (x, y) = known[1][k, side], edge(known, k, side)
         downhill = g[0] * x + g[1] * y
-        if downhill > 0:  # else it is least on the rim
-            best = min(best, downhill * reach(angle, least, sets))
+        if downhill * sets.least < best:  # speeds there are at least that of the faces
+            best = min(best, downhill * reach(angle, sets.least, sets))
     return best
 
 
@@ -239,7 +249,7 @@ def steepest(sets, known, corners, k, g, n):
     best, part = -size_of(g, n), known[0][k]
     if part >= 0:
         if n == 2:
-            best = in_sector(g, known[1][k, 0], known[1][k, 1], sets)
+            best = in_sector(g, known, k, sets)
         elif len(sets.faces) == 0:
             best = in_patch(g, corners)
     for q in range(len(sets.cone_step)):
@@ -293,7 +303,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
 
     Args:
         sets: data of stage sets.
-        known: restrictions of all choices: parts and spans.
+        known: restrictions of all choices: parts, spans, N, and the memo of :func:`edge`.
         corners: of the step's patch, if it has one.
         k: the step, from 0 on.
         g: shape (n,).
@@ -305,7 +315,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     low, high, slowest, fastest = span[k, 0], span[k, 1], span[count + k, 0], span[count + k, 1]
     along, linear = steepest(sets, known, corners, k, g, n), length == 0 and curve == 0
     if linear and sets.polygon > 0 and part >= 0 and len(sets.cone_step) == 0:
-        beyond = over_polygon(g, along, low, high, sets.least, fastest, sets)
+        beyond = over_polygon(g, along, known, k, fastest, sets)
         return max(beyond, over_speeds(along, curve, slowest, fastest))
     faced = -(size_of(g, n) + length + abs(curve)) * (1 + fastest * fastest)
     if sets.polygon > 0 and part >= 0:
@@ -332,7 +342,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     if not linear:
         return best
     if sets.polygon > 0 and part >= 0:
-        best = max(best, over_polygon(g, along, low, high, sets.least, fastest, sets))
+        best = max(best, over_polygon(g, along, known, k, fastest, sets))
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             slow = min(fastest, max(slowest, sets.cones[q, n + 2]))

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.arithmetic import bare, floats
+from orbimpc_ros.mpc.proof.arithmetic import floats
 from orbimpc_ros.mpc.proof.bound import (
     PAUSED,
     PROVED,
