@@ -153,17 +153,7 @@ def _limits(
     problem: Problem, state: State, goals: Array, plan: Plan
 ) -> dict[str, tuple[float, float]]:
     """Return the least margin to each limit, and its tolerance."""
-    rotations, length = plan.rotations, _length_tolerance(problem, state)
-    shares = {'hull': float(margin(rotations[1:]).min())}
-    lengths = dict[str, float]()
-    if problem.floor.exists:
-        shares['floor'] = float(problem.floor.margin(rotations[1:, :, 0]).min())
-    if problem.max_rate > 0.0:
-        shares['max_rate'] = float(turn_margin(problem, state, rotations).min())
-    if problem.max_acceleration > 0.0:
-        shares['max_acceleration'] = float(speed_margin(problem, state, rotations).min())
-    if problem.approach.exists:
-        shares['approach'] = approach_margin(problem, state, rotations[-1, :, 0])
+    shares, lengths = _on_headings(problem, state, plan.rotations), dict[str, float]()
     if problem.has_cones:
         tilt, slope = cone_margins(problem, state, goals, plan)
         shares |= {'tilt': float(tilt.min())} if problem.tilt else {}
@@ -172,8 +162,23 @@ def _limits(
         lengths['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:
         lengths |= clearances(problem, state, plan)
+    length = _length_tolerance(problem, state)
     found = {name: (least, TOLERANCE) for name, least in shares.items()}
     return found | {name: (least, length) for name, least in lengths.items()}
+
+
+def _on_headings(problem: Problem, state: State, rotations: Array) -> dict[str, float]:
+    """Return the least margin to each limit on R_0..R_N alone, shape (N + 1, n, n)."""
+    found = {'hull': float(margin(rotations[1:]).min())}
+    if problem.floor.exists:
+        found['floor'] = float(problem.floor.margin(rotations[1:, :, 0]).min())
+    if problem.max_rate > 0.0:
+        found['max_rate'] = float(turn_margin(problem, state, rotations).min())
+    if problem.max_acceleration > 0.0:
+        found['max_acceleration'] = float(speed_margin(problem, state, rotations).min())
+    if problem.approach.exists:
+        found['approach'] = approach_margin(problem, state, rotations[-1, :, 0])
+    return found
 
 
 def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
@@ -432,17 +437,21 @@ def flaw(
         return 'the command is not finite'
     if not 0.0 <= fraction <= 1.0:
         return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
-    floor = problem.least_speed
-    if not stopping and fraction < floor:
-        return f'a speed fraction of {fraction:.6g} is below the floor of {floor:.6g}'
-    changed = abs(fraction - entry) if entry is not None and not stopping else 0.0
-    if changed > problem.speed_change + TOLERANCE:
-        most = f'{problem.speed_change:.6g} in a step'
-        return f'the speed fraction changes by {changed:.6g}, more than {most}'
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
     error = np.abs(rotation.T @ rotation - np.eye(len(rotation))).max()
     if error > ORTHOGONAL or np.linalg.det(rotation) < 0.0:
         return 'the commanded rotation is not a rotation'
+    return '' if stopping else _speed_flaw(problem, fraction, entry)
+
+
+def _speed_flaw(problem: Problem, fraction: float, entry: float | None) -> str:
+    floor = problem.least_speed
+    if fraction < floor:
+        return f'a speed fraction of {fraction:.6g} is below the floor of {floor:.6g}'
+    changed = 0.0 if entry is None else abs(fraction - entry)
+    if changed > problem.speed_change + TOLERANCE:
+        most = f'{problem.speed_change:.6g} in a step'
+        return f'the speed fraction changes by {changed:.6g}, more than {most}'
     return ''

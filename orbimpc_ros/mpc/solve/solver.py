@@ -177,14 +177,14 @@ class Solver:
         return _Query(state, goals, guess, out_of_time, searched)
 
     def _found(self, query: _Query) -> Found:
+        """Return the result of the method, with a reason if it is not what was asked for.
+
+        Raises:
+            BadInput: goals of a wrong shape, or a state without a rotation that the problem needs.
+            Infeasible: no trajectory satisfies the constraints.
+        """
         state, goals = query.searched, query.goals
-        wanted = (self.problem.horizon, self.problem.dimension)
-        if np.shape(goals) != wanted:
-            raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
-        if self._coasting and state.coasted is None:
-            raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
-        if self._wants_attitude and state.wanted is None:
-            raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
+        self._require(state, goals)
         beyond = beyond_reach(self.problem, state, goals) / self.problem.length_unit
         if max(beyond, beyond_turning(self.problem, state)) > SURELY:
             raise Infeasible(reason(self.problem, state, goals))
@@ -200,6 +200,19 @@ class Solver:
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
             return replace(NOTHING, reason=str(error))
+        return self._judged(found, usable)
+
+    def _require(self, state: State, goals: Array) -> None:
+        wanted = (self.problem.horizon, self.problem.dimension)
+        if np.shape(goals) != wanted:
+            raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
+        if self._coasting and state.coasted is None:
+            raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
+        if self._wants_attitude and state.wanted is None:
+            raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
+
+    def _judged(self, found: Found, usable: Guess | None) -> Found:
+        """Return a result of the method, with a reason if its trajectory is missing or no news."""
         if found.x is None:
             return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
         if not np.isfinite(found.x).all():  # its rollout and projection would raise errors
