@@ -43,7 +43,7 @@ from orbimpc_ros.mpc.kernels.penalty_terms import (
     value_of,
 )
 
-SETTLED, STALLED, PAUSED, REFUTED = range(4)  # outcomes of a minimisation
+SETTLED, STALLED, PAUSED, REFUTED, GOING = range(5)  # outcomes of a minimisation
 SIGMA, BEST, PROMISED = range(3)  # in Iterate.numbers
 STEPS, TAKEN = range(2)  # in Iterate.counts
 
@@ -265,6 +265,33 @@ def descends(reached, merit, share, decrease):
     return reached <= merit - DESCENT * share * decrease + ROUNDING * (1.0 + abs(merit))
 
 
+@compiled
+def _ended(terms, cost, worst, budget, limits, progress, new, work):
+    """Return the outcome of a minimisation, ``GOING`` if it is to continue; see `minimise`.
+
+    Args:
+        terms: see there, as for the others.
+        cost: of the iterate, relative to that of the start.
+        worst: violation of a constraint there.
+        budget: multiplications left.
+        limits: see there.
+        progress: see there.
+        new: multipliers of the last projection.
+        work: see there.
+    """
+    precision, proportion, least, rounding, _ = limits
+    numbers, counts = progress.numbers, progress.counts
+    gap = abs(cost - numbers[BEST])
+    if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
+        return SETTLED
+    if len(terms.shares) > len(progress.x) and refuted(terms, new.rows):
+        numbers[BEST], work.rows[: len(new.rows)] = np.inf, new.rows
+        return REFUTED
+    if counts[STEPS] >= LIMIT:
+        return STALLED
+    return PAUSED if budget <= 0.0 else GOING
+
+
 @entry_point
 def minimise(terms, start, held, limits, work, progress, budget):
     """Continue to minimise quadratic and terms, by the method of multipliers.
@@ -284,8 +311,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
     Returns:
         ``SETTLED``, ``STALLED``, ``PAUSED``, or ``REFUTED`` if infeasibility is proved.
     """
-    precision, proportion, least, rounding, largest = limits
-    x, held_force, numbers, counts = progress
+    largest, (x, held_force, numbers, counts) = limits[4], progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
     new = multipliers(len(start), len(held.rows))
@@ -306,16 +332,9 @@ def minimise(terms, start, held, limits, work, progress, budget):
         if bound > numbers[BEST]:
             numbers[BEST] = bound
             _note(work, x - direction, force, new)
-        gap = abs(cost - numbers[BEST])
-        if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
-            return SETTLED
-        if len(terms.shares) > len(x) and refuted(terms, new.rows):
-            numbers[BEST], work.rows[: len(new.rows)] = np.inf, new.rows
-            return REFUTED
-        if counts[STEPS] >= LIMIT:
-            return STALLED
-        if budget <= 0.0:
-            return PAUSED
+        status = _ended(terms, cost, worst, budget, limits, progress, new, work)
+        if status != GOING:
+            return status
         counts[STEPS] += 1
         near = min(left, numbers[PROMISED]) <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
         if near or counts[TAKEN] == STUCK:

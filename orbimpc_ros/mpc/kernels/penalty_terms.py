@@ -287,6 +287,21 @@ def _project_rows(terms, x, held, sigma, new):
 
 
 @compiled
+def _turn(matrix, basis, other):
+    """Express a matrix in another basis: B' M B, in place; all of shape (4, 4)."""
+    for i in range(4):
+        for j in range(4):
+            other[i, j] = 0.0
+            for k in range(4):
+                other[i, j] += matrix[i, k] * basis[k, j]
+    for i in range(4):
+        for j in range(4):
+            matrix[i, j] = 0.0
+            for k in range(4):
+                matrix[i, j] += basis[k, i] * other[k, j]
+
+
+@compiled
 def _project_orbitope(x, held, sigma, new, basis, values, small):
     """Project L - sigma S(R) on the cone; return -<new, S>, |new - L|^2, the violation.
 
@@ -302,14 +317,8 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
             return 0.0, 0.0, 0.0
     for i in range(4):
         for j in range(4):
-            u[i, j] = 0.0
-            for k in range(4):
-                u[i, j] += (held[i, k] - sigma * s[i, k]) * basis[k, j]
-    for i in range(4):
-        for j in range(4):
-            t[i, j] = 0.0
-            for k in range(4):
-                t[i, j] += basis[k, i] * u[k, j]
+            t[i, j] = held[i, j] - sigma * s[i, j]
+    _turn(t, basis, u)
     diagonalise(t, basis, values)
     value = moved = worst = 0.0
     for i in range(4):
@@ -448,10 +457,21 @@ def _orbitope_columns(first, bases, values, sigma, step, column, weight):
 
 
 @compiled
+def _reflect(i, pole, d, column):
+    """Set a column to axis i, reflected so that the axis ``pole`` maps to d (Householder)."""
+    sign = 1.0 if d[pole] >= 0.0 else -1.0
+    for c in range(9):
+        column[c] = 1.0 if c == i else 0.0
+    for c in range(3):
+        along = d[c] + sign if c == pole else d[c]
+        column[c] -= d[i] * along / (1.0 + abs(d[pole]))
+
+
+@compiled
 def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
     """Add the Hessian of the lengths' envelopes: c/|v| (I - d d') where |v| > c, v = w + sigma z.
 
-    Householder's reflection that maps an axis, ``pole``, to d maps the others to vectors across d.
+    Vectors across d are reflections of axes (:func:`_reflect`), d itself that of the ``pole``.
     """
     d = np.zeros(3)
     for k in range(len(x)):
@@ -463,15 +483,10 @@ def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
             d[c] = (held[k, c] + sigma * x[k, c]) / sizes[k] if outside else 0.0
             if abs(d[c]) > abs(d[pole]):
                 pole = c
-        sign = 1.0 if d[pole] >= 0.0 else -1.0
         for i in range(3):
             if outside and i == pole:
                 continue
-            for c in range(9):
-                column[count, c] = 1.0 if c == i else 0.0
-            for c in range(3):
-                along = d[c] + sign if c == pole else d[c]
-                column[count, c] -= d[i] * along / (1.0 + abs(d[pole]))
+            _reflect(i, pole, d, column[count])
             step[count] = k
             weight[count] = sigma * limits[k] / sizes[k] if outside else sigma
             count += 1
