@@ -44,8 +44,7 @@ from orbimpc_ros.mpc.proof.splits import (
 from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
 
-# The leaves have a least bound; all are empty; the tree is invalid; or the walk has paused.
-PROVED, REFUTED, UNSOUND, PAUSED = range(4)
+ENDED, UNSOUND, PAUSED = range(3)  # the walk has ended; the tree is invalid; the walk has paused
 DEPTH, PARENT, WAITING = range(3)  # rows of a walk: of each node, and the stack of nodes to visit
 
 
@@ -205,6 +204,13 @@ def _held(stated, region, depth, tree, leaf, work):
 
 
 @generic
+def _set_share(shares, leaf, k, share):
+    """Set the part of a step's slope that is bounded by the limits on R e1 alone."""
+    for c in range(len(share)):
+        share[c] = shares[leaf, k, c] if shares.size > 0 else 0 * share[c]
+
+
+@generic
 def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     """Return the bound that a leaf proves, and whether its multipliers are sound.
 
@@ -245,10 +251,7 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
                 n, stated.decided, decided, slopes[0], length, kept, slow, fast
             )
         else:
-            for c in range(n):
-                share[c] = zero
-                if tree.share.size > 0:
-                    share[c] = tree.share[leaf, k, c]
+            _set_share(tree.share, leaf, k, share)
             patch = corners[k if n == 3 else 0]
             more, terms = _of_step(sets, known, patch, k, slopes[k], share, kept, length, work)
         value, size = value + more, size + terms
@@ -275,13 +278,13 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
 
     Returns:
         The least bound; the number of leaves with one; the number of nodes on the stack;
-        ``PROVED``, ``REFUTED``, ``UNSOUND`` or ``PAUSED``.
+        ``ENDED``, ``UNSOUND`` or ``PAUSED``. A tree that ends without any bound refutes.
     """
     nodes, waiting, seen = tree.nodes, walk[WAITING], 0
     if number == 0:
         known = begin(stated, tree, region.part[0], region.span[0])
         if known != HELD:
-            return least, 0, 0, REFUTED if known == GONE else UNSOUND
+            return least, 0, 0, ENDED if known == GONE else UNSOUND
         if is_bent(tree.shor):  # else no leaf's convexity has to be checked
             set_hessian(stated.order, stated.motion, stated.costs, work.squares)
         number, waiting[0] = 1, 0
@@ -290,30 +293,51 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
             return least, found, number, PAUSED
         number -= 1
         t = waiting[number]
-        d, node = walk[DEPTH, t], nodes[t]
-        if t > 0:
-            above = walk[PARENT, t]
-            i, whole = t - nodes[above, CHILD], nodes[above]
-            known = part_of(stated, tree, whole, tree.at[above], i, d, region)
-            if known == GONE:
-                continue
-            if known != HELD:
-                return least, 0, 0, UNSOUND
-        if node[KIND] != LEAF and node[KIND] != EMPTY:
+        known = _entered(stated, tree, walk, t, region)
+        if known == GONE:
+            continue
+        if known != HELD:
+            return least, 0, 0, UNSOUND
+        node = nodes[t]
+        if not _is_leaf(node):
             for i in range(node[CHILDREN]):
                 waiting[number] = node[CHILD] + i
                 number += 1
             continue
-        empty, seen = node[KIND] == EMPTY, seen + 1
-        if not 0 <= node[ROW] < len(tree.point):
+        seen += 1
+        value, sound = _proved(stated, region, walk[DEPTH, t], tree, node, work)
+        if not sound:
             return least, 0, 0, UNSOUND
-        value, sound = leaf_bound(stated, region, d, tree, node[ROW], empty, work)
-        if not sound or not abs(value) >= 0 or (empty and not value > 0):
-            return least, 0, 0, UNSOUND
-        if not empty:
+        if node[KIND] == LEAF:
             least = value if found == 0 else min(least, value)
             found += 1
-    return least, found, 0, PROVED if found > 0 else REFUTED
+    return least, found, 0, ENDED
+
+
+@generic
+def _is_leaf(node):
+    return node[KIND] == LEAF or node[KIND] == EMPTY
+
+
+@generic
+def _entered(stated, tree, walk, t, region):
+    """Set the restrictions of a node from those of its parent; see :func:`part_of`."""
+    if t == 0:
+        return HELD
+    above = walk[PARENT, t]
+    whole = tree.nodes[above]
+    i, depth = t - whole[CHILD], walk[DEPTH, t]
+    return part_of(stated, tree, whole, tree.at[above], i, depth, region)
+
+
+@generic
+def _proved(stated, region, depth, tree, node, work):
+    """Return the bound of a leaf, and whether it is valid; see :func:`leaf_bound`."""
+    empty = node[KIND] == EMPTY
+    if not 0 <= node[ROW] < len(tree.point):
+        return 0 * stated.sets.full, False
+    value, sound = leaf_bound(stated, region, depth, tree, node[ROW], empty, work)
+    return value, sound and abs(value) >= 0 and (value > 0 or not empty)
 
 
 @generic
@@ -331,7 +355,7 @@ def depths_of(nodes, walk):
     depth[:] = -1
     depth[0] = 0
     for t in range(count):
-        if depth[t] < 0 or nodes[t, KIND] == LEAF or nodes[t, KIND] == EMPTY:
+        if depth[t] < 0 or _is_leaf(nodes[t]):
             continue
         first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
         if parts < 1 or first <= t or parts > count or first > count - parts:
@@ -393,10 +417,10 @@ def _lost(motion, ends, shor, point, work):
         point: tangent point, shape (N, d).
         work: positions and velocities there, the Hessian, and work arrays.
     """
-    flown, squares, gone = work.flown, work.squares, work.gone
-    count, n = squares.shape[1], flown.shape[2]
-    m, arrival, zero = squares[count : 2 * count], squares[2 * count :], 0 * ends.chord
-    top = zero
+    squares, gone = work.squares, work.gone
+    count, n = squares.shape[1], work.flown.shape[2]
+    m, zero = squares[count : 2 * count], 0 * ends.chord
+    top, longest = zero, zero + 1
     if not is_bent(shor):
         return True, zero
     for i in range(count):
@@ -405,9 +429,20 @@ def _lost(motion, ends, shor, point, work):
             m[j, i] = m[i, j]
             top = max(top, abs(m[i, j]))
     gone[:] = False
-    off, longest, ratio = zero, zero + 1, zero
-    if ends.arrives > 0:
-        set_arrival(motion, arrival)
+    off = _arrived(motion, ends, m, work) if ends.arrives > 0 else zero
+    for k in range(count):
+        for c in range(n):
+            longest = max(longest, abs(point[k, c]))
+    taken = top * count * off * (2 * n * count * (1 + longest) + off)
+    return _is_convex(m, gone, slack(top) * 4 * count), taken
+
+
+@generic
+def _arrived(motion, ends, m, work):
+    """Eliminate a variable for each row of an arrival; return how far the point misses these."""
+    flown, gone, arrival = work.flown, work.gone, work.squares[2 * len(m) :]
+    count, n, off, ratio = len(m), flown.shape[2], 0 * ends.chord, 0 * ends.chord
+    set_arrival(motion, arrival)
     for r in range(ends.arrives):
         a, pivot = arrival[r], -1
         for j in range(count):
@@ -423,11 +458,7 @@ def _lost(motion, ends, shor, point, work):
         ratio = arrival[1, pivot] / a[pivot]
         _eliminate(m, arrival, r, pivot, gone)
         gone[pivot] = True
-    for k in range(count):
-        for c in range(n):
-            longest = max(longest, abs(point[k, c]))
-    taken = top * count * off * (2 * n * count * (1 + longest) + off)
-    return _is_convex(m, gone, slack(top) * 4 * count), taken
+    return off
 
 
 @generic

@@ -314,37 +314,54 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     part, span, count = known[0][k], known[1], known[2]
     low, high, slowest, fastest = span[k, 0], span[k, 1], span[count + k, 0], span[count + k, 1]
     along, linear = steepest(sets, known, corners, k, g, n), length == 0 and curve == 0
-    if linear and sets.polygon > 0 and part >= 0 and len(sets.cone_step) == 0:
+    walled = sets.polygon > 0 and part >= 0
+    if linear and walled and len(sets.cone_step) == 0:
         beyond = over_polygon(g, along, known, k, fastest, sets)
         return max(beyond, over_speeds(along, curve, slowest, fastest))
     faced = -(size_of(g, n) + length + abs(curve)) * (1 + fastest * fastest)
-    if sets.polygon > 0 and part >= 0:
+    if walled:
         slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
         if curve == 0 and length > 0:
-            share = sets.full / sets.polygon
-            middle = share * round((low + high) / (2 * share))  # of the face that bounds the sector
-            off = max(middle - low, high - middle) - share / 2
-            if off <= sets.narrow:
-                least = sets.least - 4 * sets.narrow
-                face = on_face(g, direction(middle), least, fastest, length, 2)
-                rim = (along + length) * fastest
-                faced = min(rim, face)
+            faced = max(faced, beside_polygon(g, along, low, high, fastest, length, sets))
     best = max(faced, over_speeds(along + length, curve, slowest, fastest))
     if part >= 0 and len(sets.faces) > 0:
-        face = beyond_face(g, sets.faces[part], sets.least, fastest)
-        if linear:
-            best = max(best, face)
-        else:
-            best = max(best, over_speeds(face / fastest + length, curve, slowest, fastest))
-        if curve == 0 and length > 0:
-            rim = face + length * fastest
-            best = max(best, min(rim, on_face(g, sets.faces[part], sets.least, fastest, length, 3)))
+        best = max(best, over_solid(g, sets.faces[part], length, curve, slowest, fastest, sets))
     if not linear:
         return best
-    if sets.polygon > 0 and part >= 0:
+    if walled:
         best = max(best, over_polygon(g, along, known, k, fastest, sets))
+    return over_cones(sets, k, g, slowest, fastest, n, best)
+
+
+@generic
+def beside_polygon(g, along, low, high, fastest, length, sets):
+    """Return a bound on g . z + length |z| over a sector beside one face of a polygonal floor."""
+    share = sets.full / sets.polygon
+    middle = share * round((low + high) / (2 * share))  # of the face that bounds the sector
+    if max(middle - low, high - middle) - share / 2 > sets.narrow:
+        return -(size_of(g, 2) + length) * (1 + fastest * fastest)
+    face = on_face(g, direction(middle), sets.least - 4 * sets.narrow, fastest, length, 2)
+    return min((along + length) * fastest, face)
+
+
+@generic
+def over_solid(g, normal, length, curve, slowest, fastest, sets):
+    """Return a bound on g . z + length |z| + curve |z|^2 / 2 beyond a face of a solid floor."""
+    face = beyond_face(g, normal, sets.least, fastest)
+    if length == 0 and curve == 0:
+        return face
+    best = over_speeds(face / fastest + length, curve, slowest, fastest)
+    if curve == 0 and length > 0:
+        rim = face + length * fastest
+        best = max(best, min(rim, on_face(g, normal, sets.least, fastest, length, 3)))
+    return best
+
+
+@generic
+def over_cones(sets, k, g, slowest, fastest, n, best):
+    """Return the greater of a bound and those on g . z over the cones of a step."""
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             slow = min(fastest, max(slowest, sets.cones[q, n + 2]))
-            best = max(best, over_speeds(in_cone(g, sets.cones[q], n), curve, slow, fastest))
+            best = max(best, over_speeds(in_cone(g, sets.cones[q], n), 0 * best, slow, fastest))
     return best

@@ -89,12 +89,18 @@ def begin(stated, order, part, span):
             return WRONG
         for k in range(count):
             part[k], span[k, 0], span[k, 1] = 0, order.origins[k], order.origins[k] + sets.full
-    for k in range(1, root.exchanged if order.ordered else 0):
-        if span[k, 0] != span[0, 0] or part[k] == WHOLE:
-            return WRONG
-    if order.ordered and root.exchanged == 0:
+    if order.ordered and not _is_alike(part, span, root.exchanged):
         return WRONG
     return HELD if _aimed(stated, part, span) else GONE
+
+
+@generic
+def _is_alike(part, span, exchanged):
+    """Return whether there are exchangeable steps, and their ranges of directions are the same."""
+    alike = exchanged > 0
+    for k in range(1, exchanged):
+        alike = alike and part[k] != WHOLE and span[k, 0] == span[0, 0]
+    return alike
 
 
 @generic
@@ -167,31 +173,34 @@ def _ordered(span, k, end):
 def _is_split_right(stated, node, at, part, low, high):
     """Return whether a node's split is valid, given the restrictions of the choice there."""
     kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
-    sets, extents, count = stated.sets, stated.bodies.extents, stated.root.span.shape[1]
-    heading, body = c < count, c // count - 2
+    extents, count = stated.bodies.extents, stated.root.span.shape[1]
+    body, within = c // count - 2, parts == 2 and low <= at <= high
     if (c == 0 and stated.decided != FREE) or not 0 <= c < (2 + len(extents)) * count:
         return False
-    paced, box = count <= c < 2 * count, body >= 0 and extents[max(0, body), 2 * n] == 0
-    if kind == SPEED or paced:
-        return kind == SPEED and paced and parts == 2 and low <= at <= high
-    if kind == SIDES or box:
-        return kind == SIDES and box and part == WHOLE and parts == 2 * n
-    if kind == CUT:
-        return n == 2 and part == 0 and parts == 2 and low <= at <= high
-    if kind == ARCS:
-        return n == 2 and part == WHOLE and parts >= 2
-    solid = heading and len(sets.faces) > 0
-    if kind == FACES:
-        return solid and part == WHOLE and parts == len(sets.faces)
-    if n == 2 or solid:
-        return False
-    if kind == PATCHES:
-        capped = False
-        for q in range(len(sets.cone_step) if heading else 0):
-            capped = capped or (sets.cone_step[q] == c and sets.cones[q, n + 3] == 1)
-        capped = capped and parts == len(stated.root.patches) - ICOSAHEDRON
-        return part == WHOLE and (parts == ICOSAHEDRON or capped)
-    return kind == QUARTERS and part == 0 and parts == 4
+    if body == -1:
+        return kind == SPEED and within
+    if body >= 0 and extents[body, 2 * n] == 0:  # a box
+        return kind == SIDES and part == WHOLE and parts == 2 * n
+    if n == 2:
+        return (kind == CUT and part == 0 and within) or (
+            kind == ARCS and part == WHOLE and parts >= 2
+        )
+    return _is_solid_split_right(stated, kind, c, parts, part)
+
+
+@generic
+def _is_solid_split_right(stated, kind, c, parts, part):
+    """Return whether a split of directions in space is valid."""
+    sets, heading = stated.sets, c < stated.root.span.shape[1]
+    if heading and len(sets.faces) > 0:
+        return kind == FACES and part == WHOLE and parts == len(sets.faces)
+    if kind == QUARTERS:
+        return part == 0 and parts == 4
+    capped = False
+    for q in range(len(sets.cone_step) if heading else 0):
+        capped = capped or (sets.cone_step[q] == c and sets.cones[q, stated.n + 3] == 1)
+    capped = capped and parts == len(stated.root.patches) - ICOSAHEDRON
+    return kind == PATCHES and part == WHOLE and (parts == ICOSAHEDRON or capped)
 
 
 @generic
@@ -254,16 +263,19 @@ def narrowed(stated, order, node, at, i, part, span, corners):
         span[c, 0], span[c, 1] = at + i * share, at + (i + 1) * share
         return HELD
     span[c, 1 - i] = at
-    if c >= 2 * count:
-        return HELD
+    return HELD if c >= 2 * count or _followed(stated, order, c, part, span) else GONE
+
+
+@generic
+def _followed(stated, order, c, part, span):
+    """Propagate a cut of a heading or a speed; return whether the region is not empty."""
+    root, count = stated.root, stated.root.span.shape[1]
     if c >= count:
-        return HELD if _carried(span, c, count, 2 * count, root.change) else GONE
+        return _carried(span, c, count, 2 * count, root.change)
     if order.ordered and c < root.exchanged:
-        return HELD if _ordered(span, c, root.exchanged) else GONE
+        return _ordered(span, c, root.exchanged)
     held = _carried(span, c, 0, count, root.turn)
-    if held and part[count - 1] == 0:
-        held = _aimed(stated, part, span)
-    return HELD if held else GONE
+    return held and (part[count - 1] != 0 or _aimed(stated, part, span))
 
 
 @generic

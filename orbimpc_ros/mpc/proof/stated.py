@@ -376,14 +376,11 @@ class Statement:
         exchanged = self._exchanged(limits)
         if plain and exchanged in self._roots:
             return self._roots[exchanged]
-        steps, change = np.arange(1, count + 1), number(2)
+        change = number(min(2.0, limits.change))
         turn, low, high = self._turned(state)
         span = self._rows(np.zeros((4, count)))
-        span[0], span[1], span[2], span[3] = low, high, number(self._least), number(1)
-        if limits.change < 2.0:
-            entry, change = number(limits.entry), number(limits.change)
-            span[2] = np.maximum(span[2], entry - steps * change)
-            span[3] = np.minimum(span[3], entry + steps * change)
+        span[0], span[1] = low, high
+        self._set_speeds(span[2:], limits)
         if problem.floor.shape == 'polygon' and state.coasted is not None:
             n, axis = problem.dimension, self._rows(state.coasted[:, 0])
             along = max(self._rows(normals(n, problem.floor.faces)) @ axis)
@@ -396,6 +393,15 @@ class Statement:
         if plain:
             self._roots[exchanged] = root  # which depends on no state
         return root
+
+    def _set_speeds(self, span: Rows, limits: Limits) -> None:
+        """Set the least and the greatest speed of each step, shape (2, N)."""
+        number, steps = self._number, np.arange(1, self.problem.horizon + 1)
+        span[0], span[1] = number(self._least), number(1)
+        if limits.change < 2.0:
+            entry, change = number(limits.entry), number(limits.change)
+            span[0] = np.maximum(span[0], entry - steps * change)
+            span[1] = np.minimum(span[1], entry + steps * change)
 
     @cached_property
     def _least(self) -> float:

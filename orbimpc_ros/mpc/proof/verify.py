@@ -22,9 +22,8 @@ from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.arithmetic import floats
 from orbimpc_ros.mpc.proof.bound import (
+    ENDED,
     PAUSED,
-    PROVED,
-    REFUTED,
     depths_of,
     tree_bound,
     work_of,
@@ -92,12 +91,9 @@ class Verifier:
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
-        deepest = self._depths(tree.nodes, walk)
         choices = (2 + len(stated.bodies.of)) * problem.horizon
-        if deepest < 0 or (deepest + 1) * choices > MOST:
+        if not self._has_room(self._depths(tree.nodes, walk), choices):
             return -math.inf
-        if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
-            self._region = region_of(2 * deepest + 1, choices, problem.dimension, self._kind)
         most, what = 1 + SLICE // problem.horizon, PAUSED
         seen: tuple[Any, int, int] = 0.0, 0, 0
         try:
@@ -106,9 +102,18 @@ class Verifier:
                 *seen, what = self._bound(*known, self._region, self._work, *seen, most)
         except HOSTILE:
             return -math.inf
-        if what == REFUTED:
-            return math.inf
-        return rounded_down(seen[0]) if what == PROVED else -math.inf
+        if what != ENDED:
+            return -math.inf
+        return rounded_down(seen[0]) if seen[1] > 0 else math.inf
+
+    def _has_room(self, deepest: int, choices: int) -> bool:
+        """Return whether the region has a row for each depth; it grows up to ``MOST`` numbers."""
+        if deepest < 0 or (deepest + 1) * choices > MOST:
+            return False
+        if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
+            n = self._statement.problem.dimension
+            self._region = region_of(2 * deepest + 1, choices, n, self._kind)
+        return True
 
 
 def in_fractions(tree: ProofTree) -> Any:

@@ -22,7 +22,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
@@ -219,10 +219,7 @@ class _Run:
         posed, best, root = self._posed, self._dives, self._nodes[0]
         if root.known is None:
             raise Infeasible(NOTHING)
-        for x in known:
-            trajectory = posed.flown(x)
-            if not posed.missed(trajectory):
-                best.offer(x, trajectory)
+        self._offer(known)
         if self._guided:  # the root first: its bound is valid even if no path leads to a plan
             self._expand(heapq.heappop(self._open))
             for way in ways:
@@ -236,6 +233,13 @@ class _Run:
         if lower == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
         return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
+
+    def _offer(self, known: Sequence[Array]) -> None:
+        """Take the best of those candidates that are feasible as the incumbent."""
+        for x in known:
+            trajectory = self._posed.flown(x)
+            if not self._posed.missed(trajectory):
+                self._dives.offer(x, trajectory)
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
@@ -308,12 +312,7 @@ class _Run:
         trajectory = posed.flown(relaxed.x)
         missed = posed.missed(trajectory)
         if not missed:
-            self._close(node.bound)
-            self._dives.offer(relaxed.x, trajectory)
-            if not relaxed.is_accurate:
-                self._dives.dive(rows, trajectory)
-            elif not posed.turns_in_time(trajectory):
-                self._dives.turn(rows, trajectory)
+            self._settle(node, relaxed, trajectory)
             return
         if (self._dives.x is None and not self._guided) or self._is_nearly_round(missed):
             self._dives.dive(rows, trajectory)
@@ -324,6 +323,16 @@ class _Run:
             self._close(node.bound)
         else:
             self._part(node, cut, relaxed.bound, trajectory.headings[1:])
+
+    def _settle(self, node: Node, relaxed: Relaxation, trajectory: Trajectory) -> None:
+        """Close a node whose solution meets all choices, and offer it as the incumbent."""
+        self._close(node.bound)
+        assert relaxed.x is not None
+        self._dives.offer(relaxed.x, trajectory)
+        if not relaxed.is_accurate:
+            self._dives.dive(self._rows(node), trajectory)
+        elif not self._posed.turns_in_time(trajectory):
+            self._dives.turn(self._rows(node), trajectory)
 
     def _rows(self, node: Node) -> dict[int, Held]:
         """Return the half-spaces of a node, by choice."""

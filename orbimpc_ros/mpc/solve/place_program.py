@@ -229,6 +229,26 @@ def _append(held, count, new, row, own, inner):
 
 
 @compiled
+def _set_products(known, held, count, place, row, inner):
+    """Set the products of a new row with the active ones, shape (count,)."""
+    for i in range(count):
+        along = 0.0
+        for c in range(len(row)):
+            along += row[c] * held.normals[i, c]
+        inner[i] = along * known.gram[held.at[i], place]
+
+
+@compiled
+def _blocking(held, count, r):
+    """Return the active row whose multiplier vanishes first, -1 if none does, and at what step."""
+    blocking, limit = -1, np.inf
+    for i in range(count):
+        if r[i] > FLAT and held.u[i] < limit * r[i]:
+            blocking, limit = i, held.u[i] / r[i]
+    return blocking, limit
+
+
+@compiled
 def _add(known, held, count, new, row, r, inner):
     """Add a violated row to the active set, dropping rows that block it.
 
@@ -250,16 +270,10 @@ def _add(known, held, count, new, row, r, inner):
     for c in range(len(row)):
         gap -= row[c] * held.values[place, c]
     for _ in range(4 * size):
-        for i in range(count):
-            along = 0.0
-            for c in range(len(row)):
-                along += row[c] * held.normals[i, c]
-            inner[i] = r[i] = along * known.gram[held.at[i], place]
+        _set_products(known, held, count, place, row, inner)
+        r[:count] = inner[:count]
         curvature = own - solve_factored(held.factor, r, count)
-        blocking, limit = -1, np.inf
-        for i in range(count):
-            if r[i] > FLAT and held.u[i] < limit * r[i]:
-                blocking, limit = i, held.u[i] / r[i]
+        blocking, limit = _blocking(held, count, r)
         whole = gap / curvature if curvature > FLAT * own else np.inf
         move = min(limit, whole)
         if move == np.inf:

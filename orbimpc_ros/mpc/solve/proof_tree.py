@@ -229,14 +229,7 @@ class ProofWriter:
         return slopes
 
     def _stacked(self, nodes: Sequence[Node], leaves: dict[int, Leaf]) -> ProofTree:
-        numbers, at = np.zeros((len(nodes), 5), np.int64), np.zeros(len(nodes))
-        numbers[:] = EMPTY, 0, 0, 0, -1  # stays for nodes with an empty region
-        for i, (number, leaf) in enumerate(leaves.items()):
-            numbers[number] = EMPTY if leaf.empty else LEAF, 0, 0, 0, i
-        for node in nodes:
-            if node.cut is not None and node.number not in leaves:
-                kind, choice, parts, at[node.number] = node.cut
-                numbers[node.number] = kind, choice, node.first, parts, -1
+        numbers, at = _numbered(nodes, leaves)
         every = list(leaves.values())
         found = [
             (self._rows * (nodes[number].depth - depth) + row, size)
@@ -259,6 +252,19 @@ class ProofWriter:
             origins=self._origins,
             ordered=len(self._origins) > 0,
         )
+
+
+def _numbered(nodes: Sequence[Node], leaves: dict[int, Leaf]) -> tuple[np.ndarray, Array]:
+    """Return the arrays of nodes and of cuts of a proof."""
+    numbers, at = np.zeros((len(nodes), 5), np.int64), np.zeros(len(nodes))
+    numbers[:] = EMPTY, 0, 0, 0, -1  # stays for nodes with an empty region
+    for i, (number, leaf) in enumerate(leaves.items()):
+        numbers[number] = EMPTY if leaf.empty else LEAF, 0, 0, 0, i
+    for node in nodes:
+        if node.cut is not None and node.number not in leaves:
+            kind, choice, parts, at[node.number] = node.cut
+            numbers[node.number] = kind, choice, node.first, parts, -1
+    return numbers, at
 
 
 def _used(values: Sequence[Array]) -> Array:

@@ -214,10 +214,14 @@ class SO3Multipliers:
         if request is not self._request:
             self._bind(request)
         self.multipliers = None
-        if self._coasting and abs(self._start[0, 0]) > STEEPEST:
-            if request.hurried and self._general is None:
-                return Relaxation(None, -np.inf)
-            return self._leave(request, rows)
+        if not (self._coasting and abs(self._start[0, 0]) > STEEPEST):
+            return self._relaxed(request, rows)
+        if request.hurried and self._general is None:
+            return Relaxation(None, -np.inf)
+        return self._leave(request, rows)
+
+    def _relaxed(self, request: Request, rows: Sequence[Row]) -> Relaxation:
+        """Solve from the multipliers of the last solve, then without, then by the general program."""
         terms, bound = self._terms(rows), -np.inf
         for warm in (True, False):
             self._take_up(rows, warm=warm)
