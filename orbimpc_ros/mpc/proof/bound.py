@@ -285,8 +285,7 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
         known = begin(stated, tree, region.part[0], region.span[0])
         if known != HELD:
             return least, 0, 0, ENDED if known == GONE else UNSOUND
-        if is_bent(tree.shor):  # else no leaf's convexity has to be checked
-            set_hessian(stated.order, stated.motion, stated.costs, work.squares)
+        set_hessian(stated, tree, work.squares)
         number, waiting[0] = 1, 0
     while number > 0:
         if seen == most:
@@ -300,9 +299,7 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
             return least, 0, 0, UNSOUND
         node = nodes[t]
         if not _is_leaf(node):
-            for i in range(node[CHILDREN]):
-                waiting[number] = node[CHILD] + i
-                number += 1
+            number = _put(node, waiting, number)
             continue
         seen += 1
         value, sound = _proved(stated, region, walk[DEPTH, t], tree, node, work)
@@ -312,6 +309,14 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
             least = value if found == 0 else min(least, value)
             found += 1
     return least, found, 0, ENDED
+
+
+@generic
+def _put(node, waiting, number):
+    """Put the children of a node on the stack; return the number of nodes on it."""
+    for i in range(node[CHILDREN]):
+        waiting[number + i] = node[CHILD] + i
+    return number + node[CHILDREN]
 
 
 @generic
@@ -372,9 +377,14 @@ def depths_of(nodes, walk):
 
 
 @generic
-def set_hessian(order, motion, costs, squares):
-    """Set the Hessian of the cost in z_1..z_N along an axis, in the first rows of (2 N + 2, N)."""
-    count = squares.shape[1]
+def set_hessian(stated, tree, squares):
+    """Set the Hessian of the cost in z_1..z_N along an axis, in the first rows of (2 N + 2, N).
+
+    It is not needed if no leaf assigns curvature to its steps.
+    """
+    if not is_bent(tree.shor):
+        return
+    order, motion, costs, count = stated.order, stated.motion, stated.costs, squares.shape[1]
     h, arrival, twice = squares[:count], squares[2 * count :], 2 * costs.turned
     set_arrival(motion, arrival)
     for i in range(count):

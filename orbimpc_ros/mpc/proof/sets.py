@@ -321,8 +321,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     faced = -(size_of(g, n) + length + abs(curve)) * (1 + fastest * fastest)
     if walled:
         slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
-        if curve == 0 and length > 0:
-            faced = max(faced, beside_polygon(g, along, low, high, fastest, length, sets))
+        faced = max(faced, beside_polygon(g, along, low, high, fastest, length, curve, sets))
     best = max(faced, over_speeds(along + length, curve, slowest, fastest))
     if part >= 0 and len(sets.faces) > 0:
         best = max(best, over_solid(g, sets.faces[part], length, curve, slowest, fastest, sets))
@@ -334,12 +333,13 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
 
 
 @generic
-def beside_polygon(g, along, low, high, fastest, length, sets):
-    """Return a bound on g . z + length |z| over a sector beside one face of a polygonal floor."""
-    share = sets.full / sets.polygon
+def beside_polygon(g, along, low, high, fastest, length, curve, sets):
+    """Return a bound over a sector beside one face of a polygonal floor; see `over_stage`."""
+    share, size = sets.full / sets.polygon, size_of(g, 2) + length + abs(curve)
     middle = share * round((low + high) / (2 * share))  # of the face that bounds the sector
-    if max(middle - low, high - middle) - share / 2 > sets.narrow:
-        return -(size_of(g, 2) + length) * (1 + fastest * fastest)
+    beside = max(middle - low, high - middle) - share / 2 <= sets.narrow
+    if curve != 0 or length <= 0 or not beside:
+        return -size * (1 + fastest * fastest)
     face = on_face(g, direction(middle), sets.least - 4 * sets.narrow, fastest, length, 2)
     return min((along + length) * fastest, face)
 

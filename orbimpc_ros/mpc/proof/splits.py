@@ -175,17 +175,24 @@ def _is_split_right(stated, node, at, part, low, high):
     kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
     extents, count = stated.bodies.extents, stated.root.span.shape[1]
     body, within = c // count - 2, parts == 2 and low <= at <= high
-    if (c == 0 and stated.decided != FREE) or not 0 <= c < (2 + len(extents)) * count:
+    first = 0 if stated.decided == FREE else 1
+    if not first <= c < (2 + len(extents)) * count:
         return False
     if body == -1:
         return kind == SPEED and within
     if body >= 0 and extents[body, 2 * n] == 0:  # a box
         return kind == SIDES and part == WHOLE and parts == 2 * n
-    if n == 2:
-        return (kind == CUT and part == 0 and within) or (
-            kind == ARCS and part == WHOLE and parts >= 2
-        )
-    return _is_solid_split_right(stated, kind, c, parts, part)
+    if n == 3:
+        return _is_solid_split_right(stated, kind, c, parts, part)
+    return _is_sector_split_right(kind, parts, part, within)
+
+
+@generic
+def _is_sector_split_right(kind, parts, part, within):
+    """Return whether a split of directions in the plane is valid."""
+    if part == WHOLE:
+        return kind == ARCS and parts >= 2
+    return kind == CUT and within
 
 
 @generic
@@ -196,11 +203,19 @@ def _is_solid_split_right(stated, kind, c, parts, part):
         return kind == FACES and part == WHOLE and parts == len(sets.faces)
     if kind == QUARTERS:
         return part == 0 and parts == 4
+    if kind != PATCHES or part != WHOLE:
+        return False
+    capped = parts == len(stated.root.patches) - ICOSAHEDRON
+    return parts == ICOSAHEDRON or (heading and capped and _is_capped(sets, c))
+
+
+@generic
+def _is_capped(sets, k):
+    """Return whether the directions of a step are in the cap."""
     capped = False
-    for q in range(len(sets.cone_step) if heading else 0):
-        capped = capped or (sets.cone_step[q] == c and sets.cones[q, stated.n + 3] == 1)
-    capped = capped and parts == len(stated.root.patches) - ICOSAHEDRON
-    return kind == PATCHES and part == WHOLE and (parts == ICOSAHEDRON or capped)
+    for q in range(len(sets.cone_step)):
+        capped = capped or (sets.cone_step[q] == k and sets.cones[q, -1] == 1)
+    return capped
 
 
 @generic

@@ -193,28 +193,45 @@ def prox(shape, h, length, cx, cy):
         best, dx, dy = (0.5 * h * r + length) * r + cx * x + cy * y, -y, x
     for side in range(2):
         vx, vy, least = (lx, ly, a) if side == 0 else (ux, uy, b)
-        slope = cx * vx + cy * vy + length
-        t = -slope / h
-        at = POINT if t <= least or t >= outer else EDGE
-        t = min(outer, max(least, t))
-        value = (0.5 * h * t + slope) * t
+        value, t, at = _onto_edge(h, cx * vx + cy * vy + length, least, outer)
         if value < best:
             best, face, x, y, dx, dy = value, at, t * vx, t * vy, vx, vy
-    ex, ey = b * ux - a * lx, b * uy - a * ly
-    across = np.sqrt(ex * ex + ey * ey)
-    if across > 1e-12:
-        ex, ey = ex / across, ey / across
-        start, slope = a * (lx * ex + ly * ey), cx * ex + cy * ey
-        t = -slope / h  # measured from the foot of the perpendicular
-        if length > 0.0:
-            t = _along_chord(h, length, slope, a * a - start * start, t)
-        if start < t < start + across:
-            px, py = a * lx + (t - start) * ex, a * ly + (t - start) * ey
-            value = 0.5 * h * (px * px + py * py) + cx * px + cy * py
-            value += length * np.sqrt(px * px + py * py)
-            if value < best:
-                best, face, x, y, dx, dy = value, CHORD, px, py, ex, ey
+    value, px, py, ex, ey = _onto_chord(shape, h, length, cx, cy)
+    if value < best:
+        best, face, x, y, dx, dy = value, CHORD, px, py, ex, ey
     return x, y, face, dx, dy
+
+
+@compiled
+def _onto_edge(h, slope, least, outer):
+    """Return the least h t^2 / 2 + slope t from least to outer, where it is, and its face."""
+    t = -slope / h
+    at = POINT if t <= least or t >= outer else EDGE
+    t = min(outer, max(least, t))
+    return (0.5 * h * t + slope) * t, t, at
+
+
+@compiled
+def _onto_chord(shape, h, length, cx, cy):
+    """Return the least value of :func:`prox` within the chord, where it is, and its direction.
+
+    The value is infinity if an end of the chord is better.
+    """
+    a, lx, ly = shape[LEAST_L], shape[LX], shape[LY]
+    ex, ey = shape[LEAST_U] * shape[UX] - a * lx, shape[LEAST_U] * shape[UY] - a * ly
+    across = np.sqrt(ex * ex + ey * ey)
+    if across <= 1e-12:
+        return np.inf, 0.0, 0.0, ex, ey
+    ex, ey = ex / across, ey / across
+    start, slope = a * (lx * ex + ly * ey), cx * ex + cy * ey
+    t = -slope / h  # measured from the foot of the perpendicular
+    if length > 0.0:
+        t = _along_chord(h, length, slope, a * a - start * start, t)
+    if not start < t < start + across:
+        return np.inf, 0.0, 0.0, ex, ey
+    px, py = a * lx + (t - start) * ex, a * ly + (t - start) * ey
+    value = 0.5 * h * (px * px + py * py) + cx * px + cy * py
+    return value + length * np.sqrt(px * px + py * py), px, py, ex, ey
 
 
 @compiled

@@ -175,6 +175,17 @@ def set_tangents(by):
 
 
 @compiled
+def _slope(posed, stiff, pull, z, k, c):
+    """Return the derivative in z_k along an axis of the cost without lengths, and the arrival's."""
+    slope = posed.q[k, c]
+    for j in range(len(z)):
+        slope += posed.hessian[k, j] * z[j, c]
+    if stiff > 0.0:
+        slope += posed.arrival[k] * (pull[c] + stiff * missed_by(posed, z, c))
+    return slope
+
+
+@compiled
 def _set_model(posed, stiff, pull, z, by, gradient, curved):
     """Set the gradient and the Hessian's lower triangle, in moduli and steps along tangents.
 
@@ -192,11 +203,7 @@ def _set_model(posed, stiff, pull, z, by, gradient, curved):
         size, a = length_of(z, k), posed.arrival[k]
         for c in range(n):
             by[k, 0, c] = z[k, c] / size
-            slope[c] = posed.q[k, c]
-            for j in range(count):
-                slope[c] += posed.hessian[k, j] * z[j, c]
-            if stiff > 0.0:
-                slope[c] += a * (pull[c] + stiff * missed_by(posed, z, c))
+            slope[c] = _slope(posed, stiff, pull, z, k, c)
         set_tangents(by[k])
         for e in range(n):
             gradient[n * k + e] = posed.lengths[k] if e == 0 else 0.0

@@ -146,7 +146,7 @@ def _set_minimiser(posed, rows, weights, inverse, z, pull):
         The Lagrangian there without moduli, and log det of the matrix that P inverts, both for z
         subject to the arrival; -inf, with nothing set, if that matrix is not positive definite.
     """
-    matrix, linear, a = posed.hessian.copy(), posed.q.copy(), posed.arrival
+    matrix, linear = posed.hessian.copy(), posed.q.copy()
     constant = _stiffen(posed, matrix, linear)
     for i in range(len(weights)):
         k = rows.steps[i]
@@ -164,7 +164,13 @@ def _set_minimiser(posed, rows, weights, inverse, z, pull):
             constant += 0.5 * linear[k, c] * z[k, c]
     if posed.stiff == 0.0:
         return constant, size
-    along, bent = np.zeros(len(z)), 0.0
+    return _arrived(posed, inverse, z, pull, constant, size)
+
+
+@compiled
+def _arrived(posed, inverse, z, pull, constant, size):
+    """Restrict P and a minimiser to the arrival; return the raised values of `_set_minimiser`."""
+    along, bent, a = np.zeros(len(z)), 0.0, posed.arrival
     for j in range(len(z)):
         for k in range(len(z)):
             along[j] += inverse[j, k] * a[k]
@@ -324,6 +330,28 @@ def prove(posed, theta, z, pull, tree, node):
 
 
 @compiled
+def _add_moduli(posed, z, pull, theta, right):
+    """Add each step's theta, and the linear part of its length, at a point; see `certify`."""
+    force, floor = posed.q.copy(), posed.floor
+    add_product(posed.hessian, z, 1.0, force)
+    for k in range(len(z)):
+        along = square = 0.0
+        for c in range(z.shape[1]):
+            along += (force[k, c] + pull[c] * posed.arrival[k]) * z[k, c]
+            square += z[k, c] * z[k, c]
+        size = np.sqrt(square) + 1e-300
+        slope, share = posed.lengths[k] / size if posed.lengths[k] > 0.0 else 0.0, 0.0
+        if size > 1.0 - ON_BOUND or size < floor + ON_BOUND:
+            theta[k] = -along / square - slope
+            share = slope
+            if floor < 1.0:
+                share = min(slope, abs(theta[k]) * (1.0 + floor) / (1.0 - floor))
+        theta[k] += share
+        for c in range(z.shape[1]):
+            right[k, c] += (slope - share) * z[k, c]
+
+
+@compiled
 def certify(posed, z, pull, tree, cutoff):
     """Raise the root's bound to that of the multipliers of a stationary point, if it is higher.
 
@@ -338,27 +366,12 @@ def certify(posed, z, pull, tree, cutoff):
         tree: its root is updated.
         cutoff: the bound that suffices.
     """
-    (count, n), floor = z.shape, posed.floor
-    force, theta, right = posed.q.copy(), np.zeros(count), posed.q.copy()
+    count, n = z.shape
+    theta, right = np.zeros(count), posed.q.copy()
     stiffened, matrix = posed.hessian.copy(), np.empty((count, count))
     _stiffen(posed, stiffened, right)
     there, column, held = np.empty((count, n)), np.empty(count), np.zeros(n)
-    add_product(posed.hessian, z, 1.0, force)
-    for k in range(count):
-        along = square = 0.0
-        for c in range(n):
-            along += (force[k, c] + pull[c] * posed.arrival[k]) * z[k, c]
-            square += z[k, c] * z[k, c]
-        size = np.sqrt(square) + 1e-300
-        slope, share = posed.lengths[k] / size if posed.lengths[k] > 0.0 else 0.0, 0.0
-        if size > 1.0 - ON_BOUND or size < floor + ON_BOUND:
-            theta[k] = -along / square - slope
-            share = slope
-            if floor < 1.0:
-                share = min(slope, abs(theta[k]) * (1.0 + floor) / (1.0 - floor))
-        theta[k] += share
-        for c in range(n):
-            right[k, c] += (slope - share) * z[k, c]
+    _add_moduli(posed, z, pull, theta, right)
     top, before = np.abs(posed.hessian).max(), 0.0
     for share in SPARES:
         matrix[:] = stiffened
@@ -402,6 +415,14 @@ def _begin(posed, held, known, rows, weights):
 
 
 @compiled
+def _set_theta(rows, weights, theta):
+    """Set the curvature that the weights of rows assign to each step, shape (N,)."""
+    theta[:] = 0.0
+    for i in range(len(weights)):
+        theta[rows.steps[i]] += rows.curved[i] * weights[i]
+
+
+@compiled
 def climb(posed, tree, node, near, cutoff, work):
     """Maximise the dual function by Newton's method, with shrinking barriers; interruptible.
 
@@ -430,9 +451,7 @@ def climb(posed, tree, node, near, cutoff, work):
             break
         share, tried, reached = _advance(posed, rows, weights, mu, step, reached, inverse, z, pull)
         work -= tried * (count**3 + 20.0 * count * count + 100.0) + total**3 / 6.0
-        theta[:] = 0.0
-        for i in range(total):
-            theta[rows.steps[i]] += rows.curved[i] * weights[i]
+        _set_theta(rows, weights, theta)
         prove(posed, theta, z, pull, tree, node)
         lacking = cutoff - known[KEY]
         if lacking <= 0.0:

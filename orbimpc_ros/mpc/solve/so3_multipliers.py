@@ -221,7 +221,7 @@ class SO3Multipliers:
         return self._leave(request, rows)
 
     def _relaxed(self, request: Request, rows: Sequence[Row]) -> Relaxation:
-        """Solve from the multipliers of the last solve, then without, then by the general program."""
+        """Solve from the multipliers of the last solve, then without, then by the general one."""
         terms, bound = self._terms(rows), -np.inf
         for warm in (True, False):
             self._take_up(rows, warm=warm)
