@@ -529,7 +529,7 @@ class Part:
 
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return the bound that a leaf proves on the part, and True if it is sound."""
-        set_hessian(self.stated.order, self.stated.motion, self.stated.costs, self.work.squares)
+        set_hessian(self.stated, leaf, self.work.squares)
         known = self.stated, self.region, self.depth, in_fractions(leaf), 0, empty, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
