@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 32_827,
-    'orbimpc_ros/mpc': 16_745,
+    'orbimpc_ros': 33_104,
+    'orbimpc_ros/mpc': 17_022,
     'orbimpc_ros/loop': 3_725,
     'orbimpc_ros/ros': 4_679,
     'orbimpc_ros/sim': 2_716,
