@@ -22,7 +22,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
@@ -237,9 +237,8 @@ class _Run:
     def _offer(self, known: Sequence[Array]) -> None:
         """Take the best of those candidates that are feasible as the incumbent."""
         for x in known:
-            trajectory = self._posed.flown(x)
-            if not self._posed.missed(trajectory):
-                self._dives.offer(x, trajectory)
+            if not self._posed.missed(self._posed.headings(x)):
+                self._dives.offer(x)
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
@@ -275,13 +274,13 @@ class _Run:
                 continue
             if relaxed.x is None:
                 return None
-            trajectory, known = posed.flown(relaxed.x), self._known(node)
-            cut = self._cut(known, posed.missed(trajectory))
-            if cut is None and not posed.turns_in_time(trajectory):
+            headings, known = posed.headings(relaxed.x), self._known(node)
+            cut = self._cut(known, posed.missed(headings))
+            if cut is None and not posed.turns_in_time(headings):
                 cut = self._regions.widest(known)
             if cut is None:
                 return None
-            self._part(node, cut, relaxed.bound, trajectory.headings[1:])
+            self._part(node, cut, relaxed.bound, headings[1:])
         return self._leaves.tree(self._nodes)
 
     def _bounded(self, node: Node, rows: dict[int, Held]) -> Relaxation | None:
@@ -309,30 +308,30 @@ class _Run:
         if relaxed.x is None:  # neither solved nor proved infeasible
             self._close(node.bound)
             return
-        trajectory = posed.flown(relaxed.x)
-        missed = posed.missed(trajectory)
+        headings = posed.headings(relaxed.x)
+        missed = posed.missed(headings)
         if not missed:
-            self._settle(node, relaxed, trajectory)
+            self._settle(node, relaxed, headings)
             return
         if (self._dives.x is None and not self._guided) or self._is_nearly_round(missed):
-            self._dives.dive(rows, trajectory)
+            self._dives.dive(rows, headings)
         # Branching may take as long as a solve. Without a cut, an imposed face is violated: the
         # solve was not accurate enough.
         cut = None if posed.request.late else self._cut(self._known(node), missed)
         if cut is None:
             self._close(node.bound)
         else:
-            self._part(node, cut, relaxed.bound, trajectory.headings[1:])
+            self._part(node, cut, relaxed.bound, headings[1:])
 
-    def _settle(self, node: Node, relaxed: Relaxation, trajectory: Trajectory) -> None:
+    def _settle(self, node: Node, relaxed: Relaxation, headings: Array) -> None:
         """Close a node whose solution meets all choices, and offer it as the incumbent."""
         self._close(node.bound)
         assert relaxed.x is not None
-        self._dives.offer(relaxed.x, trajectory)
+        self._dives.offer(relaxed.x)
         if not relaxed.is_accurate:
-            self._dives.dive(self._rows(node), trajectory)
-        elif not self._posed.turns_in_time(trajectory):
-            self._dives.turn(self._rows(node), trajectory)
+            self._dives.dive(self._rows(node), headings)
+        elif not self._posed.turns_in_time(headings):
+            self._dives.turn(self._rows(node), headings)
 
     def _rows(self, node: Node) -> dict[int, Held]:
         """Return the half-spaces of a node, by choice."""

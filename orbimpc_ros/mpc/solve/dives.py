@@ -80,13 +80,19 @@ class NodeProgram:
         """Return the rollout of rotation coordinates, shape (N, d)."""
         return trajectory_of(self.problem, self.request.state, self.request.goals, x)
 
-    def missed(self, trajectory: Trajectory) -> dict[int, float]:
-        """Return the violation of each choice that a trajectory violates."""
-        return self.regions.missed(trajectory.headings[1:])
+    def headings(self, x: Array) -> Array:
+        """Return the headings R_0 e1..R_N e1, shape (N + 1, n), of rotation coordinates."""
+        return np.concatenate(
+            [self.request.state.rotation[None, :, 0], x[:, : self.problem.dimension]]
+        )
 
-    def turns_in_time(self, trajectory: Trajectory) -> bool:
+    def missed(self, headings: Array) -> dict[int, float]:
+        """Return the violation of each choice that headings, shape (N + 1, n), violate."""
+        return self.regions.missed(headings[1:])
+
+    def turns_in_time(self, headings: Array) -> bool:
         """Return True if every turn is within its angle; relaxations bound only its chord."""
-        return self.turns is None or self.turns.hold(self.request.state, trajectory.headings)
+        return self.turns is None or self.turns.hold(self.request.state, headings)
 
 
 def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
@@ -135,12 +141,12 @@ class Dives:
             return np.inf
         return self.cost - self._tolerance * max(abs(self.cost), LEAST)
 
-    def offer(self, x: Array, trajectory: Trajectory) -> None:
+    def offer(self, x: Array) -> None:
         """Accept a trajectory without violated choices if it is cheaper and feasible otherwise."""
-        posed = self._posed
+        posed, trajectory = self._posed, self._posed.flown(x)
         if (
             trajectory.cost < self.cost
-            and posed.turns_in_time(trajectory)
+            and posed.turns_in_time(trajectory.headings)
             and is_accurate(posed.problem, posed.request.goals, trajectory)
         ):
             self.x, self.cost = x, trajectory.cost
@@ -162,50 +168,50 @@ class Dives:
             if x is None:
                 return
             trajectory = self._posed.flown(x)
-            if not self._posed.missed(trajectory):
-                self.offer(x, trajectory)
+            if not self._posed.missed(trajectory.headings):
+                self.offer(x)
             if trajectory.cost > (1.0 - WORTH) * cost:
                 return
             headings, cost = trajectory.headings[1:], trajectory.cost
 
-    def dive(self, rows: Rows, trajectory: Trajectory) -> None:
+    def dive(self, rows: Rows, headings: Array) -> None:
         """Look for a trajectory: add a half-space for each violated choice, and solve again.
 
         Args:
             rows: half-spaces of the node.
-            trajectory: solution of the node, inaccurate or with violated choices.
+            headings: solution of the node, inaccurate or with violated choices, (N + 1, n).
         """
         posed, regions = self._posed, self._posed.regions
         if posed.turns is not None:
-            self.turn(rows, trajectory)
+            self.turn(rows, headings)
             if self.x is not None:
                 return
         held = rows
         for _ in range(self._steps):
             if posed.request.late:
                 return
-            missed = list(posed.missed(trajectory)) or regions.round_floors
+            missed = list(posed.missed(headings)) or regions.round_floors
             if not missed:
                 return
-            held = held | regions.tangents(trajectory.headings[1:], missed, rows)
+            held = held | regions.tangents(headings[1:], missed, rows)
             x = self._solved(held)
             if x is None:
                 return
-            trajectory = posed.flown(x)
-            if not posed.missed(trajectory):  # tangents of circular floors here may cost less
-                self.offer(x, trajectory)
+            headings = posed.headings(x)
+            if not posed.missed(headings):  # tangents of circular floors here may cost less
+                self.offer(x)
                 if not regions.round_floors:
                     return
 
-    def turn(self, rows: Rows, trajectory: Trajectory) -> None:
-        """Look for a trajectory within the turn limit near this one's headings, then its speeds."""
+    def turn(self, rows: Rows, headings: Array) -> None:
+        """Look for a trajectory within the turn limit near headings, then near their speeds."""
         turns = self._posed.turns
         assert turns is not None
-        reached = turns.reached(self._posed.request.state, trajectory.headings)
-        for around in (reached, turns.kept(trajectory.headings)):
-            self._turn_from(rows, trajectory, around)
+        reached = turns.reached(self._posed.request.state, headings)
+        for around in (reached, turns.kept(headings)):
+            self._turn_from(rows, headings, around)
 
-    def _turn_from(self, rows: Rows, trajectory: Trajectory, around: list[Cell]) -> None:
+    def _turn_from(self, rows: Rows, headings: Array, around: list[Cell]) -> None:
         """Look for a trajectory within the turn limit and in cells of the floor, one per step.
 
         The chords between consecutive headings are bounded so that no turn is too wide.
@@ -215,17 +221,17 @@ class Dives:
         for _ in range(DIVE_STEPS):
             if posed.request.late:
                 return
-            missed = [c for c in posed.missed(trajectory) if c >= len(around)]
-            held |= posed.regions.tangents(trajectory.headings[1:], missed, rows)
+            missed = [c for c in posed.missed(headings) if c >= len(around)]
+            held |= posed.regions.tangents(headings[1:], missed, rows)
             x = self._solved(held | _faced(around), posed.turns.close(around))
             if x is None:
                 return
-            trajectory = posed.flown(x)
-            if not posed.missed(trajectory):
-                self.offer(x, trajectory)
-            if not posed.turns_in_time(trajectory):
+            headings = posed.headings(x)
+            if not posed.missed(headings):
+                self.offer(x)
+            if not posed.turns_in_time(headings):
                 return
-            around = posed.turns.kept(trajectory.headings)
+            around = posed.turns.kept(headings)
 
     def _beside(self, headings: Array, rows: Rows) -> Array | None:
         """Return the best trajectory, shape (N, d), on the same sides as a path, or None.

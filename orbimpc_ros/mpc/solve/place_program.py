@@ -30,7 +30,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
-from orbimpc_ros.mpc.kernels import COMPILED, compiled, entry_point
+from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, extend_factor, solve_factored
 from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.model.dynamics import control_maps
@@ -408,9 +408,11 @@ class PlaceProgram:
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._general: Relaxed | None = None
+        self._minimise = minimise
         # The first call compiles or loads cached machine code: at start-up rather than in a tick.
         start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
         self.relax(Request(start, np.zeros((steps, n))))
+        self._minimise = bare(minimise)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -450,7 +452,7 @@ class PlaceProgram:
             self._bind(request)
         asked, count, bound = self._asked(rows, chords), 0, -np.inf
         while True:
-            status, value, count = minimise(self._known, asked, self._held, count, SLICE)
+            status, value, count = self._minimise(self._known, asked, self._held, count, SLICE)
             bound = max(bound, value + self._constant)
             if status != INTERRUPTED or request.late:
                 break
