@@ -59,6 +59,10 @@ class Odometry(ByContent):
     body_velocity: Array
     body_rate: Array
 
+    def __post_init__(self) -> None:
+        for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
+            array.setflags(write=False)
+
 
 @dataclass(frozen=True, eq=False)
 class WindReport(ByContent):
@@ -365,7 +369,9 @@ class Compensator:
     @property
     def disturbance(self) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
-        return np.asarray(self._given + self._estimate[-1])
+        found: Array = self._given + self._estimate[-1]
+        found.setflags(write=False)
+        return found
 
     def start(
         self,
