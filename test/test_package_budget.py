@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_104,
-    'orbimpc_ros/mpc': 17_022,
-    'orbimpc_ros/loop': 3_725,
+    'orbimpc_ros': 33_117,
+    'orbimpc_ros/mpc': 17_029,
+    'orbimpc_ros/loop': 3_731,
     'orbimpc_ros/ros': 4_679,
     'orbimpc_ros/sim': 2_716,
     'orbimpc_ros/tool': 4_780,
