@@ -101,6 +101,21 @@ MODELS = [
 
 
 @pytest.mark.parametrize('model', MODELS)
+def test_a_solver_takes_states_with_any_number_of_hazards_in_turn(model):
+    rng, tolerance = np.random.default_rng(9), 1e-3
+    problem = Problem(horizon=5, step=0.6, forward=1.8, **model)
+    n, solver = problem.dimension, Solver(problem, gap_tolerance=tolerance)
+    goals = np.tile(np.eye(n)[0] * 6.0, (problem.horizon, 1))
+    for count in (2, 0, 3, 1):
+        start = State.at(np.zeros(n), np.eye(n), hazards=crossing(rng, n, count))
+        plan, anew = (
+            each.solve(start, goals) for each in (solver, Solver(problem, gap_tolerance=tolerance))
+        )
+        assert violations(problem, start, goals, plan) == []
+        assert plan.objective == pytest.approx(anew.objective, rel=2.0 * tolerance)
+
+
+@pytest.mark.parametrize('model', MODELS)
 def test_plans_stay_clear_at_all_times(model):
     rng = np.random.default_rng(21)
     problem = Problem(horizon=5, step=0.6, forward=1.8, **model)
