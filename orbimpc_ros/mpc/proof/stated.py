@@ -396,7 +396,7 @@ class Statement:
         """Return direction and angle of the approach in the plane; -1 for the angle without."""
         if self.problem.dimension == 3 or not cones:
             return self._number(0), self._number(-1)
-        (cone,) = cones
+        cone = cones[-1]  # of the approach; a file may state more
         return self._number(math.atan2(cone.axis[1], cone.axis[0])), self._number(cone.angle)
 
     def _set_speeds(self, span: Rows, limits: Limits) -> None:
