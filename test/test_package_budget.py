@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_117,
-    'orbimpc_ros/mpc': 17_029,
+    'orbimpc_ros': 33_116,
+    'orbimpc_ros/mpc': 17_028,
     'orbimpc_ros/loop': 3_731,
     'orbimpc_ros/ros': 4_679,
     'orbimpc_ros/sim': 2_716,

@@ -238,7 +238,7 @@ class _Run:
         """Take the best of those candidates that are feasible as the incumbent."""
         for x in known:
             if not self._posed.missed(self._posed.headings(x)):
-                self._dives.offer(x)
+                self._dives.offer(x, self._posed.flown(x))
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
@@ -327,7 +327,7 @@ class _Run:
         """Close a node whose solution meets all choices, and offer it as the incumbent."""
         self._close(node.bound)
         assert relaxed.x is not None
-        self._dives.offer(relaxed.x)
+        self._dives.offer(relaxed.x, self._posed.flown(relaxed.x))
         if not relaxed.is_accurate:
             self._dives.dive(self._rows(node), headings)
         elif not self._posed.turns_in_time(headings):

@@ -141,9 +141,9 @@ class Dives:
             return np.inf
         return self.cost - self._tolerance * max(abs(self.cost), LEAST)
 
-    def offer(self, x: Array) -> None:
+    def offer(self, x: Array, trajectory: Trajectory) -> None:
         """Accept a trajectory without violated choices if it is cheaper and feasible otherwise."""
-        posed, trajectory = self._posed, self._posed.flown(x)
+        posed = self._posed
         if (
             trajectory.cost < self.cost
             and posed.turns_in_time(trajectory.headings)
@@ -169,7 +169,7 @@ class Dives:
                 return
             trajectory = self._posed.flown(x)
             if not self._posed.missed(trajectory.headings):
-                self.offer(x)
+                self.offer(x, trajectory)
             if trajectory.cost > (1.0 - WORTH) * cost:
                 return
             headings, cost = trajectory.headings[1:], trajectory.cost
@@ -199,7 +199,7 @@ class Dives:
                 return
             headings = posed.headings(x)
             if not posed.missed(headings):  # tangents of circular floors here may cost less
-                self.offer(x)
+                self.offer(x, posed.flown(x))
                 if not regions.round_floors:
                     return
 
@@ -228,7 +228,7 @@ class Dives:
                 return
             headings = posed.headings(x)
             if not posed.missed(headings):
-                self.offer(x)
+                self.offer(x, posed.flown(x))
             if not posed.turns_in_time(headings):
                 return
             around = posed.turns.kept(headings)

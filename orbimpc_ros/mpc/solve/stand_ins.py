@@ -86,7 +86,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
         goals: g_1..g_N, shape (N, n) [m].
     """
     ahead, first = _ahead(problem, state)
-    yield from _escaping(problem, state)
+    yield from _escaping(problem, state, ahead, first)
     least = min(1.0, float(problem.floor.least(ahead[:, 0])))
     arrives = problem.terminal == 'constraint'
     speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
@@ -107,12 +107,11 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
             yield rotations
 
 
-def _escaping(problem: Problem, state: State) -> Iterator[Array]:
+def _escaping(problem: Problem, state: State, ahead: Array, first: Array | None) -> Iterator[Array]:
     """Yield R_1..R_N of escapes from hazards, the clearest one first."""
     traffic = traffic_of(problem, state) if state.hazards else None
     if traffic is None:
         return
-    ahead, first = _ahead(problem, state)
     for headings in ways_out(problem, state, traffic):
         rotations = carried(ahead, headings[1:])
         if first is not None:
