@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.plan import UNPROVED
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof import document, sets
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
-from orbimpc_ros.mpc.proof.stated import Statement
+from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Cone, Statement
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
@@ -269,3 +269,14 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
     assert verified(document_of(50, leaves=40)).leaves == 40
     with pytest.raises(Refused, match='work'):  # a leaf counts once for every node that shares it
         verified(document_of(50, leaves=4000))
+
+
+def test_a_problem_in_the_plane_may_state_the_same_cone_twice():
+    problem, cone = Problem(), Cone((0.0, 1.0), 0.3, 0.01, (5,))
+    start, goals, still = State.at([0.0, 0.0], np.eye(2)), np.ones((5, 2)), np.zeros((5, 2))
+    asked, verifier = (start, goals, one(still, np.zeros(5))), Verifier(problem)
+    once, twice = (
+        verifier.bound(*asked, limits=NO_LIMITS._replace(cones=cones))
+        for cones in ((cone,), (cone, cone))
+    )
+    assert once == twice > -np.inf
