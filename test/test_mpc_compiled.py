@@ -7,7 +7,7 @@ import textwrap
 
 import numpy as np
 import pytest
-from harness import python
+from harness import python, run
 
 from orbimpc_ros import Floor, Problem, Solver, State
 from orbimpc_ros.mpc import kernels
@@ -54,6 +54,34 @@ def test_kept_code_is_loaded_without_what_numba_compiles_with():
     """
     python(script)  # fills the cache
     assert python(script).stdout == 'False\n'
+
+
+SHARED = """
+    from orbimpc_ros.mpc.kernels import compiled, entry_point
+
+    @compiled
+    def part(x):
+        return x  # MORE
+
+    @entry_point
+    def whole(x):
+        return part(x) + part(2.0 * x) + part(3.0 * x)
+
+    whole(1.0)
+    (made,) = whole.overloads.values()
+    every = made.library.get_defined_functions()
+    print(*(each.linkage.name for each in every if '4part' in each.name))
+"""
+
+
+def test_parts_are_called_only_by_the_code_that_they_are_linked_into(tmp_path):
+    """Other code would call them by name, although the optimiser has changed their arguments."""
+    script, longer = tmp_path / 'shared.py', 'x = x * x + 1.0 / (2.0 + x)\n        '
+    # Too long to be inlined.
+    script.write_text(
+        textwrap.dedent(SHARED.replace('return x  # MORE', 200 * longer + 'return x'))
+    )
+    assert run(sys.executable, str(script)).stdout == 'internal\n'
 
 
 def test_code_from_other_sources_is_forgotten(tmp_path):

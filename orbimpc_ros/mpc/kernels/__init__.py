@@ -123,8 +123,10 @@ else:
                 return
             _link_parts(self)
             module = self._final_module
-            entries = {each.name for each in added.functions}
-            for each in module.functions:  # so that what has a single caller is inlined
+            entries = {each.name for each in added.functions if not each.is_declaration}
+            # So that what has a single caller is inlined, and no other code calls it by its name:
+            # the optimiser may have changed its arguments.
+            for each in module.functions:
                 if not each.is_declaration and each.name not in entries:
                     each.linkage = 'internal'
             makes_arrays = any(each.name.startswith(MAKES) for each in module.functions)
