@@ -21,11 +21,18 @@ from zlib import crc32
 try:
     from llvmlite import ir
     from llvmlite.binding import parse_assembly
-    from numba import njit
+    from numba import njit, types
     from numba.core.caching import CompileResultCacheImpl, FunctionCache
+    from numba.core.cgutils import alloca_once_value
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
+    from numba.core.compiler_machinery import register_pass
+    from numba.core.datamodel import default_manager
+    from numba.core.datamodel.models import TupleModel
+    from numba.core.lowering import Lower
     from numba.core.runtime import rtsys
+    from numba.core.runtime.context import NRTContext
+    from numba.core.typed_passes import NativeLowering
 except ImportError:
     COMPILED = False
 else:
@@ -88,7 +95,7 @@ else:
         """
 
         def finalize(self) -> None:
-            """Link the function's callees; the code of callers is optimised as a whole."""
+            """Link the function's callees."""
             _link_parts(self)
             self._finalized = True
 
@@ -102,7 +109,87 @@ else:
             """Return a stub for setting the environment of running code: nothing runs here."""
             return SimpleNamespace(set_env=lambda name, environment: None)
 
-    class _PartCompiler(Compiler):
+    class _Pointed(TupleModel):
+        """A named tuple of this package, which functions take by its address.
+
+        numba would pass each number and address in it by itself, hundreds for a problem: three
+        quarters of the code to be optimised.
+        """
+
+        def get_argument_type(self) -> Any:
+            """Return the type of an argument."""
+            return self.get_value_type().as_pointer()
+
+        def as_argument(self, builder: Any, value: Any) -> Any:
+            """Return the argument that stands for a value."""
+            return alloca_once_value(builder, value)
+
+        def from_argument(self, builder: Any, value: Any) -> Any:
+            """Return the value that an argument stands for."""
+            return builder.load(value)
+
+    def _model_of(manager: Any, kind: Any) -> TupleModel:
+        """Return how a named tuple is stored and passed; those of other packages as before."""
+        own = kind.instance_class.__module__.startswith('orbimpc_ros.')
+        return (_Pointed if own else TupleModel)(manager, kind)
+
+    default_manager.register(types.NamedTuple, _model_of)
+
+    class _Uncounted(NRTContext):
+        """References to arrays, not counted."""
+
+        def incref(self, builder: Any, typ: Any, value: Any) -> None:
+            """Do nothing."""
+
+        def decref(self, builder: Any, typ: Any, value: Any) -> None:
+            """Do nothing."""
+
+    class _Lowering(Lower):
+        """Translation of a function, which counts references only if it owns arrays.
+
+        Without arrays that it creates or returns, it would count each reference up and down again:
+        a quarter of the time of compiling. What numba compiles on its behalf has to count.
+        """
+
+        def __init__(self, context: Any, library: Any, known: Any, *rest: Any, **more: Any) -> None:
+            super().__init__(context, library, known, *rest, **more)
+            models = context.data_model_manager
+            made = (
+                signature.return_type
+                for each, signature in known.calltypes.items()
+                if signature is not None and _creates(getattr(each, 'op', ''), signature)
+            )
+            if not any(models[each].contains_nrt_meminfo() for each in (known.restype, *made)):
+                self.context.nrt = _Uncounted(self.context, True)
+                self.context._compile_subroutine_no_cache = context._compile_subroutine_no_cache
+
+    def _creates(operation: str, signature: Any) -> bool:
+        """Return True if the result of an operation may be a new array, not a part of others."""
+        arrays = isinstance(signature.return_type, types.Array)
+        return operation == 'call' or (arrays and operation in ARITHMETIC)
+
+    @register_pass(mutates_CFG=True, analysis_only=False)
+    class _NativeLowering(NativeLowering):
+        _name = 'lowering_without_counts'
+
+        @property
+        def lowering_class(self) -> Any:
+            return _Lowering
+
+    class _LeanCompiler(Compiler):
+        """numba's compiler without passes that change nothing in this package's functions."""
+
+        def define_pipelines(self) -> list:
+            """Return the passes of compiling."""
+            (pipeline,) = super().define_pipelines()
+            pipeline.passes[:] = [
+                (_NativeLowering if each is NativeLowering else each, what)
+                for each, what in pipeline.passes
+                if each.__name__ not in UNNEEDED
+            ]
+            return [pipeline]
+
+    class _PartCompiler(_LeanCompiler):
         """Compiler of functions that are linked into their callers."""
 
         def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
@@ -141,7 +228,7 @@ else:
             names = _idle(*(each.name for each in self.get_defined_functions()))
             return name, what, (code, parse_assembly(str(names)).as_bitcode())
 
-    class _WholeCompiler(Compiler):
+    class _WholeCompiler(_LeanCompiler):
         """Compiler of functions that Python calls."""
 
         def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
@@ -194,6 +281,12 @@ WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 MAKES = 'NRT_MemInfo_alloc', 'NRT_Allocate'  # those that create arrays,
 COUNTS = {'NRT_incref': 1, 'NRT_decref': -1}  # those that count references to them,
 GIVES_UP = 'NRT_MemInfo_call_dtor'  # and that which frees them
+ARITHMETIC = 'binop', 'inplace_binop', 'unary', 'arrayexpr'
+UNNEEDED = (
+    *('WithLifting', 'InlineClosureLikes', 'RewriteDynamicRaises', 'MakeFunctionToJitFunction'),
+    *('InlineInlinables', 'FindLiterallyCalls', 'LiteralUnroll', 'InlineOverloads'),
+    *('LiteralPropagationSubPipelinePass', 'AnnotateTypes', 'DumpParforDiagnostics'),
+)
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
 

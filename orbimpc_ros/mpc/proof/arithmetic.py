@@ -64,10 +64,16 @@ def _bound_to_floats(function: Callable) -> Callable:
     for name in source.__code__.co_names:
         if known.get(name) in IN_FLOATS:
             each = known[name]
-            known[name] = compiled(_bound_to_floats(each))
+            known[name] = _part(each)
     made = FunctionType(source.__code__, known, source.__name__)
     made.__module__, made.__qualname__ = source.__module__, source.__qualname__
     return made
+
+
+@cache
+def _part(function: Callable) -> Callable:
+    """Return a generic function compiled for floats, once for all of its callers."""
+    return compiled(_bound_to_floats(function))
 
 
 def _root(x):

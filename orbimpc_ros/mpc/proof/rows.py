@@ -113,8 +113,8 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
         choice, at = row // POINTS + 2 * count, row % POINTS
         j, k = choice // count - 2, choice % count
         i = control_of(bodies.of[j], k, degree, at)
-        known = region.part[d], region.span[d], region.corners[d]
-        out, off, terms = side_of(sets, bodies, choice, *known, normal)
+        part, span, corners = region.part[d], region.span[d], region.corners[d]
+        out, off, terms = side_of(sets, bodies, choice, part, span, corners, normal)
         if i < 0 or terms < 0:
             return value, size, False
         value, size = value + y * (out - off), size + y * terms

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from threading import get_ident
 
 import numpy as np
@@ -17,16 +16,16 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED, bare
-from orbimpc_ros.mpc.kernels.best_first import LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ProofTree
+from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.search.relax import Posed, room_for
 from orbimpc_ros.mpc.search.ring import Ring
-from orbimpc_ros.mpc.search.tree import ROW, Tree, begin, search, tree_for
+from orbimpc_ros.mpc.search.tree import ROW, Tree, search, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon up to which a search proves more in a tick than sparse solves do
@@ -44,17 +43,34 @@ class TreeSearch:
     Args:
         problem: to solve, in natural units.
         tolerance: relative gap at which a plan is good enough to stop.
+        search: begins or continues a search, as :func:`~orbimpc_ros.mpc.search.tree.search` does.
     """
 
     trusts_guess = False  # any starting point will do
 
-    def __init__(self, problem: Problem, tolerance: float) -> None:
-        self._problem, self._tolerance = problem, tolerance
+    def __init__(self, problem: Problem, tolerance: float, search: Callable) -> None:
+        self._problem, self._tolerance, self._search = problem, tolerance, search
         self._condensed = Condensed(problem)
         self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
         self._lengths = length_weights(problem)[1:].astype(float)
         self._arrival, self._stiff = np.zeros(problem.horizon), 0.0
         self._floor = float(problem.floor.fraction) if problem.floor.exists else 0.0
+
+    def _prepare(self) -> None:
+        """Compile or load the machine code: at start-up, not in a tick."""
+        steps, n = self._problem.horizon, self._problem.dimension
+        start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
+        with suppress(Infeasible):
+            self.solve(Request(start, np.zeros((steps, n)), out_of_time=lambda: True))
+        self._search = bare(self._search)
+
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory found, with the tree that proves a bound.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints.
+        """
+        raise NotImplementedError
 
     def _posed(self, request: Request, left: Array) -> Posed:
         """Return the problem from a state, with ``left`` to arrive at, shape (n,)."""
@@ -62,24 +78,18 @@ class TreeSearch:
         cost = self._hessian, self._inverse, q, self._lengths, constant
         return Posed(*cost, self._floor, self._arrival, left, self._stiff)
 
-    def _run(
-        self,
-        request: Request,
-        tree: Tree,
-        posed: Posed,
-        begin: Callable[[], object],
-        search: Callable[[], int],
-    ) -> Found:
+    def _run(self, request: Request, posed: Posed, tree: Tree, *given: object) -> Found:
         """Search until it ends or the time is up; return the result with its proof.
 
         Raises:
-            Infeasible: the search begins with an empty root.
+            Infeasible: the root is empty.
         """
-        if begin() is False:
-            raise Infeasible('no turn meets the cone of approach')
-        while search() == PAUSED:
+        tree.counts[:] = 0  # it begins
+        while (status := self._search(posed, self._tolerance, tree, *given, SLICE)) == PAUSED:
             if request.late or request.enough.met(self._found(tree, posed)):
                 break
+        if status == EMPTY:
+            raise Infeasible('no turn meets the cone of approach')
         return self._found(tree, posed, self._proof(tree))
 
     def _found(self, tree: Tree, posed: Posed, proof: ProofTree | None = None) -> Found:
@@ -115,20 +125,14 @@ class Engine(TreeSearch):
     """Solver of problems in the plane by branch and bound over stage sets."""
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        super().__init__(problem, tolerance)
+        super().__init__(problem, tolerance, search)
         floor = problem.floor
         self._faces = floor.faces if floor.shape == 'polygon' else 0
         self._widest = problem.widest_turn if floor.exists else math.pi
         self.takes_guess = floor.exists  # relaxations over disks need none
         if problem.max_rate or problem.max_acceleration or floor.shape == 'circle':
             self._tolerance *= SETTLED
-        self._begin, self._search = begin, search
-        # The first call compiles or loads machine code: at start-up, not in a tick.
-        start = State.at(np.zeros(2), np.eye(2), wanted=np.eye(2))
-        with suppress(Infeasible):
-            goals = np.ones((problem.horizon, 2))
-            self.solve(Request(start, goals, out_of_time=lambda: True))
-        self._begin, self._search = bare(begin), bare(search)
+        self._prepare()
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -161,9 +165,7 @@ class Engine(TreeSearch):
         tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
-        begun = partial(self._begin, posed, ring, tree, guess, room)
-        asked = partial(self._search, posed, ring, self._tolerance, tree, room, SLICE)
-        return self._run(request, tree, posed, begun, asked)
+        return self._run(request, posed, tree, ring, guess, room)
 
     def _ring(self, state: State) -> Ring:
         """Return the floor and the limits of headings and speeds from a state."""

@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.relax import cost_of, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
 

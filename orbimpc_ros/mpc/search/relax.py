@@ -18,8 +18,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.interior import (
     BLOCKED,
     CENTRED,

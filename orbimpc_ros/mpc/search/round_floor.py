@@ -13,9 +13,7 @@ Mathematics: docs/mathematics.md, 4.4 to 4.6.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from threading import get_ident
 
 import numpy as np
@@ -23,8 +21,11 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
-from orbimpc_ros.mpc.kernels import bare, compiled, entry_point
-from orbimpc_ros.mpc.kernels.best_first import (
+from orbimpc_ros.mpc.kernels import compiled, entry_point
+from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT
+from orbimpc_ros.mpc.search.best_first import (
     CLOSED,
     DONE,
     FULL,
@@ -40,10 +41,7 @@ from orbimpc_ros.mpc.kernels.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.model.dynamics import adrift
-from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT
-from orbimpc_ros.mpc.search.engine import SETTLED, SLICE, TreeSearch
+from orbimpc_ros.mpc.search.engine import SETTLED, TreeSearch
 from orbimpc_ros.mpc.search.relax import rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, cut_near, take_part
 from orbimpc_ros.mpc.search.shells import (
@@ -82,14 +80,10 @@ SAME = 1e-9  # relative: costs this close to the incumbent's count as equal
 OUT_OF_REACH = 1e-9  # relative margin beyond the reach
 
 
-@entry_point
-def _begin(posed, tree, descent, first):
-    """Begin a search with its root, and with descents from the starts of indices from ``first`` on.
-
-    With an arrival, a trajectory that satisfies it is the first incumbent.
-    """
+@compiled
+def _begin(posed, tree, descent):
+    """Begin a search with its root; with an arrival, a trajectory that satisfies it comes first."""
     plant(tree)
-    tree.counts[BEGIN] = first
     tree.sectors[0, :, LOW], tree.sectors[0, :, HIGH] = -np.pi, np.pi
     descent.numbers[ACTIVE] = 0.0
     if posed.stiff > 0.0 and arrive(posed, descent.z):
@@ -100,10 +94,11 @@ def _begin(posed, tree, descent, first):
 def _set_out(posed, tree, descent, starts):
     """Begin the next descent, from beside a node or else a start; return False if none remains.
 
-    With an arrival, the start without bounds on lengths is used only after the root is solved.
+    With an arrival, the last start is used only after the root is solved.
     """
-    counts = tree.counts
-    given = 1 if posed.stiff > 0.0 and counts[NODES] == 0 else len(starts)
+    counts, given = tree.counts, len(starts)
+    if posed.stiff > 0.0 and counts[NODES] == 0:
+        given -= 1
     if counts[SIDE] < counts[SIDES]:
         set_spread(posed, tree, counts[FROM], counts[SIDE], descent.z)
         counts[SIDE] += 1
@@ -185,21 +180,23 @@ def _solve_node(posed, tolerance, tree, node, work):
 
 @entry_point
 def _search(posed, tolerance, tree, descent, starts, work):
-    """Continue a best-first search.
+    """Begin or continue a best-first search.
 
     Args:
         posed: the problem.
         tolerance: relative gap at which to stop.
-        tree: begun by :func:`_begin`; updated in place.
+        tree: updated in place; without nodes, the search begins.
         descent: the current one, from a start or from beside a node.
-        starts: headings to descend from: the guess, and the minimiser without bounds on lengths,
-            shape (2, N, n).
+        starts: headings to descend from: a guess, if there is one, and the minimiser without
+            bounds on lengths, shape (S, N, n).
         work: multiplications to do.
 
     Returns:
         ``DONE``; ``FULL`` if there is no memory for more nodes; ``PAUSED`` if the work is done.
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
+    if counts[MADE] == 0:
+        _begin(posed, tree, descent)
     while work > 0.0 and status == PAUSED:
         if descent.numbers[ACTIVE] > 0.0:
             work = _descend(posed, tolerance, tree, descent, work)
@@ -232,19 +229,13 @@ class RoundFloor(TreeSearch):
     takes_guess = True
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        super().__init__(problem, SETTLED * tolerance)
+        super().__init__(problem, SETTLED * tolerance, _search)
         if problem.terminal == 'constraint':
             self._arrival = problem.maps.reach[-1, 1:].copy()
             largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
             self._stiff = STIFF * float(largest)
         self._general = General(problem, self._tolerance)
-        self._begin, self._search = _begin, _search
-        # The first call compiles or loads machine code: at start-up, not in a tick.
-        steps, n = problem.horizon, problem.dimension
-        start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
-        with suppress(Infeasible):
-            self.solve(Request(start, np.zeros((steps, n)), out_of_time=lambda: True))
-        self._begin, self._search = bare(_begin), bare(_search)
+        self._prepare()
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -272,13 +263,11 @@ class RoundFloor(TreeSearch):
         nodes = min(MOST, ROOM // steps) if n == 2 else 1
         tree = tree_for(get_ident(), nodes + MOST_ARCS, steps, n, KINDS)
         descent = Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6))
-        starts = np.zeros((2, steps, n))
-        if guess is not None:
-            starts[0] = guess.x[:, :n]
-        starts[1] = -(self._inverse @ posed.q)  # without bounds on lengths
-        begun = partial(self._begin, posed, tree, descent, 0 if guess is not None else 1)
-        asked = partial(self._search, posed, self._tolerance, tree, descent, starts, SLICE)
-        found = self._run(request, tree, posed, begun, asked)
+        known = [] if guess is None else [guess.x[:, :n]]
+        starts = np.array(
+            [*known, -(self._inverse @ posed.q)]
+        )  # the last without bounds on lengths
+        found = self._run(request, posed, tree, descent, starts)
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
         # Setting up the general search takes longer than callers with a deadline can wait.

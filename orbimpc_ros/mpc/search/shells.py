@@ -17,8 +17,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.kernels.linear import solve_factored, solve_spd
+from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
 

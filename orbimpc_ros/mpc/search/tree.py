@@ -17,8 +17,11 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
-from orbimpc_ros.mpc.kernels.best_first import (
+from orbimpc_ros.mpc.kernels.linear import add_product
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, SPEED
+from orbimpc_ros.mpc.search.best_first import (
     DONE,
+    EMPTY,
     FULL,
     LEAST,
     MADE,
@@ -32,8 +35,6 @@ from orbimpc_ros.mpc.kernels.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.kernels.linear import add_product
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, SPEED
 from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
 from orbimpc_ros.mpc.search.relax import (
     GOING,
@@ -182,7 +183,10 @@ def branch(tree, node, kind, choice, cut, parts):
 def take_better(posed, tree, z):
     """Make a trajectory the incumbent if it is better."""
     if tree.numbers[VALUE] == np.inf or rise_of(posed, tree.best, z) < 0.0:
-        tree.numbers[VALUE], tree.best[:] = cost_of(posed, z), z
+        tree.numbers[VALUE] = cost_of(posed, z)
+        for k in range(len(z)):
+            for c in range(z.shape[1]):
+                tree.best[k, c] = z[k, c]
 
 
 @compiled
@@ -459,15 +463,12 @@ def improve(posed, ring, tree, room):
         take_better(posed, tree, z)
 
 
-@entry_point
-def begin(posed, ring, tree, guess, room):
-    """Begin a search with its root and an incumbent near the best point known.
+@compiled
+def _begin(posed, ring, tree, guess, room):
+    """Begin a search with its root and an incumbent near the best point known; see `search`.
 
-    That is the guess, shape (N, 2), or the unconstrained optimum if there is none, shape (0, 2). If
-    no trajectory is found near it, the search begins with straight flight.
-
-    Returns:
-        False if the root is empty.
+    If no trajectory is found near it, the search begins with straight flight. Return False if the
+    root is empty.
     """
     plant(tree)
     start, ahead = tree.z[0], np.empty_like(tree.best)
@@ -531,22 +532,25 @@ def _solve_node(posed, ring, tree, node, tolerance, room, work):
 
 
 @entry_point
-def search(posed, ring, tolerance, tree, room, work):
-    """Continue a best-first search.
+def search(posed, tolerance, tree, ring, guess, room, work):
+    """Begin or continue a best-first search.
 
     Args:
         posed: the problem.
-        ring: floor and limits.
         tolerance: relative gap at which to stop.
-        tree: begun by :func:`begin`; updated in place.
+        tree: updated in place; without nodes, the search begins.
+        ring: floor and limits.
+        guess: the best point known, shape (N, 2); (0, 2) for the unconstrained optimum.
         room: working memory.
         work: multiplications to do.
 
     Returns:
-        ``DONE``; ``FULL`` if there is no memory for more nodes; ``PAUSED`` if the work is done, or
-        if the next call begins with a descent.
+        ``DONE``; ``FULL`` if there is no memory for more nodes; ``EMPTY`` if the root is;
+        ``PAUSED`` if the work is done, or if the next call begins with a descent.
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
+    if counts[MADE] == 0 and not _begin(posed, ring, tree, guess, room):
+        return EMPTY
     if counts[PROMISES] > 0:
         improve(posed, ring, tree, room)
     counts[PROMISES] = 0
