@@ -12,20 +12,20 @@ from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 
-def the_search() -> None:
-    """Compile the search in the plane: half of all machine code."""
+def first_half() -> None:
+    """Compile the search in the plane, what verifies bounds, and programs among bodies."""
     Engine(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
-
-
-def the_rest() -> None:
-    """Compile the other half."""
-    RoundFloor(Problem(floor=Floor('circle')), 1e-6)
     Verifier(Problem())
-    SO3Multipliers(Problem(dimension=3), beside=True)
     PlaceProgram(Problem())
 
 
-PARTS = (the_search, the_rest) if COMPILED else ()
+def second_half() -> None:
+    """Compile the search for round floors, and programs over SO(3)."""
+    RoundFloor(Problem(floor=Floor('circle')), 1e-6)
+    SO3Multipliers(Problem(dimension=3), beside=True)
+
+
+PARTS = (first_half, second_half) if COMPILED else ()
 
 if __name__ == '__main__':
     with ProcessPoolExecutor(2) as pool:
