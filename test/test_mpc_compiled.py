@@ -1,9 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Machine code: compiled once, cached, dropped when sources change, and without leaks."""
 
+import ast
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+MACHINE = {'compiled', 'entry_point', 'generic', 'vectorised'}  # decorators
 ONCE = """
     import sys, time
     from pathlib import Path
@@ -101,6 +104,29 @@ def test_code_from_other_sources_is_forgotten(tmp_path):
     source.write_text('a = 2')
     assert left() == []
     kernels._forget_other_sources.__wrapped__(tmp_path, tmp_path / 'where nobody may write')
+
+
+def test_machine_code_uses_no_source_with_whose_changes_it_would_not_be_forgotten():
+    root = Path(kernels.__file__).parents[1]
+    shared = {path for pattern in kernels.SHARED for path in root.glob(pattern)}
+    used = set()
+    for source in root.rglob('*.py'):
+        tree = ast.parse(source.read_text())
+        imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        homes = {each.asname or each.name: node.module for node in imports for each in node.names}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and MACHINE & {*names_in(node.decorator_list)}:
+                mine = (homes[name] for name in names_in(node.body) if name in homes)
+                paths = (root.parents[1].joinpath(*module.split('.')) for module in mine)
+                used |= {(source.parent, path) for path in paths if path.is_relative_to(root)}
+    outside = {path.with_suffix('.py') for folder, path in used if folder != path.parent}
+    outside = {path if path.exists() else path.with_suffix('') / '__init__.py' for path in outside}
+    assert root / 'proof/tree.py' in outside
+    assert outside <= shared
+
+
+def names_in(nodes):
+    return [n.id for node in nodes for n in ast.walk(node) if isinstance(n, ast.Name)]
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from contextlib import suppress
 from fcntl import LOCK_EX, LOCK_UN, lockf
 from functools import cache
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -276,6 +277,7 @@ else:
 
 
 STAMP = 'orbimpc_ros.sha256'  # hash of the sources of the machine code next to it
+SHARED = 'kernels/*.py', 'proof/tree.py'  # sources that machine code of other folders uses
 LOCKS = 'orbimpc_ros.lock'
 WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 MAKES = 'NRT_MemInfo_alloc', 'NRT_Allocate'  # those that create arrays,
@@ -346,11 +348,12 @@ def _forget_other_sources(folder: Path, kept: Path) -> None:
     code, which would become outdated; and code with types that were renamed cannot be read.
 
     Args:
-        folder: of the sources, which may call functions of this package.
+        folder: of the sources; they may also use those of :data:`SHARED`.
         kept: folder of their machine code.
     """
     found = sha256()
-    for source in sorted({*folder.glob('*.py'), *Path(__file__).parent.glob('*.py')}):
+    shared = (Path(__file__).parents[1].glob(pattern) for pattern in SHARED)
+    for source in sorted({*folder.glob('*.py'), *chain.from_iterable(shared)}):
         found.update(source.read_bytes())
     stamp = kept / STAMP
     with suppress(OSError):  # other processes may be doing so, or permission may be lacking
