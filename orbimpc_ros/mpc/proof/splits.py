@@ -35,7 +35,9 @@ KIND, CHOICE, CHILD, CHILDREN, ROW = range(5)
 
 
 class Region(NamedTuple):
-    """The restrictions of each choice at the D nodes on a path from the root.
+    """The restrictions of each choice at the D nodes on a path from the root, or of one node.
+
+    The region of a single node has no axis of depths.
 
     Attributes:
         part: face or side; 0 for a sector or patch; ``WHOLE`` before any split, shape (D, C).

@@ -26,13 +26,13 @@ from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.proof.splits import Cut
+from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
 from orbimpc_ros.mpc.solve.dives import Dives, NodeProgram, arrives, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
-from orbimpc_ros.mpc.solve.regions import Held, Known, Regions
+from orbimpc_ros.mpc.solve.regions import Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
@@ -346,7 +346,7 @@ class _Run:
                 node.rows = self._rows(above) | {above.cut.choice: node.own}
         return node.rows
 
-    def _known(self, node: Node) -> Known:
+    def _known(self, node: Node) -> Region:
         """Return the region of a node that is not empty."""
         if node.known is None:
             above = node.above
@@ -366,7 +366,7 @@ class _Run:
 
     # --- branching
 
-    def _cut(self, known: Known, missed: dict[int, float]) -> Cut | None:
+    def _cut(self, known: Region, missed: dict[int, float]) -> Cut | None:
         """Return the split of the choice that promises the greatest bound; None without one."""
         regions = self._regions
         promises = {c: (regions.promise(c, by), by) for c, by in missed.items()}

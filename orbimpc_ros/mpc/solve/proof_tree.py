@@ -17,10 +17,10 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.splits import Cut
+from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.stated import width_of
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, NOWHERE, POINTS, ProofTree
-from orbimpc_ros.mpc.solve.regions import CONE, Held, Known
+from orbimpc_ros.mpc.solve.regions import CONE, Held
 from orbimpc_ros.mpc.solve.relaxation import Multipliers
 from orbimpc_ros.mpc.solve.request import Request
 
@@ -106,7 +106,7 @@ class Node:
         better: whether its own proof is at least as good as that of its parent.
     """
 
-    def __init__(self, number: int, bound: float, above: Node | None, known: Known | None) -> None:
+    def __init__(self, number: int, bound: float, above: Node | None, known: Region | None) -> None:
         self.number, self.bound, self.above, self.known = number, bound, above, known
         self.depth: int = 0 if above is None else above.depth + 1
         self.gone = False

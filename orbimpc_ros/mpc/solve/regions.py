@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +39,7 @@ from orbimpc_ros.mpc.proof.splits import (
     WHOLE,
     Cut,
     Order,
+    Region,
     begin,
     narrowed,
 )
@@ -68,14 +68,6 @@ CONE = -2  # in place of a row number: rows on headings for cones in space
 
 Held = tuple[Row, ...]
 Sides = tuple[Array, Array]  # of P parts: normals, shape (P, n), and offsets of points, (P, m)
-
-
-class Known(NamedTuple):
-    """A region: see :class:`~orbimpc_ros.mpc.proof.splits.Region`."""
-
-    part: np.ndarray
-    span: Array
-    corners: Array
 
 
 class Regions:
@@ -128,7 +120,7 @@ class Regions:
         self._outward = np.vstack([-np.eye(n), np.eye(n)])
         self._centres: Array | None = None  # of the last bodies
         self._begun_at: tuple[Root | None, int] = None, 0  # limits and bodies of the last root
-        self._root: Known | None = None
+        self._root: Region | None = None
 
     def bind(self, request: Request) -> None:
         """Compute the data that depend only on state and goals."""
@@ -166,7 +158,7 @@ class Regions:
 
     # --- regions
 
-    def root(self) -> Known | None:
+    def root(self) -> Region | None:
         """Return the region of the root; None if it is empty."""
         root, bodies = self._begun_at
         known = self._stated
@@ -174,7 +166,7 @@ class Regions:
             self._begun_at, self._root = (known.root, self.bodies), self._begin()
         return self._root
 
-    def _begin(self) -> Known | None:
+    def _begin(self) -> Region | None:
         count, n = (2 + self.bodies) * self.problem.horizon, self.problem.dimension
         part, span = np.full(count, WHOLE), np.zeros((count, 2))
         corners, known = np.zeros((count if n == 3 else 1, 3, 3)), self._stated
@@ -185,20 +177,20 @@ class Regions:
             return None
         if self._flat is not None:
             part[: self.problem.horizon] = WHOLE
-        return Known(part, span, corners)
+        return Region(part, span, corners)
 
-    def part(self, known: Known, cut: Cut, i: int) -> Known | None:
+    def part(self, known: Region, cut: Cut, i: int) -> Region | None:
         """Return part i of a region; None if it is empty."""
         part, span, corners = known.part.copy(), known.span, known.corners
         if cut.kind in (ARCS, CUT):
             span = span.copy()
         elif cut.kind in (PATCHES, QUARTERS):
             corners = corners.copy()
-        node, made = np.array([cut.kind, cut.choice, 0, cut.parts]), Known(part, span, corners)
+        node, made = np.array([cut.kind, cut.choice, 0, cut.parts]), Region(part, span, corners)
         left = narrowed(self._stated, self._order, node, cut.at, i, *made)
         return None if left == GONE else made
 
-    def changed(self, before: Known, after: Known) -> dict[int, Held]:
+    def changed(self, before: Region, after: Region) -> dict[int, Held]:
         """Return the half-spaces of the choices that differ between a region and a part of it."""
         moved = (before.span != after.span).any(axis=1) | (before.part != after.part)
         return {choice: self.rows(choice, after) for choice in np.flatnonzero(moved).tolist()}
@@ -221,7 +213,7 @@ class Regions:
         number = POINTS * (choice - 2 * count)
         return self._points[j, k, :m], number, self._apart[j, k, :m]
 
-    def rows(self, choice: int, known: Known) -> Held:
+    def rows(self, choice: int, known: Region) -> Held:
         """Return the half-spaces of a choice in a region."""
         free = choice >= self.problem.horizon or self.problem.floor.exists
         if known.part[choice] == WHOLE or choice < self.first or not free:
@@ -229,7 +221,7 @@ class Regions:
         normals, offsets = self._side(choice, known)
         return self.held(choice, normals[0], offsets[0])
 
-    def _side(self, choice: int, known: Known) -> Sides:
+    def _side(self, choice: int, known: Region) -> Sides:
         """Return the half-space of a choice in a region."""
         each = slice(choice, choice + 1)
         if self._is_flat(choice):
@@ -317,7 +309,7 @@ class Regions:
         offsets = np.where((least > 0.0) & (size > 0.0), offsets, -np.inf)
         return np.repeat(offsets[:, None], self._rows[j, k], axis=1)
 
-    def every(self, known: Known) -> dict[int, Held]:
+    def every(self, known: Region) -> dict[int, Held]:
         """Return the half-spaces of a region, by choice."""
         split = np.flatnonzero(known.part != WHOLE).tolist()
         rows = {choice: self.rows(choice, known) for choice in split}
@@ -441,7 +433,7 @@ class Regions:
 
     # --- branching
 
-    def cut(self, choice: int, known: Known) -> Cut | None:
+    def cut(self, choice: int, known: Region) -> Cut | None:
         """Return the split of a choice in a region; None if there is nothing to split."""
         if choice < self.first:
             return None
@@ -463,7 +455,7 @@ class Regions:
         parts = len(self._stated.root.patches) - ICOSAHEDRON if up else ICOSAHEDRON
         return Cut(PATCHES, choice, parts)
 
-    def _refined(self, choice: int, known: Known) -> Cut | None:
+    def _refined(self, choice: int, known: Region) -> Cut | None:
         """Return the split of a sector or a patch; None if it is too small."""
         if self.problem.dimension == 3:
             wide = np.ptp(known.corners[choice], axis=0).max() >= FINEST
@@ -475,7 +467,7 @@ class Regions:
             at = share * (math.floor(at / share) + 0.5)  # the nearest corner
         return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
 
-    def widest(self, known: Known) -> Cut | None:
+    def widest(self, known: Region) -> Cut | None:
         """Return the split of the heading with the widest sector or patch; None without one."""
         found = dict[int, Cut]()
         for k in range(self.first, self.problem.horizon):
@@ -485,14 +477,14 @@ class Regions:
         k = max(found, key=lambda each: self._width(each, known), default=-1)
         return found.get(k)
 
-    def _width(self, k: int, known: Known) -> float:
+    def _width(self, k: int, known: Region) -> float:
         """Return how wide a sector [rad], or how large a patch is."""
         if known.part[k] == WHOLE:
             return np.inf
         wide = known.span[k] if self.problem.dimension == 2 else known.corners[k]
         return float(np.ptp(wide, axis=0).max())
 
-    def sides(self, known: Known, cut: Cut) -> Sides:
+    def sides(self, known: Region, cut: Cut) -> Sides:
         """Return the half-spaces of the parts of a split."""
         choice, every = cut.choice, np.arange(cut.parts)
         if cut.kind in (FACES, SIDES):
