@@ -96,7 +96,7 @@ def _tampered(tree, rng):
 
 
 def forged(nodes, at):
-    """Return the bound that a tree of splits proves for headings above a circular floor."""
+    """Return the bound that a tree of splits proves for headings above a round floor."""
     problem, rng = Problem(horizon=3, floor=floor('circle', 0.6)), np.random.default_rng(1)
     state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
     tree = one(rng.normal(size=(3, 2)), np.zeros(3))

@@ -2,7 +2,7 @@
 """Floors: the minimum speed of a vehicle, as the set of allowed thrust axes R e1.
 
 A shape is a function that returns the normals of half-spaces whose union is allowed, registered
-under the word that selects it; the circular floor has none. Methods, the check, safe commands,
+under the word that selects it; the round floor has none. Methods, the check, safe commands,
 parameters and drawings use nothing else; methods that are faster for some shapes select them.
 
 Mathematics: docs/mathematics.md, 3.3 and 3.4.
@@ -82,16 +82,16 @@ class Floor:
 
     @property
     def radius(self) -> float:
-        """Return the radius of a circular floor; 0 for other shapes and without a floor."""
+        """Return the radius of a round floor; 0 for other shapes and without a floor."""
         return self.fraction if self.shape == 'circle' else 0.0
 
     def normals(self, dimension: int) -> Array | None:
-        """Return the unit normals of the half-spaces, shape (m, n); None for a circular floor."""
+        """Return the unit normals of the half-spaces, shape (m, n); None for a round floor."""
         made = SHAPES[self.shape]
         return made(dimension, self.faces) if made else None
 
     def cells(self, dimension: int) -> tuple[Cell, ...]:
-        """Return the half-spaces whose union is allowed; empty for a circular floor."""
+        """Return the half-spaces whose union is allowed; empty for a round floor."""
         outward = self.normals(dimension)
         return () if outward is None else tuple(Cell(each, self.fraction) for each in outward)
 

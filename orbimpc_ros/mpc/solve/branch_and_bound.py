@@ -39,7 +39,7 @@ from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
-NEAR = 0.05  # a dive is tried if only circular floors and balls are violated, by less than this
+NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
@@ -404,7 +404,7 @@ class _Run:
                 heapq.heappush(self._open, part)
 
     def _is_nearly_round(self, missed: dict[int, float]) -> bool:
-        """Return True if only circular floors and balls are violated, and by little."""
+        """Return True if only round floors and balls are violated, and by little."""
         return all(self._regions.is_round(c) and by < NEAR for c, by in missed.items())
 
     def _close(self, bound: float) -> None:

@@ -2,7 +2,7 @@
 """Primal heuristics: dives, guide paths and turn repair; the incumbent.
 
 A *dive* adds a half-space for each choice that a solution violates, and solves again: for a
-circular floor the tangent in the direction of v, which implies |v| >= floor; for an obstacle the
+round floor the tangent in the direction of v, which implies |v| >= floor; for an obstacle the
 side that is violated least. A *guide path* selects the sides on which balls and moving obstacles
 are passed.
 
@@ -198,7 +198,7 @@ class Dives:
             if x is None:
                 return
             headings = posed.headings(x)
-            if not posed.missed(headings):  # tangents of circular floors here may cost less
+            if not posed.missed(headings):  # tangents of round floors here may cost less
                 self.offer(x, posed.flown(x))
                 if not regions.round_floors:
                     return

@@ -83,7 +83,7 @@ class Regions:
         first: index of the first heading that is not fixed by the state.
         bodies: number of bodies.
         origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
-        round_floors: choices of headings with a circular floor.
+        round_floors: choices of headings with a round floor.
     """
 
     def __init__(
@@ -371,7 +371,7 @@ class Regions:
         return into + self._margins, ways
 
     def is_round(self, choice: int) -> bool:
-        """Return True if a choice is one of a circular floor or a ball, not of flat sides."""
+        """Return True if a choice is one of a round floor or a ball, not of flat sides."""
         if choice < self.problem.horizon:
             return bool(self.problem.floor.radius)
         return self._radius(choice) > 0.0
@@ -400,7 +400,7 @@ class Regions:
         return found
 
     def _tangent(self, heading: Array) -> tuple[Array, Array] | None:
-        """Return the tangent of a circular floor, or the face that is violated least."""
+        """Return the tangent of a round floor, or the face that is violated least."""
         floor, size = self.problem.floor, float(np.linalg.norm(heading))
         if floor.radius:
             known = heading / max(size, HEADING_UNDEFINED), np.array([floor.radius])

@@ -117,7 +117,7 @@ class Turns:
         return min(self._turn, math.acos(max(-1.0, min(1.0, self._narrow / self._speed))))
 
     def _cell(self, unit: Array) -> Cell:
-        """Return the tangent of a circular floor, or the face nearest to a direction, (n,)."""
+        """Return the tangent of a round floor, or the face nearest to a direction, (n,)."""
         if not self._cells:
             return Cell(unit, self._least)
         return max(self._cells, key=lambda cell: float(cell.normal @ unit) - cell.offset)
