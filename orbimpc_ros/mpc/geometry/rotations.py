@@ -51,6 +51,14 @@ def exp(phi: Array) -> Array:
     return np.asarray(np.eye(3) + np.sinc(angle) * hat + 0.5 * half * half * (hat @ hat))
 
 
+def exps(phis: Array) -> Array:
+    """Return the rotations, shape (N, 3, 3), by tangent vectors, shape (N, 3) [rad]."""
+    hats = np.cross(np.eye(3), phis[:, None])
+    angles = np.linalg.norm(phis, axis=1)[:, None, None] / math.pi
+    half = np.sinc(0.5 * angles)  # as in :func:`exp`
+    return np.asarray(np.eye(3) + np.sinc(angles) * hats + 0.5 * half * half * (hats @ hats))
+
+
 def log(rotation: Array) -> Array:
     """Return the shortest tangent vector [rad], shape (1,) or (3,), with ``exp(log(Q)) = Q``.
 

@@ -1,0 +1,155 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Arcs bent so that they arrive: within floor and turn rate, without a search.
+
+A terminal constraint is linear in the headings z_k = R_k e1. Its residual is removed by Newton
+steps of least norm in their speeds and turns, within the limits of both.
+
+Mathematics: docs/mathematics.md, 7.6.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, exps
+from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.problem import Problem, State
+
+WITHIN = 1.0 - 1e-9  # share of the widest turn
+CORRECTIONS = 20
+LARGEST = 0.5  # change of a heading in one correction
+PROGRESS = 0.95  # a correction ends if less of the residual is left
+MET = 1e-10  # in units of a step's length: residual of an arrival that counts as zero
+SINGULAR = 1e-13
+
+
+class Arc(NamedTuple):
+    """A path of turns one after another; one in the plane is in a plane of space.
+
+    Attributes:
+        frame: at its start: ahead, aside and the axis of the arc, its columns, shape (3, 3).
+        speeds: shares of full speed, shape (N,).
+        turns: rotation vectors of steps, in the frame of each, shape (N, 3) [rad].
+        given: number of first steps that the state decides.
+    """
+
+    frame: Array
+    speeds: Array
+    turns: Array
+    given: int
+
+
+def arc_of(problem: Problem, ahead: Array, z: Array, towards: Array, turn: float) -> Arc:
+    """Return the arc of headings, shape (N, n), with a turn over the horizon [rad]."""
+    speeds, given = np.linalg.norm(z, axis=1), problem.rotation_order - 1
+    axis = z[0] / max(float(speeds[0]), HEADING_UNDEFINED) if given else ahead[:, 0]
+    frame, turns = np.zeros((3, 3)), np.zeros((len(z), 3))
+    frame[: len(axis), 0], frame[: len(axis), 1] = axis, aside_of(axis, towards)
+    frame[:, 2] = np.cross(frame[:, 0], frame[:, 1])
+    turns[given:, 2] = turn / len(z)
+    return Arc(frame, speeds, turns, given)
+
+
+def aside_of(axis: Array, towards: Array) -> Array:
+    """Return the direction across an axis, shape (n,), on the side of a point."""
+    aside = towards - axis * (axis @ towards)
+    if np.linalg.norm(aside) <= HEADING_UNDEFINED * np.linalg.norm(towards):
+        other = np.eye(len(axis))[np.argmin(np.abs(axis))]
+        aside = other - axis * (axis @ other)
+    return np.asarray(aside / np.linalg.norm(aside))
+
+
+def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | None:
+    """Return headings near an arc, shape (N, n), that arrive; None if none were found."""
+    n, rows, wanted = problem.dimension, problem.maps.arrival, _wanted(problem, state, goals)
+    wanted, rows = wanted - np.outer(rows[:, 0], state.rotation[:, 0]), rows[:, 1:]
+    scale, best = np.maximum(np.abs(rows).max(axis=1), HEADING_UNDEFINED)[:, None], math.inf
+    for _ in range(CORRECTIONS):
+        frames = np.array([*accumulate([arc.frame, *exps(arc.turns)], np.matmul)][1:])
+        least: Array = np.full(len(frames), -1.0)  # backwards, without a floor
+        if problem.floor.exists:
+            least = np.minimum(1.0, problem.floor.least(frames[:, :n, 0]))
+        arc = arc._replace(speeds=np.clip(arc.speeds, least, 1.0))
+        missing = wanted - rows @ (arc.speeds[:, None] * frames[:, :n, 0])
+        missed = max(np.abs(missing[0]).max(), problem.step * np.abs(missing[1:]).max(initial=0.0))
+        if missed <= MET * problem.length_unit:
+            return np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
+        if not missed < PROGRESS * best:
+            return None
+        best = min(best, missed)
+        arc = _bent(problem, arc, frames, (rows / scale, missing / scale, least))
+    return None
+
+
+def _wanted(problem: Problem, state: State, goals: Array) -> Array:
+    """Return the right-hand side of the terminal constraint, shape (1, n), inertial (2, n)."""
+    maps = problem.maps
+    place = goals[-1] - adrift(problem, state)[-1] - maps.drift[-1, 0] * state.velocity
+    stopped = -maps.carried[-1, 0] * state.velocity - maps.hastened[-1, 0] * state.disturbance
+    return np.array([place, stopped] if problem.inertial else [place])
+
+
+def _bent(problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, Array]) -> Arc:
+    """Return an arc with the least change of speeds and turns that arrives to first order.
+
+    Args:
+        problem: what to solve.
+        arc: to change, within the limits of its speeds and turns.
+        frames: of its steps, shape (N, 3, 3).
+        asked: rows of the arrival, shape (m, N); what it misses, shape (m, n); least speeds, (N,).
+    """
+    (rows, missing, least), n, count = asked, problem.dimension, len(arc.turns)
+    widest = WITHIN * problem.widest_turn if problem.turns_are_angles else math.inf
+    angles = arc.turns[:, 2] if n == 2 else np.linalg.norm(arc.turns, axis=1)
+    along = np.tile([0.0, 0.0, 1.0], (count, 1))
+    if n == 3:
+        along = np.where((angles > 0.0)[:, None], arc.turns, along)
+        along /= np.linalg.norm(along, axis=1)[:, None]
+    axes = np.array([along, np.cross([1.0, 0.0, 0.0], along)][: n - 1])
+    units = frames[:, :, 0]
+    turned = np.einsum('kcd,akd->akc', frames, axes)[:, :, None]  # about these, in the world
+    pushed = np.eye(count)[:, :, None] * units
+    swung = np.tri(count).T[:, :, None] * np.cross(turned, arc.speeds[:, None] * units)
+    moved = np.concatenate([pushed, *swung])
+    matrix = np.einsum('mk,vkc->mcv', rows, moved[:, :, :n])
+    low, high = np.full((2, n, count), math.inf)
+    low[0], high[0] = arc.speeds - least, 1.0 - arc.speeds
+    low[1], high[1] = widest + angles, widest - angles
+    low[:, : arc.given] = high[:, : arc.given] = 0.0
+    limits = -low.ravel(), high.ravel()
+    change = _least_change(matrix.reshape(missing.size, -1), missing.ravel(), limits)
+    change *= min(1.0, LARGEST / np.abs(change).max(initial=LARGEST))
+    more = change[count:].reshape(n - 1, count)
+    turns = arc.turns + np.einsum('ak,akc->kc', more, axes)
+    sizes = np.linalg.norm(turns, axis=1)
+    turns *= np.minimum(1.0, widest / np.maximum(sizes, HEADING_UNDEFINED))[:, None]
+    return arc._replace(speeds=arc.speeds + change[:count], turns=turns)
+
+
+def _least_change(matrix: Array, missing: Array, limits: tuple[Array, Array]) -> Array:
+    """Return the least change of variables within limits that removes a residual, shape (V,).
+
+    Variables whose change would exceed a limit stay at it, and the others make up for that.
+
+    Args:
+        matrix: derivatives, shape (M, V).
+        missing: the residual, shape (M,).
+        limits: least and greatest change of each variable, shape (V,).
+    """
+    change, free = np.zeros(matrix.shape[1]), limits[1] > limits[0]
+    while free.any():
+        left, some = missing - matrix[:, ~free] @ change[~free], matrix[:, free]
+        gram = some @ some.T
+        gram.flat[:: len(gram) + 1] += SINGULAR * (1.0 + np.trace(gram))
+        change[free] = some.T @ np.linalg.solve(gram, left)
+        kept = np.clip(change, *limits)
+        beyond = free & (kept != change)
+        if not beyond.any():
+            break
+        change[beyond], free = kept[beyond], free & ~beyond
+    return change
