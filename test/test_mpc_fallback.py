@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal
 from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.stand_ins import turning
 from orbimpc_ros.sim.vehicle import launched, measured
 
 
@@ -389,3 +390,39 @@ def test_a_rover_in_a_dead_band_or_a_drift_gets_under_way(band, drift):
     assert least < 0.15
     # The limit at any measured speed: R e1 moves by at most 2 sin(0.05) per step.
     assert np.max(np.abs(np.diff(commanded))) <= 1.5 * 2.0 * np.sin(0.05) * (1.0 + 1e-6)
+
+
+def flown_at_random(rng, dimension, horizon):
+    """Return a problem of a wing with an arrival, and the goal that a legal path of it reaches."""
+    problem = Problem(
+        dimension=dimension,
+        horizon=horizon,
+        terminal='constraint',
+        max_rate=rng.uniform(0.2, 1.2),
+        floor=Floor('circle', fraction=rng.uniform(0.3, 0.95)),
+    )
+    attitude, way = np.eye(dimension), np.zeros(dimension)
+    heading = attitude[:, 0]
+    axes = rng.normal(size=(horizon, 3 if dimension == 3 else 1))
+    for turn in problem.max_rate * axes / np.linalg.norm(axes, axis=1, keepdims=True):
+        way = way + heading
+        attitude = attitude @ exp(rng.uniform(0.9, 1.0) * turn)
+        heading = rng.uniform(problem.floor.fraction, 1.0) * attitude[:, 0]
+    return problem, way
+
+
+@pytest.mark.parametrize(('dimension', 'share'), [(2, 0.8), (3, 0.7)])
+def test_arcs_that_arrive_keep_floor_and_turn_rate_and_most_of_them_do(dimension, share):
+    tried = arrived = 0
+    for seed in range(30):
+        rng = np.random.default_rng([31, dimension, seed])
+        problem, goal = flown_at_random(rng, dimension, int(rng.integers(3, 7)))
+        state = State.at(np.zeros(dimension), np.eye(dimension))
+        goals = np.tile(goal, (problem.horizon, 1))
+        for arc in turning(problem, state, goals):
+            tried += 1
+            if arc is not None:
+                arrived += 1
+                plan = assembled(problem, state, goals, coordinates(arc))
+                assert not violations(problem, state, goals, plan)
+    assert arrived >= share * tried
