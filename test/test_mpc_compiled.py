@@ -129,6 +129,38 @@ def names_in(nodes):
     return [n.id for node in nodes for n in ast.walk(node) if isinstance(n, ast.Name)]
 
 
+COUNTED = """
+    import sys
+    import numpy as np
+    from orbimpc_ros.mpc.kernels import compiled, entry_point
+
+    @compiled
+    def first(x):
+        return x[0]
+
+    @entry_point
+    def borrowing(x):
+        return first(x)
+
+    @entry_point
+    def creating(x):
+        return first(x) + first(x.copy())
+
+    array = np.zeros(3)
+    for called in (borrowing, creating):
+        called(array)
+        before = sys.getrefcount(array)
+        called(array)
+        print(sys.getrefcount(array) - before)
+"""
+
+
+def test_functions_with_and_without_arrays_of_their_own_give_back_those_of_others(tmp_path):
+    script = tmp_path / 'counted.py'
+    script.write_text(textwrap.dedent(COUNTED))
+    assert run(sys.executable, str(script)).stdout == '0\n0\n'
+
+
 @pytest.mark.parametrize(
     'posed',
     [{}, {'floor': Floor('polygon')}, {'floor': Floor('circle')}, {'dimension': 3}],

@@ -154,15 +154,21 @@ else:
 
         def __init__(self, context: Any, library: Any, known: Any, *rest: Any, **more: Any) -> None:
             super().__init__(context, library, known, *rest, **more)
-            models = context.data_model_manager
+            self._counting, models = self.context, context.data_model_manager
             made = (
                 signature.return_type
                 for each, signature in known.calltypes.items()
                 if signature is not None and _creates(getattr(each, 'op', ''), signature)
             )
             if not any(models[each].contains_nrt_meminfo() for each in (known.restype, *made)):
+                self.context = self.context.subtarget()
                 self.context.nrt = _Uncounted(self.context, True)
                 self.context._compile_subroutine_no_cache = context._compile_subroutine_no_cache
+
+        def create_cpython_wrapper(self, *options: Any, **more: Any) -> None:
+            """Add the wrapper for Python, which gives back the arrays that it was handed."""
+            self.context = self._counting
+            super().create_cpython_wrapper(*options, **more)
 
     def _creates(operation: str, signature: Any) -> bool:
         """Return True if the result of an operation may be a new array, not a part of others."""
