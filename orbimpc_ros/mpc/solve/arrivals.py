@@ -105,16 +105,11 @@ def _bent(problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, 
     """
     (rows, missing, least), n, count = asked, problem.dimension, len(arc.turns)
     widest = WITHIN * problem.widest_turn if problem.turns_are_angles else math.inf
-    angles = arc.turns[:, 2] if n == 2 else np.linalg.norm(arc.turns, axis=1)
-    along = np.tile([0.0, 0.0, 1.0], (count, 1))
-    if n == 3:
-        along = np.where((angles > 0.0)[:, None], arc.turns, along)
-        along /= np.linalg.norm(along, axis=1)[:, None]
-    axes = np.array([along, np.cross([1.0, 0.0, 0.0], along)][: n - 1])
+    angles, axes = _turned_about(n, arc.turns)
     units = frames[:, :, 0]
-    turned = np.einsum('kcd,akd->akc', frames, axes)[:, :, None]  # about these, in the world
+    about = np.einsum('kcd,akd->akc', frames, axes)[:, :, None]  # in the world
     pushed = np.eye(count)[:, :, None] * units
-    swung = np.tri(count).T[:, :, None] * np.cross(turned, arc.speeds[:, None] * units)
+    swung = np.tri(count).T[:, :, None] * np.cross(about, arc.speeds[:, None] * units)
     moved = np.concatenate([pushed, *swung])
     matrix = np.einsum('mk,vkc->mcv', rows, moved[:, :, :n])
     low, high = np.full((2, n, count), math.inf)
@@ -129,6 +124,17 @@ def _bent(problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, 
     sizes = np.linalg.norm(turns, axis=1)
     turns *= np.minimum(1.0, widest / np.maximum(sizes, HEADING_UNDEFINED))[:, None]
     return arc._replace(speeds=arc.speeds + change[:count], turns=turns)
+
+
+def _turned_about(n: int, turns: Array) -> tuple[Array, Array]:
+    """Return angles of turns, shape (N,) [rad], and axes, (n - 1, N, 3): their own, and across."""
+    own = np.tile([0.0, 0.0, 1.0], (len(turns), 1))
+    if n == 2:
+        return turns[:, 2], own[None]
+    angles = np.linalg.norm(turns, axis=1)
+    own = np.where((angles > 0.0)[:, None], turns, own)
+    own /= np.linalg.norm(own, axis=1)[:, None]
+    return angles, np.array([own, np.cross([1.0, 0.0, 0.0], own)])
 
 
 def _least_change(matrix: Array, missing: Array, limits: tuple[Array, Array]) -> Array:
