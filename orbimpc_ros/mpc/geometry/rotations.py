@@ -46,17 +46,19 @@ def exp(phi: Array) -> Array:
     if len(phi) == 1:
         c, s = math.cos(phi[0]), math.sin(phi[0])
         return np.array([[c, -s], [s, c]])
-    angle, hat = math.sqrt(phi @ phi) / math.pi, skew(phi)
-    half = np.sinc(0.5 * angle)  # (1 - cos a) / a^2 is half the square of that
-    return np.asarray(np.eye(3) + np.sinc(angle) * hat + 0.5 * half * half * (hat @ hat))
+    return _rodrigues(math.sqrt(phi @ phi) / math.pi, skew(phi))
 
 
 def exps(phis: Array) -> Array:
     """Return the rotations, shape (N, 3, 3), by tangent vectors, shape (N, 3) [rad]."""
-    hats = np.cross(np.eye(3), phis[:, None])
     angles = np.linalg.norm(phis, axis=1)[:, None, None] / math.pi
-    half = np.sinc(0.5 * angles)  # as in :func:`exp`
-    return np.asarray(np.eye(3) + np.sinc(angles) * hats + 0.5 * half * half * (hats @ hats))
+    return _rodrigues(angles, np.array([skew(phi) for phi in phis]))
+
+
+def _rodrigues(angle: float | Array, hat: Array) -> Array:
+    """Return rotations by angles, in units of pi, with the skew matrices of their vectors."""
+    half = np.sinc(0.5 * angle)  # (1 - cos a) / a^2 is half the square of that
+    return np.asarray(np.eye(3) + np.sinc(angle) * hat + 0.5 * half * half * (hat @ hat))
 
 
 def log(rotation: Array) -> Array:

@@ -113,8 +113,8 @@ else:
     class _Pointed(TupleModel):
         """A named tuple of this package, which functions take by its address.
 
-        numba would pass each number and address in it by itself, hundreds for a problem: three
-        quarters of the code to be optimised.
+        numba would take each apart into all numbers and addresses in it, hundreds for a problem,
+        and put these together again in the function.
         """
 
         def get_argument_type(self) -> Any:

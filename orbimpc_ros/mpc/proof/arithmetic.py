@@ -63,8 +63,7 @@ def _bound_to_floats(function: Callable) -> Callable:
     source, known = IN_FLOATS[function], dict(function.__globals__)
     for name in source.__code__.co_names:
         if known.get(name) in IN_FLOATS:
-            each = known[name]
-            known[name] = _part(each)
+            known[name] = _part(known[name])
     made = FunctionType(source.__code__, known, source.__name__)
     made.__module__, made.__qualname__ = source.__module__, source.__qualname__
     return made

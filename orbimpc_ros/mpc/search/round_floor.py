@@ -264,9 +264,7 @@ class RoundFloor(TreeSearch):
         tree = tree_for(get_ident(), nodes + MOST_ARCS, steps, n, KINDS)
         descent = Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6))
         known = [] if guess is None else [guess.x[:, :n]]
-        starts = np.array(
-            [*known, -(self._inverse @ posed.q)]
-        )  # the last without bounds on lengths
+        starts = np.array([*known, -(self._inverse @ posed.q)])
         found = self._run(request, posed, tree, descent, starts)
         if found.x is not None and n == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))

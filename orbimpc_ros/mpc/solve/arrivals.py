@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 WITHIN = 1.0 - 1e-9  # share of the widest turn
 CORRECTIONS = 20
 LARGEST = 0.5  # change of a heading in one correction
-PROGRESS = 0.95  # a correction ends if less of the residual is left
+PROGRESS = 0.95  # a correction ends if it leaves more of the residual
 MET = 1e-10  # in units of a step's length: residual of an arrival that counts as zero
 SINGULAR = 1e-13
 
@@ -81,7 +81,7 @@ def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | 
             return np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
         if not missed < PROGRESS * best:
             return None
-        best = min(best, missed)
+        best = missed
         arc = _bent(problem, arc, frames, (rows / scale, missing / scale, least))
     return None
 

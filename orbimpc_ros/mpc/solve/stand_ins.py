@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.solve.arrivals import WITHIN, arc_of, arriving, aside_of
 
 # [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
-LATE = 2  # trajectories tried after the deadline: a millisecond or two each
+LATE = 2  # trajectories tried after the deadline: a few milliseconds each
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
