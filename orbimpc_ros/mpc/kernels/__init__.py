@@ -21,7 +21,7 @@ from zlib import crc32
 
 try:
     from llvmlite import ir
-    from llvmlite.binding import parse_assembly
+    from llvmlite.binding import add_symbol, parse_assembly
     from numba import njit, types
     from numba.core.caching import CompileResultCacheImpl, FunctionCache
     from numba.core.cgutils import alloca_once_value
@@ -31,7 +31,7 @@ try:
     from numba.core.datamodel import default_manager
     from numba.core.datamodel.models import TupleModel
     from numba.core.lowering import Lower
-    from numba.core.runtime import rtsys
+    from numba.core.runtime._nrt_python import c_helpers
     from numba.core.runtime.context import NRTContext
     from numba.core.typed_passes import NativeLowering
 except ImportError:
@@ -59,10 +59,10 @@ else:
             """Return the code for a signature, or None if it has to be compiled.
 
             If several processes need it at the same time, one compiles it and the others wait.
-            numba would first set up its context for compiling: 0.3 s and 60 MB at every start.
-            Loading needs only the runtime functions that the code calls.
+            numba would first set up its context for compiling: 0.3 s and 80 MB at every start.
+            Loading needs only the addresses of the runtime functions that the code calls.
             """
-            rtsys.initialize(context)
+            _name_runtime()
             found = self._kept(signature, context)
             if found is None:
                 for listener in LISTENERS:
@@ -213,10 +213,11 @@ else:
         def add_ir_module(self, added: Any) -> None:
             """Link a function and all its callees; or its wrapper for Python."""
             super().add_ir_module(added)
+            module = self._final_module
             if any(each.name.startswith(WRAPPER) for each in added.functions):
+                self._own(_counting(), 'handed')
                 return
             _link_parts(self)
-            module = self._final_module
             entries = {each.name for each in added.functions if not each.is_declaration}
             # So that what has a single caller is inlined, and no other code calls it by its name:
             # the optimiser may have changed its arguments.
@@ -224,10 +225,14 @@ else:
                 if not each.is_declaration and each.name not in entries:
                     each.linkage = 'internal'
             makes_arrays = any(each.name.startswith(MAKES) for each in module.functions)
-            module.link_in(parse_assembly(str(_counting() if makes_arrays else _idle(*COUNTS))))
+            self._own(_counting() if makes_arrays else _idle(*COUNTS), 'own')
+
+        def _own(self, counting: ir.Module, kind: str) -> None:
+            """Link functions that count references, under names that no other code calls."""
+            self._final_module.link_in(parse_assembly(str(counting)))
             for name in COUNTS:
-                own = module.get_function(name)
-                own.name, own.linkage = f'own_{name}', 'internal'
+                own = self._final_module.get_function(name)
+                own.name, own.linkage = f'{kind}_{name}', 'internal'
 
         def serialize_using_object_code(self) -> tuple:
             """Return the data to cache: the code, and only the names of functions to link."""
@@ -242,6 +247,12 @@ else:
             whole = _Whole(target.codegen(), 'whole')
             whole.enable_object_caching()
             super().__init__(typing, target, whole, *rest)
+
+    @cache
+    def _name_runtime() -> None:
+        """Make numba's runtime functions known by their names to the code that is loaded."""
+        for name, address in c_helpers.items():
+            add_symbol(name if name.startswith('_') else f'NRT_{name}', address)
 
     def _link_parts(library: JITCodeLibrary) -> None:
         """Link all callees of a function."""
