@@ -33,7 +33,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point, vectorised
-from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, solve_spd
 from orbimpc_ros.mpc.kernels.penalty_terms import (
     multipliers,
     project,
@@ -173,7 +173,7 @@ def _newton(terms, residual, moved_by, count, work, force):
         work.solution[i] = total
     if not solve_spd(work.matrix, work.solution, count):
         return False
-    force[:] = residual
+    copy_to(force, residual)
     for i in range(count):
         for k in range(n):
             share = terms.shares[work.step[i], k] * work.solution[i]
@@ -196,11 +196,12 @@ def _begin(terms, start, held, force, x, work):
     set_forces(terms, held, force)
     apply(terms, force, x)
     least = 0.5 * inner(force, x)
-    x[:] = start - x
+    copy_to(x, start - x)
     least += value_of(terms, x, held, work.small[0])
     if least < 0.0:
         _keep(multipliers(len(x), len(held.rows)), held)
-        force[:], x[:], least = 0.0, start, 0.0
+        copy_to(x, start)
+        force[:], least = 0.0, 0.0
     _note(work, x, force, held)
     return least
 
@@ -208,8 +209,10 @@ def _begin(terms, start, held, force, x, work):
 @compiled
 def _note(work, lowest, forces, held):
     """Store the point and the multipliers of the greatest bound so far."""
-    work.lowest[:], work.forces[:], work.pushes[:] = lowest, forces, held.lengths
-    work.rows[: len(held.rows)] = held.rows
+    copy_to(work.lowest, lowest)
+    copy_to(work.forces, forces)
+    copy_to(work.pushes, held.lengths)
+    copy_to(work.rows[: len(held.rows)], held.rows)
     for k in range(len(lowest)):
         work.tops[k] = 0.0
         for i in range(4):
@@ -219,7 +222,9 @@ def _note(work, lowest, forces, held):
 @compiled
 def _keep(new, held):
     """Hold the multipliers of the last projection."""
-    held.orbitopes[:], held.lengths[:], held.rows[:] = new.orbitopes, new.lengths, new.rows
+    copy_to(held.orbitopes, new.orbitopes)
+    copy_to(held.lengths, new.lengths)
+    copy_to(held.rows, new.rows)
 
 
 @compiled
@@ -285,7 +290,8 @@ def _ended(terms, cost, worst, budget, limits, progress, new, work):
     if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
         return SETTLED
     if len(terms.shares) > len(progress.x) and refuted(terms, new.rows):
-        numbers[BEST], work.rows[: len(new.rows)] = np.inf, new.rows
+        numbers[BEST] = np.inf
+        copy_to(work.rows[: len(new.rows)], new.rows)
         return REFUTED
     if counts[STEPS] >= LIMIT:
         return STALLED
@@ -323,7 +329,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
     while True:
         # The residual gradient is force - F.
         set_forces(terms, new, force)
-        residual[:] = force - held_force
+        copy_to(residual, force - held_force)
         apply(terms, residual, direction)
         left = inner(residual, direction)
         quadratic = 0.5 * inner(held_force, start - x)
@@ -354,12 +360,12 @@ def minimise(terms, start, held, limits, work, progress, budget):
         merit = quadratic + value - 0.5 * moved / numbers[SIGMA]
         share = 1.0
         for _ in range(HALVINGS):
-            trial[:] = x - share * direction
+            copy_to(trial, x - share * direction)
             value, moved, worst = project(terms, trial, held, numbers[SIGMA], new, work)
             reached = quadratic + share * (pull + 0.5 * share * bend) + value
             reached -= 0.5 * moved / numbers[SIGMA]
             if descends(reached, merit, share, numbers[PROMISED]):
                 break
             share *= 0.5
-        x[:] = trial
+        copy_to(x, trial)
         held_force += share * change

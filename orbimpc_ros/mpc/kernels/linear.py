@@ -13,6 +13,16 @@ SWEEPS = 12
 
 
 @compiled
+def copy_to(target, source):
+    """Copy the numbers of an array to another one of the same shape.
+
+    For an assignment numba would also compile the message that their shapes differ.
+    """
+    for i in range(source.size):
+        target.flat[i] = source.flat[i]
+
+
+@compiled
 def add_product(matrix, x, share, out):
     """Add a share of the product of a matrix and points.
 

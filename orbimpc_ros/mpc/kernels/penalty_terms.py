@@ -22,7 +22,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, diagonalise, extend_factor
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, diagonalise, extend_factor
 
 NEGLIGIBLE = 1e-12  # share of sigma below which a part of the Hessian is left out
 REFUTED = 1e-9  # least value of a proof of infeasibility, relative to the terms that cancel
@@ -310,7 +310,7 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
     s, t, u = small[0], small[1], small[2]
     _set_lmi(x, s)
     if held[0, 0] == held[1, 1] == held[2, 2] == held[3, 3] == 0.0:
-        t[:] = s
+        copy_to(t, s)
         if extend_factor(t, t, 0, 4, SINGULAR):  # as for most steps: the constraint is inactive
             new[:] = 0.0
             values[:] = -1.0
@@ -430,7 +430,7 @@ def set_columns(terms, x, held, sigma, new, work):
     for i in range(len(new.rows)):
         if new.rows[i] > 0.0:
             column[count] = 0.0
-            column[count, :3] = terms.normals[i]
+            copy_to(column[count, :3], terms.normals[i])
             step[count], weight[count] = terms.places[i], sigma
             count += 1
     return count

@@ -18,7 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.interior import (
     BLOCKED,
@@ -119,13 +119,6 @@ def room_for(thread: int, steps: int) -> Room:
         np.zeros(steps),
         np.zeros(steps),
     )
-
-
-@compiled
-def copy_to(target, source):
-    """Copy points, shape (N, 2)."""
-    for k in range(len(source)):
-        target[k, 0], target[k, 1] = source[k, 0], source[k, 1]
 
 
 @compiled

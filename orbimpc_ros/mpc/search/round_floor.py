@@ -22,6 +22,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
+from orbimpc_ros.mpc.kernels.linear import copy_to
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT
@@ -103,7 +104,7 @@ def _set_out(posed, tree, descent, starts):
         set_spread(posed, tree, counts[FROM], counts[SIDE], descent.z)
         counts[SIDE] += 1
     elif counts[BEGIN] < given:
-        descent.z[:] = starts[counts[BEGIN]]
+        copy_to(descent.z, starts[counts[BEGIN]])
         counts[BEGIN] += 1
     else:
         return False

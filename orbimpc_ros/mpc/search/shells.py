@@ -17,7 +17,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import solve_factored, solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, solve_factored, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
@@ -92,7 +92,7 @@ def arrive(posed, z):
     far, way = np.sqrt((posed.left**2).sum()), posed.arrival.sum()
     by[0, 0] = 1.0
     if far > TINY:
-        by[0] = posed.left / far
+        copy_to(by[0], posed.left / far)
     set_tangents(by)
     speed = min(1.0, max(posed.floor, far / way))
     ahead = min(speed, far / way)
@@ -265,7 +265,7 @@ def _correct(posed, z, by, size, solved, step, pull):
             rows[c, i] = column[i] = posed.arrival[k] * by[k, e, c]
             more[c] += rows[c, i] * step[free[i]]
         solve_factored(factor, column, size)
-        ways[c] = column[:size]
+        copy_to(ways[c], column[:size])
     for c in range(n):
         for d in range(n):
             for i in range(size):
@@ -305,7 +305,7 @@ def _newton_step(posed, descent, room):
         expected, square, tried = 0.0, np.inf, tried + 1
         size = set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step)
         if size >= 0:
-            pull[:] = descent.pull
+            copy_to(pull, descent.pull)
             if stiff > 0.0:
                 _correct(posed, z, by, size, free, step, pull)
             square = 0.0
@@ -316,7 +316,8 @@ def _newton_step(posed, descent, room):
             _move(posed, z, by, step, there)
             fall = -_rise(posed, stiff, pull, z, there)
             if fall > 0.0 or expected <= LOST * settled:
-                z[:], descent.pull[:] = there, pull
+                copy_to(z, there)
+                copy_to(descent.pull, pull)
                 numbers[DAMPING] = max(CALMEST, CALMED * numbers[DAMPING])
                 break
         numbers[DAMPING] *= STIFFENED
@@ -348,7 +349,7 @@ def set_out(posed, descent, pull):
     """
     numbers = descent.numbers
     _put(posed, descent.z)
-    descent.pull[:] = pull
+    copy_to(descent.pull, pull)
     numbers[ACTIVE], numbers[STIFF], numbers[MISSED] = 1.0, SOFT * posed.stiff, np.inf
     numbers[TAKEN] = numbers[ROUND] = 0.0
 

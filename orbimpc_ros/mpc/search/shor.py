@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import (
     SINGULAR,
     add_product,
+    copy_to,
     extend_factor,
     invert_spd,
     solve_factored,
@@ -265,7 +266,7 @@ def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
         there = weights + share * step
         reached = _set_minimiser(posed, rows, there, inverse, z, pull)
         if _smoothed(posed, there, mu, reached) >= before:
-            weights[:] = there
+            copy_to(weights, there)
             taken = share
             break
         share *= 0.5
@@ -326,7 +327,9 @@ def prove(posed, theta, z, pull, tree, node):
     least -= ROUNDING * count * terms
     if least > tree.known[node, KEY]:
         tree.known[node, KEY] = least
-        tree.point[node], tree.kept[node, 0], tree.pull[node, 0] = z, kept, pull
+        copy_to(tree.point[node], z)
+        copy_to(tree.kept[node, 0], kept)
+        copy_to(tree.pull[node, 0], pull)
 
 
 @compiled
@@ -374,7 +377,7 @@ def certify(posed, z, pull, tree, cutoff):
     _add_moduli(posed, z, pull, theta, right)
     top, before = np.abs(posed.hessian).max(), 0.0
     for share in SPARES:
-        matrix[:] = stiffened
+        copy_to(matrix, stiffened)
         for k in range(count):
             theta[k] += (share - before) * top
             matrix[k, k] += theta[k]
@@ -383,16 +386,16 @@ def certify(posed, z, pull, tree, cutoff):
             continue
         bent = 0.0
         if posed.stiff > 0.0:
-            column[:] = posed.arrival
+            copy_to(column, posed.arrival)
             bent = solve_factored(matrix, column, count)
         along = column.copy()
         for c in range(n):
-            column[:] = -right[:, c]
+            copy_to(column, -right[:, c])
             solve_factored(matrix, column, count)
-            there[:, c] = column
+            copy_to(there[:, c], column)
             if bent > 0.0:
                 held[c] = missed_by(posed, there, c) / bent
-                there[:, c] -= along * held[c]
+                copy_to(there[:, c], column - held[c] * along)
         prove(posed, theta, there, held, tree, 0)
         if tree.known[0, KEY] >= cutoff:
             break
@@ -497,7 +500,7 @@ def set_spread(posed, tree, node, side, aside):
         square += z[j, c] * z[j, c]
     by[0, 0] = 1.0
     if square > 0.0:
-        by[0] = z[j] / np.sqrt(square)
+        copy_to(by[0], z[j] / np.sqrt(square))
     set_tangents(by)
     reach = np.sqrt(2.0 * tree.known[node, MU] / SHRINK / (inverse[j, j] + 1e-300))
     reach *= 1.0 if side % 2 == 0 else -1.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import add_product
+from orbimpc_ros.mpc.kernels.linear import add_product, copy_to
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, SPEED
 from orbimpc_ros.mpc.search.best_first import (
     DONE,
@@ -41,7 +41,6 @@ from orbimpc_ros.mpc.search.relax import (
     SOLVED,
     SPACES,
     STALLED,
-    copy_to,
     cost_of,
     relax,
     rise_of,
@@ -184,9 +183,7 @@ def take_better(posed, tree, z):
     """Make a trajectory the incumbent if it is better."""
     if tree.numbers[VALUE] == np.inf or rise_of(posed, tree.best, z) < 0.0:
         tree.numbers[VALUE] = cost_of(posed, z)
-        for k in range(len(z)):
-            for c in range(z.shape[1]):
-                tree.best[k, c] = z[k, c]
+        copy_to(tree.best, z)
 
 
 @compiled

@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, extend_factor, solve_factored
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, solve_factored
 from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
@@ -131,7 +131,7 @@ def active_set(steps: int, places: int, dimension: int) -> ActiveSet:
 def _set_values(gram, free, held, count):
     """Set the places of the minimiser of the Lagrangian."""
     values = held.values
-    values[:] = free
+    copy_to(values, free)
     for i in range(count):
         column = gram[held.at[i]]
         for c in range(values.shape[1]):
@@ -180,7 +180,7 @@ def _most_violated(known, asked, values, row):
         if short > OUTSIDE and short * short > worst * known.gram[p, p]:
             worst = short * short / max(known.gram[p, p], 1e-300)
             place, which, offset = p, m, asked.offsets[m]
-            row[:] = asked.normals[m]
+            copy_to(row, asked.normals[m])
     for b in range(len(known.balls)):
         p, square = known.balls[b], 0.0
         for c in range(n):
@@ -201,7 +201,7 @@ def _drop(held, i, count):
     for j in range(i, count - 1):
         held.at[j], held.rows[j] = held.at[j + 1], held.rows[j + 1]
         held.offsets[j], held.u[j] = held.offsets[j + 1], held.u[j + 1]
-        held.normals[j] = held.normals[j + 1]
+        copy_to(held.normals[j], held.normals[j + 1])
         for k in range(i):
             held.gram[j, k] = held.gram[j + 1, k]
         for k in range(i, j + 1):
@@ -222,7 +222,8 @@ def _append(held, count, new, row, own, inner):
         inner: a . H^-1 a_i for the active rows.
     """
     held.at[count], held.rows[count], held.offsets[count] = new
-    held.normals[count], held.gram[count, count] = row, own
+    copy_to(held.normals[count], row)
+    held.gram[count, count] = own
     for i in range(count):
         held.gram[count, i] = inner[i]
     return extend_factor(held.gram, held.factor, count, count + 1, SINGULAR)
@@ -271,7 +272,7 @@ def _add(known, held, count, new, row, r, inner):
         gap -= row[c] * held.values[place, c]
     for _ in range(4 * size):
         _set_products(known, held, count, place, row, inner)
-        r[:count] = inner[:count]
+        copy_to(r[:count], inner[:count])
         curvature = own - solve_factored(held.factor, r, count)
         blocking, limit = _blocking(held, count, r)
         whole = gap / curvature if curvature > FLAT * own else np.inf
@@ -317,7 +318,8 @@ def _refutes(known, held, count, new, row, r):
     for i in range(count):
         held.u[i] = max(0.0, -r[i])
     held.at[count], held.rows[count], held.offsets[count] = place, which, offset
-    held.normals[count], held.u[count] = row, 1.0
+    copy_to(held.normals[count], row)
+    held.u[count] = 1.0
     return True
 
 
