@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_319,
-    'orbimpc_ros/mpc': 17_231,
+    'orbimpc_ros': 33_342,
+    'orbimpc_ros/mpc': 17_254,
     'orbimpc_ros/loop': 3_731,
     'orbimpc_ros/ros': 4_679,
     'orbimpc_ros/sim': 2_716,
