@@ -60,7 +60,7 @@ from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.problem.reach import missed
+from orbimpc_ros.mpc.problem.reach import farthest, missed
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -115,14 +115,19 @@ def catching(problem: Problem, radius: float, end: float) -> Problem:
     An end within a step shortens all steps. One beyond the horizon lengthens them; turns within
     longer steps are integrated, whatever the discretisation of the original ones.
     """
-    steps = min(math.ceil(end), problem.horizon)
-    length = problem.step if end == steps else problem.step * end / steps
+    steps, length = _steps_to(problem, end)
     how = 'exact' if end > steps else problem.discretisation
     change = LARGEST_CHANGE / length**2
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
     return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
+
+
+def _steps_to(problem: Problem, end: float) -> tuple[int, float]:
+    """Return number and length [s] of the steps to an end, in units of a problem's steps."""
+    steps = min(math.ceil(end), problem.horizon)
+    return steps, problem.step if end == steps else problem.step * end / steps
 
 
 @dataclass
@@ -162,7 +167,7 @@ class _Attempt(NamedTuple):
 
 
 MISSED = _Attempt()
-NEVER = _Attempt(never=True)  # too far away, or no trajectory ends in the approach cone
+NEVER = _Attempt(never=True)  # no trajectory ends in the approach cone
 _miss = attrgetter('miss')
 
 
@@ -257,8 +262,8 @@ class Interception:
         known, motion = query.task.goals, query.motion
         if motion is None or (end <= len(known) and end == int(end)):
             return known[: int(end)]
-        problem = self.problem(end)
-        return motion.at(query.now + problem.step * np.arange(1.0, problem.horizon + 1.0))
+        count, step = _steps_to(self._tracked, end)
+        return motion.at(query.now + step * np.arange(1.0, count + 1.0))
 
     def _last(self, query: InterceptQuery) -> int:
         """Return the last end at which to search for a catch."""
@@ -271,18 +276,18 @@ class Interception:
         """
         bound, counted, best = 1, 1, MISSED
         goals = self._goals(query, self._horizon)
-        too_far = self._too_far(query.task.state, goals, self._tracked)
-        surely = missed(self._tracked, query.task.state, goals, self._radius)
+        too_far = self._too_far(query.task.state, goals, np.arange(1.0, 1.0 + len(goals)))
+        out_of_reach = missed(self._tracked, query.task.state, goals, self._radius)
         moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
         # Largest relative motion of vehicle and goal in a step.
         travel = self._step * self._tracked.forward + float(moved.max(initial=0.0))
         for end in range(1, self._horizon + 1):
-            attempt = NEVER if too_far[end - 1] else self._tried(query, end, goals[:end])
+            attempt = MISSED if too_far[end - 1] else self._tried(query, end, goals[:end])
             if self._is_well(attempt):
                 return attempt, bound, counted
-            bound += bound == end and attempt.never
-            known = attempt.checked or bool(surely[end - 1])
-            counted += counted == end and attempt.never and known
+            surely = bool(out_of_reach[end - 1])
+            bound += bound == end and (surely or attempt.never)
+            counted += counted == end and (surely or (attempt.never and attempt.checked))
             if attempt.miss <= self._radius + travel:
                 attempt = min(attempt, self._passing(query, end), key=_miss)
             best = min(best, attempt, key=_miss)
@@ -401,8 +406,8 @@ class Interception:
         if not self._may(query, end):
             return MISSED
         goals = self._goals(query, end)
-        if self._too_far(query.task.state, goals, self.problem(end))[-1]:
-            return NEVER
+        if self._too_far(query.task.state, goals[-1:], np.array([end]))[0]:
+            return MISSED
         found = self._attempted(query, end, goals, near, narrow=self._coned)
         return MISSED if found.plan and _turns_too_far(found.plan, end) else found
 
@@ -488,15 +493,19 @@ class Interception:
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
 
-    def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
-        """Return True for steps at whose end the goal is out of reach, even if R_0 were free.
+    def _too_far(self, state: State, goals: Array, ends: Array) -> np.ndarray:
+        """Return for which ends, shape (K,), no search for a catch is worth it.
 
-        A goal passed during the first step is out of reach at its end, but met within it. The
-        tracked problem yields this for all ends within the horizon at once.
+        There the goals, shape (K, n), are farther away than a vehicle gets that flies straight from
+        the start. This proves nothing: a goal passed in the first step is out of reach at its end.
         """
-        reach = np.abs(problem.maps.reach).sum(axis=1)
-        away = goals - drift(problem, state)
-        return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach + self._radius)
+        problem, times = self._tracked, (self._step * ends)[:, None]
+        moved = state.disturbance * times
+        if problem.inertial:
+            moved = (state.velocity + 0.5 * moved) * times
+        away = goals - state.position - moved
+        reach = farthest(problem, 0.0, 0.0, times[:, 0]) + self._radius
+        return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach)
 
 
 def _turns_too_far(plan: Plan, end: float) -> bool:

@@ -109,17 +109,17 @@ class Maps:
         after = np.zeros((horizon, horizon + 1, len(once.push)))
         after[:, 1:] = _lagged(pushes[1])[:, :horizon]
         every = _lagged(pushes[0]) + after
-        self.reach = sealed(every[:, :, 0].copy())
-        self.arrival = sealed(every[-1].T.copy())
-        self.pushed = sealed(every[:, :, -1].copy())
-        blown = np.cumsum(pushes[2], axis=0)
-        self.blown = sealed(blown[:, :1].copy())
-        self.hastened = sealed(blown[:, -1:].copy())
-        still = np.zeros((horizon, 1))
+        self.reach = every[:, :, 0].copy()
+        self.arrival = every[-1].T.copy()
+        self.pushed = every[:, :, -1].copy()
+        blown, still = np.cumsum(pushes[2], axis=0), np.zeros((horizon, 1))
+        self.blown, self.hastened = blown[:, :1].copy(), blown[:, -1:].copy()
         moved = _responses(once.transition, once.transition, horizon)  # A^k, k = 1..N
-        self.drift = sealed(moved[:, :1, 1].copy() if model.inertial else still)
-        self.carried = sealed(moved[:, 1:, 1].copy() if model.inertial else still)
-        self.lasting = sealed(_shares(once, horizon))
+        self.drift = moved[:, :1, 1].copy() if model.inertial else still
+        self.carried = moved[:, 1:, 1].copy() if model.inertial else still
+        self.lasting = _shares(once, horizon)
+        for each in vars(self).values():
+            sealed(each)
         self.unit = step * (step * forward) if model.inertial else step * forward
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
 SURE = 1e-12  # relative margin for rounding: farther away is surely out of reach
+T = TypeVar('T', float, Array)
 BEYOND = 100.0  # times the reach: goals farther away are moved to this distance
 
 
@@ -28,8 +30,8 @@ def reach(problem: Problem, state: State) -> float:
     return farthest(problem, speed, blown, problem.horizon * problem.step)
 
 
-def farthest(problem: Problem, speed: float, blown: float, time: float) -> float:
-    """Return an upper bound of the distance reached within a time [m].
+def farthest(problem: Problem, speed: float, blown: float, time: T) -> T:
+    """Return an upper bound of the distance reached within a time, or within each of times [m].
 
     Args:
         problem: gives the full speed or thrust, and whether the vehicle is inertial.

@@ -24,7 +24,7 @@ T = TypeVar('T')
 
 @dataclass(frozen=True, eq=False)
 class State(ByContent):
-    """The vehicle's state at the start of a plan.
+    """The vehicle's state at the start of a plan; :meth:`at` makes and validates it.
 
     Attributes:
         position: s_0, shape (n,) [m].
@@ -79,12 +79,12 @@ class State(ByContent):
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
         line, square, still = (n,), (n, n), _zeros((n,))
-        placed = frozen(rotation, square, 'state.rotation')
         given: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
             'position': (position, line, None),
+            'rotation': (rotation, square, None),
             'velocity': (velocity, line, still),
             'rotation_rate': (rotation_rate, square, _zeros(square)),
-            'attitude': (nearest(placed) if attitude is None else attitude, square, None),
+            'attitude': (attitude, square, None),
             'coasted': (coasted, square, None),
             'disturbance': (disturbance, line, still),
             'wanted': (wanted, square, None),
@@ -93,20 +93,20 @@ class State(ByContent):
             name: absent if value is None else frozen(value, shape, f'state.{name}')
             for name, (value, shape, absent) in given.items()
         }
+        if attitude is None:
+            made['attitude'] = sealed(nearest(made['rotation']))
         for name in ('attitude', 'coasted', 'wanted'):
             if made[name] is not None:
                 _require_rotation(made[name], f'state.{name}')
+        for name in ('rotation', 'rotation_rate'):
+            _require_structure(made[name], f'state.{name}')
+        if margin(made['rotation']) < -MEMBERSHIP_TOLERANCE:
+            allowed = f'a matrix in conv SO({n})'
+            raise BadInput('state.rotation', made['rotation'].tolist(), allowed)
+        if commanded is not None:
+            number(commanded, 'state.commanded', 0.0, 1.0)
         bodies = tracked(hazards, n) if hazards else ()
-        return cls(rotation=placed, commanded=commanded, hazards=bodies, **made)
-
-    def __post_init__(self) -> None:
-        _require_structure(self.rotation, 'state.rotation')
-        _require_structure(self.rotation_rate, 'state.rotation_rate')
-        if margin(self.rotation) < -MEMBERSHIP_TOLERANCE:
-            allowed = f'a matrix in conv SO({self.dimension})'
-            raise BadInput('state.rotation', self.rotation.tolist(), allowed)
-        if self.commanded is not None:
-            number(self.commanded, 'state.commanded', 0.0, 1.0)
+        return cls(commanded=commanded, hazards=bodies, **made)
 
     @property
     def dimension(self) -> int:
