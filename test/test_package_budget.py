@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_342,
-    'orbimpc_ros/mpc': 17_254,
-    'orbimpc_ros/loop': 3_731,
+    'orbimpc_ros': 33_353,
+    'orbimpc_ros/mpc': 17_256,
+    'orbimpc_ros/loop': 3_740,
     'orbimpc_ros/ros': 4_679,
     'orbimpc_ros/sim': 2_716,
     'orbimpc_ros/tool': 4_780,
