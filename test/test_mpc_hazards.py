@@ -102,7 +102,7 @@ MODELS = [
 
 @pytest.mark.parametrize('model', MODELS)
 def test_a_solver_takes_states_with_any_number_of_hazards_in_turn(model):
-    rng, tolerance = np.random.default_rng(9), 1e-3
+    rng, tolerance = np.random.default_rng(9), 0.02
     problem = Problem(horizon=5, step=0.6, forward=1.8, **model)
     n, solver = problem.dimension, Solver(problem, gap_tolerance=tolerance)
     goals = np.tile(np.eye(n)[0] * 6.0, (problem.horizon, 1))
