@@ -292,6 +292,16 @@ def test_two_flights_are_told_apart_by_name_and_dashes():
     assert 'floor' in {text.get_text() for text in shares.texts}  # although the first has none
 
 
+@pytest.mark.parametrize(
+    ('aside', 'boxes', 'wide'), [(1.0, 0, True), (9.0, 0, False), (1.0, 4, False)]
+)
+def test_a_flight_along_x_is_drawn_above_its_charts(aside, boxes, wide):
+    box = f'obstacles=[4.0, 0.5, 5.0, {0.6 + boxes}]'
+    figure = paths({'': flight('retrieval', line([5.0, aside, 0.0], 21), box)})
+    rows = [axes.get_subplotspec().rowspan for axes in figure.axes]
+    assert [(each.start, each.stop) for each in rows][::2] == [(0, 1 if wide else 2), (1, 2)]
+
+
 def test_obstacles_are_where_the_parameters_say():
     flown = of_bag(GOLDEN / 'obstacles')
     patches = paths({'': flown}).axes[0].patches

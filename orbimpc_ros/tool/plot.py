@@ -41,7 +41,8 @@ PATH, DATA = 'trajectory.png', 'data.png'
 LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of the lines in one chart
 AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
 MOST_HEADINGS, MOST_PLANS = 20, 6
-NOSE = 0.05  # length of a heading, as a share of the flight's extent
+WIDE = 2.5  # ratio of extents from which on a flight is drawn above its charts
+NOSE = 0.035  # length of a heading, as a share of the flight's extent
 LEAST = 1e-16  # drawn instead of zero on a logarithmic axis
 Flights = Mapping[str, History]  # by name
 Line = tuple[Array, Array]  # times [s] and values
@@ -173,10 +174,12 @@ def paths(flown: Flights) -> Figure:
 def stage(flown: Flights) -> tuple[Figure, Any]:
     """Return a figure with two charts and a view of obstacles and goals, and this view's axes."""
     figure = Figure(figsize=(10.0, 6.5), layout='constrained')
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
     first = next(iter(flown.values()))
     n = first.values['dimension']
-    axes: Any = figure.add_subplot(grid[:, 0], projection='3d' if n == 3 else None)
+    wide = n == 2 and _is_wide(flown)  # the view above the charts, otherwise next to them
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.0 if wide else 1.6, 1.0))
+    place = grid[0, :] if wide else grid[:, 0]
+    axes: Any = figure.add_subplot(place, projection='3d' if n == 3 else None)
     axes.set(**{f'{axis}label': f'{axis} [m]' for axis in 'xyz'[:n]})
     _draw_boxes(axes, first)
     for history in flown.values():
@@ -186,10 +189,20 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
     axes.set_aspect('equal', adjustable='box' if n == 3 else 'datalim')
     axes.autoscale(n == 2)  # in 3D it would undo the aspect
     several = len(flown) > 2 and first.values['avoid_radius']
-    draw_panel(figure.add_subplot(grid[0, 1]), separation(flown) if several else distance(flown))
+    above = figure.add_subplot(grid[1, 0] if wide else grid[0, 1])
+    draw_panel(above, separation(flown) if several else distance(flown))
     draw_panel(figure.add_subplot(grid[1, 1]), shares(flown))
     headline(figure, story(flown))
     return figure, axes
+
+
+def _is_wide(flown: Flights) -> bool:
+    """Return True if flights extend mainly along x."""
+    drawn = (
+        each for f in flown.values() for each in (f.positions, f.ropes, *map(np.array, f.boxes))
+    )
+    x, y = np.ptp(np.concatenate([each[:, :2] for each in drawn]), axis=0)
+    return bool(x > WIDE * y)
 
 
 def _draw_boxes(axes: Any, history: History) -> None:
@@ -250,7 +263,9 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
         axes.annotate(meaning, (0.01, value), xytext=(0, 2), **place, **how)
     unit = f' [{panel.unit}]' if panel.unit else ''
     axes.set(title=f'{panel.title}{unit}', xlabel='time [s]')
-    axes.set_yscale('log' if panel.log else 'linear')
+    if panel.log:
+        axes.set_yscale('log')
+        axes.yaxis.set_major_formatter('{x:g}')
     if len(axes.get_legend_handles_labels()[0]) > 1:
         axes.legend(loc='best', ncols=2)
 
