@@ -65,7 +65,7 @@ setup(
         # Apart from the others: 250 MB, and it wants a Matplotlib and a Pillow of its own.
         'basilisk': ['bsk>=2.12'],
         'bench': ['casadi', 'cvxpy>=1.7', 'gurobipy', 'pyscipopt'],
-        'fast': ['numba>=0.59'],
+        'fast': ['numba>=0.59,<0.69'],  # tested: it is compiled with through its internals
         # MuJoCo 4.0 takes no other core than its own.
         'physics': [
             'jsbsim>=1.2',

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -13,25 +14,25 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Approach
 
+TINY = 1e-300  # [m^2] lower bound of a squared drift, against division by zero
 STAY = 1.0  # [s] within the radius, after which the vehicle has arrived
 WINDOW = 20  # measurements
 FITS_BETTER = 0.3  # ratio of errors, other frame to stated one, below which the other is assumed
 TELLING = 0.3  # of the speed: larger errors of the stated frame are not noise
 
 
-def closest_approach(flown: tuple[Array, Array], swung: tuple[Array, Array]) -> tuple[float, float]:
+def closest_approach(flown: tuple[Array, Array], swung: tuple[Array, Array]) -> tuple[Any, Any]:
     """Return the least distance [m] during a step and its time, as a share of the step in [0, 1].
 
     Args:
-        flown: positions of the vehicle at both ends of the step, each of shape (n,) [m].
+        flown: positions of the vehicle at both ends of the step, or of K steps, (n,) or (K, n) [m].
         swung: positions of the goal.
     """
     apart = flown[0] - swung[0]
     drift = (flown[1] - swung[1]) - apart
-    speed = float(drift @ drift)
-    share = float(np.clip(-(apart @ drift) / speed, 0.0, 1.0)) if speed > 0.0 else 0.0
-    nearest = apart + share * drift
-    return math.sqrt(nearest @ nearest), share
+    speed = np.maximum((drift * drift).sum(axis=-1), TINY)
+    share = np.clip(-(apart * drift).sum(axis=-1) / speed, 0.0, 1.0)
+    return np.linalg.norm(apart + share[..., None] * drift, axis=-1), share
 
 
 def is_headed(approach: Approach, headings: tuple[Array, Array], share: float) -> bool:

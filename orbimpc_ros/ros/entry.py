@@ -157,5 +157,5 @@ def without_compiler() -> str:
     """Return a message that the compiler is missing, and how to install it."""
     from orbimpc_ros import install
 
-    hint = f'apt install python3-numba or {install.command("numba")}'
-    return f'numba is not installed: plans take 6 to 60 times as long; to install it: {hint}'
+    hint = install.command_for_extra('fast')
+    return f'numba is missing or too old: plans take 6 to 60 times as long; to install it: {hint}'

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array, whole
 
 MOST = 64  # vehicles
@@ -19,7 +20,6 @@ SWING = 0.5  # [m] amplitude of the swing along each axis
 FREQUENCIES = (0.02, 0.3)  # [Hz]
 ROOM = 3.0  # [m] of circumference per vehicle on the ring of a crossing
 LEAST_RING = 5.0  # [m]
-TINY = 1e-300  # [m^2] lower bound of a squared drift, against division by zero
 ASTRAY = 0.5  # [m] largest offset of starts and goals of a crossing from the ring, along each axis
 
 Parameters = dict[str, Any]
@@ -101,8 +101,6 @@ def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str
     }
     found = {}
     for one, other in itertools.combinations(ways, 2):
-        apart, drift = (ways[one] - ways[other])[:-1], np.diff(ways[one] - ways[other], axis=0)
-        shares = -(apart * drift).sum(axis=1) / np.maximum((drift**2).sum(axis=1), TINY)
-        nearest = apart + np.clip(shares, 0.0, 1.0)[:, None] * drift  # as in closest_approach
-        found[one, other] = np.nan_to_num(np.linalg.norm(nearest, axis=1), nan=np.inf)
+        ends = ((ways[each][:-1], ways[each][1:]) for each in (one, other))
+        found[one, other] = np.nan_to_num(closest_approach(*ends)[0], nan=np.inf)
     return times, found

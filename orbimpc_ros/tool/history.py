@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -101,8 +100,8 @@ class History:
     @cached_property
     def moments(self) -> list[Encounter]:
         """Return encounters up to the capture: at odometry and at closest approaches between."""
-        flown, swung = pairwise(self.positions), pairwise(self.ropes)
-        shares = [closest_approach(way, goal)[1] for way, goal in zip(flown, swung, strict=True)]
+        flown, swung = ((each[:-1], each[1:]) for each in (self.positions, self.ropes))
+        shares = closest_approach(flown, swung)[1].tolist()
         count = len(self.times)
         steps = sorted({*range(count), *(k + share for k, share in enumerate(shares))})
         end = count - 2 + shares[-1] if self._caught else count

@@ -69,15 +69,6 @@ class Units:
         """Return lengths [m] in these units."""
         return values if self.length == 1.0 else values / self.length
 
-    def pulls(self, values: Array) -> Array:
-        """Convert multipliers of s_N - g_N, and of p_N, to those of the original problem.
-
-        Shape (..., m).
-        """
-        force = self.cost / self.length
-        both: Array = np.repeat([force, force * self.time], self.problem.dimension)
-        return both[: values.shape[-1]] * values
-
 
 def _in_units(problem: Problem, length: float, time: float) -> Problem:
     """Return a problem with lengths and times in other units, and with the same costs."""

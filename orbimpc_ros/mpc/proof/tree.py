@@ -111,32 +111,3 @@ def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
 
 def _times(values: Array, scale: float) -> Array:
     return values * scale if values.size else values
-
-
-def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
-    """Return whether a tree's arrays have the types and shapes that a problem requires.
-
-    Args:
-        tree: not trusted.
-        horizon: N.
-        n: dimension.
-        width: d, number of coordinates of a rotation that are in the cost.
-        arrives: m, number of vectors that an arrival constrains.
-    """
-    arrays: Any = tree[: len(KINDS)]
-    nodes, leaves, presses = len(tree.nodes), len(tree.point), tree.press.size
-    vectors = leaves, horizon, n
-    shapes = (
-        (nodes, 5), (nodes,), (leaves, horizon, width), (leaves, horizon),
-        (leaves,), (presses,), (presses,),
-        (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (horizon,),
-    )  # fmt: skip
-    if nodes == 0 or [each.dtype for each in arrays] != KINDS:
-        return False
-    for i, (value, shape) in enumerate(zip(arrays, shapes, strict=True)):
-        if i < len(ARRAYS) or value.size:
-            if value.shape != shape or not value.flags.c_contiguous:
-                return False
-        elif value.ndim != len(shape):
-            return False
-    return True

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.proof.bound import (
 )
 from orbimpc_ros.mpc.proof.splits import Region
 from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Limits, Statement
-from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
+from orbimpc_ros.mpc.proof.tree import ARRAYS, KINDS, ProofTree, one
 
 MOST = 1 << 24  # numbers in a region, at most
 SLICE = 2000  # steps to bound between two checks of the deadline: 1 to 3 ms
@@ -88,7 +88,7 @@ class Verifier:
         if limits is None:
             limits = self._statement.limits(state, goals)
         stated = self._statement.of(state, goals, limits)
-        if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
+        if not _fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
         choices = (2 + len(stated.bodies.of)) * problem.horizon
@@ -114,6 +114,35 @@ class Verifier:
             n = self._statement.problem.dimension
             self._region = region_of(2 * deepest + 1, choices, n, self._kind)
         return True
+
+
+def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
+    """Return whether a tree's arrays have the types and shapes that a problem requires.
+
+    Args:
+        tree: not trusted.
+        horizon: N.
+        n: dimension.
+        width: d, number of coordinates of a rotation that are in the cost.
+        arrives: m, number of vectors that an arrival constrains.
+    """
+    arrays: Any = tree[: len(KINDS)]
+    nodes, leaves, presses = len(tree.nodes), len(tree.point), tree.press.size
+    vectors = leaves, horizon, n
+    shapes = (
+        (nodes, 5), (nodes,), (leaves, horizon, width), (leaves, horizon),
+        (leaves,), (presses,), (presses,),
+        (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (horizon,),
+    )  # fmt: skip
+    if nodes == 0 or [each.dtype for each in arrays] != KINDS:
+        return False
+    for i, (value, shape) in enumerate(zip(arrays, shapes, strict=True)):
+        if i < len(ARRAYS) or value.size:
+            if value.shape != shape or not value.flags.c_contiguous:
+                return False
+        elif value.ndim != len(shape):
+            return False
+    return True
 
 
 def in_fractions(tree: ProofTree) -> Any:

@@ -14,6 +14,7 @@ Mathematics: docs/mathematics.md, 4.4 to 4.6.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from threading import get_ident
 
 import numpy as np
@@ -65,8 +66,8 @@ from orbimpc_ros.mpc.search.shor import (
     set_spread,
 )
 from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
-from orbimpc_ros.mpc.solve.registry import General
-from orbimpc_ros.mpc.solve.request import Found, Guess, Request
+from orbimpc_ros.mpc.solve.registry import general
+from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request
 
 # In Tree.counts: descents begun; node to start beside; its next side, and the end; next start.
 STARTS, FROM, SIDE, SIDES, BEGIN = range(3, 8)
@@ -235,8 +236,11 @@ class RoundFloor(TreeSearch):
             self._arrival = problem.maps.reach[-1, 1:].copy()
             largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
             self._stiff = STIFF * float(largest)
-        self._general = General(problem, self._tolerance)
         self._prepare()
+
+    @cached_property
+    def _general(self) -> Method:
+        return general(self._problem, self._tolerance)
 
     @staticmethod
     def solves(problem: Problem) -> bool:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Turns in space: the best path within one plane.
+"""Turns in space: the best path within one plane; interception by such paths.
 
 A fixed wing turns towards its goal in the plane spanned by its heading and the goal. This planar
 problem is solved by the search over sectors in a millisecond or two, and its headings, mapped back
@@ -12,15 +12,19 @@ Mathematics: docs/mathematics.md, 4.9.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
-from orbimpc_ros.mpc.model.dynamics import drift, position_weights
+from orbimpc_ros.mpc.model.dynamics import drift, position_weights, trajectory_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.solve.request import Guess, Request
+from orbimpc_ros.mpc.solve.registry import general
+from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request
+
+ALONE = 'only paths in the plane of heading and goal were searched'
 
 
 class PlanarWay:
@@ -60,6 +64,46 @@ class PlanarWay:
         found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
         assert found.x is not None  # the search begins with one
         return coordinates(carried(attitude, found.x @ plane.T))
+
+
+class PlanarCatch:
+    """Solver for spatial problems with a floor and a turn rate where only the last goal matters.
+
+    Plans in a plane have no bound in space; unless time is short, the general search is used.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which the planar search stops.
+    """
+
+    takes_guess = trusts_guess = True
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self._plane = PlanarWay(problem, tolerance)
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return True if this method applies to a problem and is fast on this machine."""
+        return (
+            problem.weights.position == problem.weights.attitude == 0.0
+            and not problem.obstacles
+            and PlanarWay.leads(problem)
+        )
+
+    @cached_property
+    def _general(self) -> Method:
+        return general(self._problem, self._tolerance)
+
+    def solve(self, request: Request) -> Found:
+        """Return the best planar trajectory, or if time allows that of the general search."""
+        if not request.hurried:
+            return self._general.solve(request)
+        x, guess = self._plane.way(request), request.guess
+        cost = trajectory_of(self._problem, request.state, request.goals, x).cost
+        if guess is not None and guess.cost <= cost:
+            x, cost = guess.x, guess.cost
+        return Found(x, cost, -np.inf, 1, ALONE)
 
 
 def _planar(problem: Problem) -> Problem:

@@ -9,14 +9,14 @@ from __future__ import annotations
 from importlib import import_module
 
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.request import Found, Method, Request
+from orbimpc_ros.mpc.solve.request import Method
 
 # (module, class). The first one whose ``solves`` returns True is chosen. Modules are imported one
 # by one, since the later ones take longer to import.
 METHODS = [
     ('search.engine', 'Engine'),
     ('search.round_floor', 'RoundFloor'),
-    ('solve.planar_catch', 'PlanarCatch'),
+    ('solve.planar_way', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # imports Clarabel, hence only with max_acceleration
@@ -42,22 +42,8 @@ def method_for(
     raise AssertionError('the last method solves every problem')
 
 
-class General:
-    """General branch and bound, built at its first use.
-
-    Args:
-        problem: what to solve.
-        tolerance: relative gap at which a search stops.
-    """
-
-    def __init__(self, problem: Problem, tolerance: float) -> None:
-        self._problem, self._tolerance = problem, tolerance
-        self._search: Method | None = None
-
-    def solve(self, request: Request) -> Found:
-        """Solve as :class:`orbimpc_ros.mpc.solve.branch_and_bound.BranchAndBound` does."""
-        if self._search is None:
-            from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # slow to import
-
-            self._search = BranchAndBound(self._problem, self._tolerance)
-        return self._search.solve(request)
+def general(problem: Problem, tolerance: float) -> Method:
+    """Return the last method; its import takes longest."""
+    place, name = METHODS[-1]
+    made: Method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)(problem, tolerance)
+    return made

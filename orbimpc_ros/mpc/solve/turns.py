@@ -19,6 +19,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import Cell
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.arrivals import aside_of
 from orbimpc_ros.mpc.solve.relaxation import Row
 
 WITHIN = 1.0 - 1e-6  # share of the widest turn
@@ -126,14 +127,6 @@ class Turns:
 def _towards(unit: Array, wanted: Array, widest: float) -> Array:
     """Return a direction, shape (n,), turned towards another by at most an angle."""
     along = float(unit @ wanted)
-    aside = wanted - along * unit
-    size = float(np.linalg.norm(aside))
-    angle = math.atan2(size, along)
-    if angle <= widest:
+    if math.atan2(float(np.linalg.norm(wanted - along * unit)), along) <= widest:
         return wanted
-    if size <= HEADING_UNDEFINED:
-        other = np.eye(len(unit))[np.argmin(np.abs(unit))]
-        aside = other - unit * (unit @ other)
-        size = float(np.linalg.norm(aside))
-    turned: Array = math.cos(widest) * unit + math.sin(widest) * aside / size
-    return turned
+    return np.asarray(math.cos(widest) * unit + math.sin(widest) * aside_of(unit, wanted))
