@@ -123,6 +123,15 @@ def test_a_shrinking_horizon_without_a_goal_ends_in_time():
     assert fallbacks == ['shifted plan', 'shifted plan', 'safe command']
 
 
+def test_the_solver_that_a_shrinking_horizon_takes_next_is_built_in_advance():
+    controller = Stepped(Problem(horizon=3), shrinking=True)
+    for k in range(3):
+        built = controller._solver.cache_info().currsize
+        tick = controller.tick(odometry((float(k), 0.0)), np.tile([3.0, 2.0], (3 - k, 1)))
+        assert (tick.problem.horizon, controller._solver.cache_info().currsize) == (3 - k, built)
+        controller.prepare()
+
+
 def test_a_goal_beyond_all_reach_is_clamped_and_reported():
     start = State.at([1.0, 2.0], np.eye(2))
     goals = np.tile([1.0 + 3e6, 2.0 + 4e6], (5, 1))

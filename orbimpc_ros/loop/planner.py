@@ -272,6 +272,17 @@ class Planner:
         if self._scout is None and cuts_turns(self.problem):
             self._scout = Scout(self.problem, steered=True)
 
+    def prepare(self) -> None:
+        """Build the solver for a decision a step later, which a shrinking horizon takes each time.
+
+        That takes longer than most solves: call this when the command has been sent.
+        """
+        memory = self._memory
+        if self._shrinking and memory.last is not None and memory.pace == self.problem.step:
+            count, step = self._steps(memory.flown + 1.0)
+            if count:
+                self._solver(count, step)
+
     # --- steps of the horizon
 
     @property

@@ -47,6 +47,7 @@ UNNEEDED = (
     *('InlineInlinables', 'FindLiterallyCalls', 'LiteralUnroll', 'InlineOverloads'),
     *('LiteralPropagationSubPipelinePass', 'AnnotateTypes', 'DumpParforDiagnostics'),
 )
+BARE: dict[Callable, Callable] = {}  # by entry point
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
 
@@ -65,10 +66,15 @@ def bare(function: Callable) -> Callable:
     """Return the machine code of an :func:`entry_point` without its dispatch on types.
 
     Dispatch on the types of a problem's numbers takes longer than to bound a leaf. Arguments must
-    have the types of the one call that it was compiled for; arrays must be contiguous.
+    have the types of the one call that it was compiled for; arrays must be contiguous. A function
+    that has not been called is returned as it is.
     """
-    known = list(getattr(function, 'overloads', {}).values())
-    return known[0].entry_point if len(known) == 1 else function
+    if function not in BARE:
+        known = list(getattr(function, 'overloads', {}).values())
+        if len(known) != 1:
+            return function
+        BARE[function] = known[0].entry_point
+    return BARE[function]
 
 
 def compiled(function: Callable, **options: Any) -> Callable:

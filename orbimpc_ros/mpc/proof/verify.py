@@ -57,11 +57,12 @@ class Verifier:
             self._depths, self._bound = depths_of, tree_bound
         self._work = work_of(problem, self._statement.width, self._kind)
         self._region = region_of(1, 2 * problem.horizon, problem.dimension, self._kind)
-        if COMPILED and not self._exact:  # load machine code at start-up, not in a tick
-            n, count = problem.dimension, problem.horizon
-            start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
-            still = one(np.zeros((count, self._statement.width)), leaf)
-            self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
+        if COMPILED and not self._exact:
+            if bare(_bound) is _bound:  # load machine code at start-up, not in a tick
+                n, count = problem.dimension, problem.horizon
+                start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
+                still = one(np.zeros((count, self._statement.width)), leaf)
+                self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
             self._depths, self._bound = bare(_depths), bare(_bound)
 
     def bound(

@@ -57,7 +57,10 @@ class TreeSearch:
         self._floor = float(problem.floor.fraction) if problem.floor.exists else 0.0
 
     def _prepare(self) -> None:
-        """Compile or load the machine code: at start-up, not in a tick."""
+        """Compile or load the machine code by its first call: at start-up, not in a tick."""
+        if bare(self._search) is not self._search:
+            self._search = bare(self._search)
+            return
         steps, n = self._problem.horizon, self._problem.dimension
         start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
         with suppress(Infeasible):

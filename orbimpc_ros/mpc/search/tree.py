@@ -10,8 +10,10 @@ Mathematics: docs/mathematics.md, 4.3.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,6 +75,7 @@ MOST_ARCS = 5  # most arcs that the headings of a step are split into
 NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
 NARROWEST = 1e-6  # narrower sectors [rad] and ranges of speeds are not cut
 SATISFIED = 1e-8  # smaller violations of a floor or a turn are not branched on
+MEMORY: dict[tuple[int, type], np.ndarray] = {}  # of each thread
 ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
 
 
@@ -119,7 +122,9 @@ class Tree(NamedTuple):
 
 @lru_cache(maxsize=SPACES)
 def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
-    """Return memory for a search, used page by page; it overwrites the last one of its thread.
+    """Return memory for a search, used page by page, which it takes from the last of its thread.
+
+    New memory would take milliseconds: the system clears it where it is first used.
 
     Args:
         thread: identifies it.
@@ -128,24 +133,26 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
         n: dimension.
         kinds: K.
     """
-    shor = min(1, kinds)
-    return Tree(
-        np.empty((nodes, steps, SECTOR)),
-        np.empty((nodes, 0 if kinds else steps, OUTLINE)),
-        np.empty((nodes, steps, n)),
-        np.empty((nodes, steps, n)),
-        np.empty((nodes, kinds, steps)),
-        np.empty((nodes, shor, steps)),
-        np.empty((nodes, shor, n)),
-        np.empty((nodes, 3)),
-        np.zeros((nodes, 5), np.int64),
-        np.zeros(nodes),
-        np.empty(nodes),
-        np.empty(nodes, np.int64),
-        np.zeros((steps, n)),
-        np.zeros(8, np.int64),
-        np.zeros(3),
+    shor, shaped = min(1, kinds), 0 if kinds else steps
+    floats = (
+        *((steps, SECTOR), (shaped, OUTLINE), (steps, n), (steps, n), (kinds, steps)),
+        *((shor, steps), (shor, n), (3,), (), ()),
     )
+    *wide, at, keys = _carved(thread, float, nodes, floats)
+    rows, heap = _carved(thread, int, nodes, ((5,), ()))
+    small = np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)
+    return Tree(*wide, rows, at, keys, heap, *small)
+
+
+def _carved(thread: int, kind: type, nodes: int, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
+    """Return arrays with a row of a given shape for each node, from the memory of a thread."""
+    sizes = [nodes * math.prod(shape) for shape in shapes]
+    memory = MEMORY.get((thread, kind))
+    if memory is None or len(memory) < sum(sizes):
+        memory = MEMORY[thread, kind] = np.empty(2 * sum(sizes), kind)  # enough for other horizons
+    ends = np.cumsum(sizes)
+    parts = zip(ends - sizes, ends, shapes, strict=True)
+    return [memory[low:high].reshape(nodes, *shape) for low, high, shape in parts]
 
 
 @compiled
@@ -153,7 +160,7 @@ def plant(tree):
     """Begin a search with an open root, which is zero but for its sectors, and no incumbent."""
     for data in (tree.z, tree.point, tree.held, tree.kept, tree.pull):
         data[0] = 0.0
-    tree.nodes[0], tree.known[0], tree.known[0, KEY] = 0, 0.0, -np.inf
+    tree.nodes[0], tree.known[0], tree.known[0, KEY], tree.at[0] = 0, 0.0, -np.inf, 0.0
     tree.counts[:], tree.numbers[:] = 0, np.inf
     tree.counts[MADE], tree.numbers[LEAST] = 1, -np.inf
     leave_open(tree, 0, -np.inf, np.inf)
@@ -173,6 +180,7 @@ def branch(tree, node, kind, choice, cut, parts):
                     data[i, k, c] = data[node, k, c]
         for c in range(nodes.shape[1]):
             nodes[i, c] = 0
+        tree.at[i] = 0.0
         tree.known[i, KEY], tree.known[i, MU] = tree.known[node, KEY], tree.known[node, MU]
         tree.known[i, TAKEN] = 0.0
     return first

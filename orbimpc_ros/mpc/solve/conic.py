@@ -9,6 +9,7 @@ Mathematics: docs/mathematics.md, 4.8.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,6 +35,8 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
         data: P, c (which is q), A, b and the sizes of the cones, ``dims``.
         tolerance: on feasibility and on the gap.
     """
+    if data['dims'].psd:  # Clarabel would import it at the first solve: 60 ms, in a tick
+        import_module('scipy.linalg')
     return clarabel.DefaultSolver(
         sparse.csc_matrix(sparse.triu(data['P'])),
         data['c'],

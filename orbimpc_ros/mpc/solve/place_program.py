@@ -410,11 +410,12 @@ class PlaceProgram:
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._general: Relaxed | None = None
-        self._minimise = minimise
-        # The first call compiles or loads cached machine code: at start-up rather than in a tick.
-        start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
-        self.relax(Request(start, np.zeros((steps, n))))
         self._minimise = bare(minimise)
+        if self._minimise is minimise:
+            # The first call compiles or loads machine code: at start-up rather than in a tick.
+            start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
+            self.relax(Request(start, np.zeros((steps, n))))
+            self._minimise = bare(minimise)
 
     @staticmethod
     def solves(problem: Problem) -> bool:

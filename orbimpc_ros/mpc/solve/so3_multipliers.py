@@ -19,7 +19,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import coordinates, margin, matrix
-from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     BEST,
     PAUSED,
@@ -95,10 +95,11 @@ class SO3Multipliers:
         self._general: Relaxed | None = None
         if self._may_need_general:
             self._build_general()
-        # The first call compiles or loads cached machine code: at start-up rather than in a tick.
-        at_rest = Request(_rest(self._coasting), np.zeros((problem.horizon, 3)))
-        with suppress(Infeasible):  # the horizon may be too short to turn round and arrive
-            self.relax(at_rest)
+        if bare(minimise) is minimise:
+            # The first call compiles or loads machine code: at start-up rather than in a tick.
+            at_rest = Request(_rest(self._coasting), np.zeros((problem.horizon, 3)))
+            with suppress(Infeasible):  # the horizon may be too short to turn round and arrive
+                self.relax(at_rest)
 
     def _make_room(self) -> None:
         """Allocate the kernel's arrays; rho, if there is one, is the first variable."""

@@ -373,6 +373,7 @@ class PlannerNode(Managed):
         self._publish(stamp, decision)
         self._answered = stamp.nanoseconds
         self._look_for_events()
+        self._core.planner.prepare()
         # The next odometry must not wait and is farthest away now: monitor if that is due soon.
         if self.steady_now() - self._watched >= 0.5 * self._watch_period:
             self._watch()
