@@ -141,7 +141,7 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
     *wide, at, keys = _carved(thread, float, nodes, floats)
     rows, heap = _carved(thread, int, nodes, ((5,), ()))
     small = np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)
-    return Tree(*wide, rows, at, keys, heap, *small)
+    return Tree._make([*wide, rows, at, keys, heap, *small])
 
 
 def _carved(thread: int, kind: type, nodes: int, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
