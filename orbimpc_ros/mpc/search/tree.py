@@ -11,9 +11,8 @@ Mathematics: docs/mathematics.md, 4.3.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,7 +74,7 @@ MOST_ARCS = 5  # most arcs that the headings of a step are split into
 NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
 NARROWEST = 1e-6  # narrower sectors [rad] and ranges of speeds are not cut
 SATISFIED = 1e-8  # smaller violations of a floor or a turn are not branched on
-MEMORY: dict[tuple[int, type], np.ndarray] = {}  # of each thread
+MEMORY: dict[tuple[int, int], np.ndarray] = {}  # by thread and field
 ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
 
 
@@ -134,25 +133,19 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
         kinds: K.
     """
     shor, shaped = min(1, kinds), 0 if kinds else steps
-    floats = (
-        *((steps, SECTOR), (shaped, OUTLINE), (steps, n), (steps, n), (kinds, steps)),
-        *((shor, steps), (shor, n), (3,), (), ()),
-    )
-    *wide, at, keys = _carved(thread, float, nodes, floats)
-    rows, heap = _carved(thread, int, nodes, ((5,), ()))
-    small = np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)
-    return Tree._make([*wide, rows, at, keys, heap, *small])
+    wide = (steps, SECTOR), (shaped, OUTLINE), (steps, n), (steps, n), (kinds, steps)
+    shapes = *wide, (shor, steps), (shor, n), (3,), (5,), (), (), ()
+    known = [_kept(thread, i, nodes, shape) for i, shape in enumerate(shapes)]
+    return Tree._make([*known, np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)])
 
 
-def _carved(thread: int, kind: type, nodes: int, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
-    """Return arrays with a row of a given shape for each node, from the memory of a thread."""
-    sizes = [nodes * math.prod(shape) for shape in shapes]
-    memory = MEMORY.get((thread, kind))
-    if memory is None or len(memory) < sum(sizes):
-        memory = MEMORY[thread, kind] = np.empty(2 * sum(sizes), kind)  # enough for other horizons
-    ends = np.cumsum(sizes)
-    parts = zip(ends - sizes, ends, shapes, strict=True)
-    return [memory[low:high].reshape(nodes, *shape) for low, high, shape in parts]
+def _kept(thread: int, i: int, nodes: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Return field i of a tree, in the memory that this field had in the last one of a thread."""
+    size, memory = nodes * math.prod(shape), MEMORY.get((thread, i))
+    if memory is None or len(memory) < size:
+        kind = np.int64 if Tree._fields[i] in ('nodes', 'heap') else np.float64
+        memory = MEMORY[thread, i] = np.empty(2 * size, kind)  # enough for other horizons
+    return memory[:size].reshape(nodes, *shape)
 
 
 @compiled
