@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
+from matplotlib.ticker import LogFormatter
 from PIL import Image
 
 from orbimpc_ros.mpc.arrays import Array
@@ -250,6 +251,13 @@ class Panel(NamedTuple):
     log: bool = False  # whether the axis is logarithmic
 
 
+class _Plain(LogFormatter):
+    """Labels of a logarithmic axis, as people write numbers."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f'{x:g}' if super().__call__(x, pos) else ''
+
+
 def draw_panel(axes: Axes, panel: Panel) -> None:
     """Draw a chart."""
     kind: Any = {'drawstyle': 'steps-post', 'marker': '.', 'ms': 4} if panel.steps else {}
@@ -265,7 +273,8 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     axes.set(title=f'{panel.title}{unit}', xlabel='time [s]')
     if panel.log:
         axes.set_yscale('log')
-        axes.yaxis.set_major_formatter('{x:g}')
+        axes.yaxis.set_major_formatter(_Plain())
+        axes.yaxis.set_minor_formatter(_Plain())
     if len(axes.get_legend_handles_labels()[0]) > 1:
         axes.legend(loc='best', ncols=2)
 
