@@ -28,7 +28,7 @@ from orbimpc_ros.sim.vehicle import Model, launched, measured
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,
 # and the calls among them to a file passed before.
-FILES, HOPS, RETURNS = 24, 57, 34
+FILES, HOPS, RETURNS = 24, 56, 33
 FRAMES = Frames('odom', 'base_link')
 
 
