@@ -102,7 +102,7 @@ class Events:
             before, then, self._entered = odometry, goal, None
         self._last = odometry, goal
         ways = (before.position, odometry.position), (then, goal)
-        nearest, share = closest_approach(*ways)
+        nearest, share = map(float, closest_approach(*ways))
         headings = before.attitude[:, 0], odometry.attitude[:, 0]
         headed = approach is None or is_headed(approach, headings, share)
         self.caught = self.caught or (nearest <= radius and headed)

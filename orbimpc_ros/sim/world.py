@@ -121,7 +121,7 @@ class Flight:
         for vehicle in trail:
             now = replace(before, vehicle=vehicle)
             goals = np.append(before.goal, 0.0), np.append(now.goal, 0.0)
-            near, share = closest_approach((before._place, now._place), goals)
+            near, share = map(float, closest_approach((before._place, now._place), goals))
             if near < miss and not (before.vehicle.caught or before.vehicle.lost):
                 begun = before.vehicle.time
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
