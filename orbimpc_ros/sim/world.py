@@ -203,7 +203,7 @@ def _crosses(body: Box | Ball, path: Array, grazed: float) -> bool:
     """
     start, end = path
     if isinstance(body, Ball):
-        return closest_approach((start, end), (body.centre,) * 2)[0] < body.radius - grazed
+        return bool(closest_approach((start, end), (body.centre,) * 2)[0] < body.radius - grazed)
     way, low, high = end - start, body.minimum + grazed, body.maximum - grazed
     moves = way != 0.0
     if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():
