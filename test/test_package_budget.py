@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_394,
+    'orbimpc_ros': 33_403,
     'orbimpc_ros/mpc': 17_272,
     'orbimpc_ros/loop': 3_752,
     'orbimpc_ros/ros': 4_680,
     'orbimpc_ros/sim': 2_714,
-    'orbimpc_ros/tool': 4_794,
+    'orbimpc_ros/tool': 4_803,
     'benchmarks': 3_451,
     'test': 17_802,
 }
