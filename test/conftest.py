@@ -20,9 +20,10 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # Background jobs of a shell inherit an ignored SIGINT, and so do their children; tests send it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # Fixtures of tests that start processes or communicate over DDS.
-PROCESSES = {'domain', 'launch', 'observer', 'shared', 'workspace', 'default_context'}
+PROCESSES = {'domain', 'launch', 'observer', 'shared', 'short', 'workspace', 'default_context'}
 FLIGHTS = {
     *('test_ros_crossing', 'test_ros_physics', 'test_ros_vehicles', 'test_package_colcon'),
+    'test_tool_demo',
 }  # modules with whole flights and installations
 
 
