@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_403,
-    'orbimpc_ros/mpc': 17_272,
+    'orbimpc_ros': 33_401,
+    'orbimpc_ros/mpc': 17_270,
     'orbimpc_ros/loop': 3_752,
     'orbimpc_ros/ros': 4_680,
     'orbimpc_ros/sim': 2_714,

@@ -58,13 +58,11 @@ class TreeSearch:
 
     def _prepare(self) -> None:
         """Compile or load the machine code by its first call: at start-up, not in a tick."""
-        if bare(self._search) is not self._search:
-            self._search = bare(self._search)
-            return
-        steps, n = self._problem.horizon, self._problem.dimension
-        start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
-        with suppress(Infeasible):
-            self.solve(Request(start, np.zeros((steps, n)), out_of_time=lambda: True))
+        if bare(self._search) is self._search:
+            steps, n = self._problem.horizon, self._problem.dimension
+            start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
+            with suppress(Infeasible):
+                self.solve(Request(start, np.zeros((steps, n)), out_of_time=lambda: True))
         self._search = bare(self._search)
 
     def solve(self, request: Request) -> Found:
