@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from std_srvs.srv import SetBool, Trigger
+from stepping import launched
 
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
@@ -19,7 +20,7 @@ from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.sim.vehicle import Model, measured
 
 FRAMES = Frames('odom', 'base_link')
 LOST = 10.0  # [s] without an answer before inputs are sent again: a busy planner may need a second

@@ -6,7 +6,7 @@ import numpy as np
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.sim.vehicle import launched
+from orbimpc_ros.sim.vehicle import Vehicle
 
 
 def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
@@ -18,11 +18,19 @@ def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
     return Odometry(time, np.array(position, float), attitude.copy(), speed * np.eye(n)[0], still)
 
 
+def launched(model, position, attitude, *, fraction=1.0, velocity=None, body_rate=None):
+    """Return the vehicle of a model at time 0; velocity and body rate are 0 unless given."""
+    still = np.zeros(model.dimension)
+    velocity = still if velocity is None else velocity
+    rate = np.zeros(model.rates) if body_rate is None else body_rate
+    return model.begun(Vehicle(0.0, position, velocity, attitude, rate, fraction, still))
+
+
 def started(plant, heading=0.0, fraction=0.0):
     """Return a plant's vehicle moving ahead from the origin, at a heading in the plane [rad]."""
     turn = [heading] if plant.dimension == 2 else [0.0, 0.0, heading]
     place, attitude = np.zeros(plant.dimension), exp(np.array(turn))
-    return plant.begun(launched(plant, place, attitude, fraction=fraction))
+    return launched(plant, place, attitude, fraction=fraction)
 
 
 def flown(plant, vehicle, fraction, rate, time):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 from scenarios import spacecraft_problem
-from stepping import Stepped, flown, started
+from stepping import Stepped, flown, launched, started
 
 from orbimpc_ros.loop.capture import WINDOW, VelocityFrameCheck
 from orbimpc_ros.loop.compensation import (
@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.sim.vehicle import Model, Plant, launched, measured
+from orbimpc_ros.sim.vehicle import Model, Plant, measured
 
 LONG = 6.0  # [s] twenty time constants: lags have settled by then
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]

@@ -8,7 +8,7 @@ import pytest
 from plans import START, assembled
 from problems import ORDERS, floor
 from scenarios import model_of
-from stepping import Stepped, odometry
+from stepping import Stepped, launched, odometry
 
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.fallback import safe_command
@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.mpc.solve.stand_ins import turning
-from orbimpc_ros.sim.vehicle import launched, measured
+from orbimpc_ros.sim.vehicle import measured
 
 
 def failing(monkeypatch, error):

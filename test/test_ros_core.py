@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from planners import FRAMES, settings
-from stepping import odometry, targets
+from stepping import launched, odometry, targets
 
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
@@ -36,7 +36,7 @@ from orbimpc_ros.ros.planner.outputs import (
     values,
 )
 from orbimpc_ros.ros.process import NodeClock
-from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.sim.vehicle import Model, measured
 from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
 
 

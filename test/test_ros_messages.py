@@ -11,6 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
+from stepping import launched
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -25,7 +26,7 @@ from orbimpc_ros.ros.messages import (
     header,
     read_odometry,
 )
-from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.sim.vehicle import Model, measured
 
 FRAMES = Frames('odom', 'base_link')
 STAMP = Stamp(1_700_000_000_123_456_789, FRAMES)

@@ -14,6 +14,7 @@ from harness import PATIENCE, ROOT
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
+from stepping import launched
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.planner import Planner
@@ -23,7 +24,7 @@ from orbimpc_ros.ros.planner import node as planner_node
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.process import initialised
-from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.sim.vehicle import Model, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,

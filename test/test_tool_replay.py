@@ -20,6 +20,7 @@ from nav_msgs.msg import Odometry
 from planners import settings as settings_of
 from planners import tf
 from rclpy.serialization import deserialize_message, serialize_message
+from stepping import launched
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
@@ -30,7 +31,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, shown
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.transforms import TF
-from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.sim.vehicle import Model, measured
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag

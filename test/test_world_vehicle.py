@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scenarios import model_of
 from scipy.integrate import solve_ivp
+from stepping import launched
 
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Model, Plant, gusts, launched, measured
+from orbimpc_ros.sim.vehicle import Model, Plant, gusts, measured
 from orbimpc_ros.sim.world import departure
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
@@ -81,11 +82,6 @@ def plant_of(n=2, order=1, *, wind=(), **others):
     return Plant(n, 1, order, disturbance=tuple(wind), **values)
 
 
-def moving(plant, rng):
-    """Return a vehicle of a plant in a random state."""
-    return plant.begun(drawn(plant, rng, turning=0.3))
-
-
 def flight(goal=(1e5, 1e5), **own):
     """Return a flight at its start at the origin, with a goal at rest."""
     known = {'vehicle': 'continuous', 'step': 2.0, 'forward': 15.0, 'capture_radius': 1.0} | own
@@ -102,7 +98,7 @@ def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
         plant = plant_of(
             n, order, wind=rng.normal(size=n), speed_lag=0.8, rate_lag=0.3, gain=0.9, **own
         )
-        vehicle, rate, t = moving(plant, rng), rng.normal(size=plant.rates), 1.3
+        vehicle, rate, t = drawn(plant, rng, turning=0.3), rng.normal(size=plant.rates), 1.3
         end = plant.flown(vehicle, t, 0.6, rate)[-1]
         position, velocity, attitude, body_rate, fraction = integrated(plant, vehicle, t, 0.6, rate)
         np.testing.assert_allclose(end.body_rate, body_rate, atol=1e-9)
@@ -152,7 +148,7 @@ def integrated(plant, vehicle, time, fraction, rate):
 def test_it_turns_no_faster_than_it_can(n):
     plant = plant_of(n, max_rate=0.4)
     rate = np.arange(1.0, plant.rates + 1.0)
-    vehicle = plant.begun(launched(plant, np.zeros(n), np.eye(n)))
+    vehicle = launched(plant, np.zeros(n), np.eye(n))
     end = plant.flown(vehicle, 1.0, 1.0, rate)[-1]
     np.testing.assert_allclose(end.body_rate, 0.4 * rate / np.linalg.norm(rate))
     small = 0.3 * rate / np.linalg.norm(rate)
@@ -161,7 +157,7 @@ def test_it_turns_no_faster_than_it_can(n):
 
 def test_odometry_measures_over_ground_or_through_the_air():
     plant = plant_of(wind=[0.0, 4.0])
-    vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2), fraction=0.8))
+    vehicle = launched(plant, np.zeros(2), np.eye(2), fraction=0.8)
     vehicle = plant.flown(vehicle, 1.0, 0.8, np.zeros(1))[-1]
     np.testing.assert_allclose(measured(vehicle).body_velocity, [12.0, 4.0])
     np.testing.assert_allclose(measured(vehicle, 'air').body_velocity, [12.0, 0.0], atol=1e-12)

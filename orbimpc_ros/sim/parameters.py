@@ -12,7 +12,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion, nearest
 from orbimpc_ros.mpc.problem import Approach, Ball, MovingObstacle
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE
 from orbimpc_ros.ros.parameters.spec import (
@@ -29,7 +29,7 @@ from orbimpc_ros.ros.parameters.spec import (
 )
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, PLAIN, EnginePlant
-from orbimpc_ros.sim.vehicle import Model, Plant, Rope, Vehicle, launched
+from orbimpc_ros.sim.vehicle import Model, Plant, Rope, Vehicle
 
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 ALONG_AXES = (0.0, 0.0, 0.0)
@@ -231,15 +231,17 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def start(self) -> Vehicle:
-        """Return the vehicle in its initial state."""
+        """Return the vehicle as its model takes it over, before it has met the wind."""
+        attitude = _orientation(self.start_orientation, self.dimension)
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
-        return launched(
-            self.model,
-            self._along('start.position', self.start_position),
-            self.frames.turned(_orientation(self.start_orientation, self.dimension)),
-            fraction=self.start_fraction,
+        return Vehicle(
+            time=0.0,
+            position=self._along('start.position', self.start_position),
             velocity=self._along('start.velocity', self.start_velocity),
+            attitude=nearest(self.frames.turned(attitude)),
             body_rate=self.frames.turned(body_rate)[-self.model.rates :],
+            fraction=self.start_fraction,
+            wind=np.zeros(self.dimension),
         )
 
     def _along(self, name: str, numbers: tuple[float, ...]) -> Array:

@@ -38,7 +38,7 @@ class Model:
     disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], shape (n,) or (0,)
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
 
-    lags = False  # whether it responds to commands with lags
+    lags = False  # whether it responds to commands with lags, the failsafe's included
 
     @property
     def length_unit(self) -> float:
@@ -51,18 +51,19 @@ class Model:
         return np.array(self.disturbance or np.zeros(self.dimension))
 
     @property
-    def wind(self) -> Array:
-        """Return the velocity of the air, shape (n,) [m/s]; zero at translation order 2."""
-        return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
-
-    @property
     def rates(self) -> int:
         """Return the number of components of a body rate: 1 in the plane, 3 in space."""
         return 1 if self.dimension == 2 else 3
 
     def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle in its initial state under this model."""
-        return vehicle
+        """Return the vehicle at the start in the air of this model, given as in still air.
+
+        At translation order 1, its velocity is that of its share of full speed through this air.
+        """
+        if self.translation_order == 2:
+            return vehicle
+        wind = self._wind(0.0)
+        return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
@@ -77,14 +78,14 @@ class Model:
             fraction: commanded share of full speed or thrust, clipped to [0, 1].
             body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
         """
-        pushed = self.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
+        pushed = self._pushed(vehicle)
         turning = body_rate if self.rotation_order == 1 else vehicle.body_rate
         attitude = nearest(vehicle.attitude @ exp(span * turning))  # nearest: no drift off SO(n)
         fraction = float(np.clip(fraction, 0.0, 1.0))
         new = self.forward * fraction * attitude[:, 0]
         mean = 0.5 * (pushed + new) if self.discretisation == 'exact' else pushed
         way: Array = span * (mean + self.blown)
-        velocity: Array = new + self.wind
+        velocity: Array = new + self.blown
         if self.translation_order == 2:
             way, velocity = span * vehicle.velocity, vehicle.velocity + way
             if self.discretisation == 'exact':
@@ -101,27 +102,24 @@ class Model:
             ),
         )
 
-    def released(self, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
-        """Return the vehicle when its command has just expired, given that of its failsafe.
+    def _wind(self, _time: float) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2] at a time of the flight [s], shape (n,)."""
+        return self.blown
 
-        The failsafe acts at once, unless the vehicle responds with lags. At translation order 2 the
-        vehicle coasts: an expired command leaves the velocity unchanged.
-        """
-        return vehicle if self.lags else replace(vehicle, body_rate=body_rate, fraction=fraction)
+    def _pushed(self, vehicle: Vehicle) -> Array:
+        """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
+        return np.asarray(self.forward * vehicle.fraction * vehicle.attitude[:, 0])  # z sigma Q e1
 
 
 @dataclass(frozen=True)
 class Rope:
-    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
-
-    A scalar applies to all axes. A rope with only its center given is at rest.
-    """
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis."""
 
     center: Array  # shape (n,) [m]
-    amplitude: Array | float = 0.0  # shape (n,) [m]
-    frequency: float = 0.0  # f [Hz]
-    phase: Array | float = 0.0  # shape (n,) [rad]
-    velocity: Array | float = 0.0  # shape (n,) [m/s]
+    amplitude: Array  # shape (n,) [m]
+    frequency: float  # f [Hz]
+    phase: Array  # shape (n,) [rad]
+    velocity: Array  # shape (n,) [m/s]
 
     def at(self, time: float) -> Array:
         """Return g(t), shape (n,) [m]."""
@@ -152,33 +150,6 @@ class Vehicle:
     def airspeed(self) -> float:
         """Return the airspeed [m/s]."""
         return float(np.linalg.norm(np.append(self.velocity - self.wind, self.climb)))
-
-
-def launched(
-    model: Model,
-    position: Array,
-    attitude: Array,
-    *,
-    fraction: float = 1.0,
-    velocity: Array | None = None,
-    body_rate: Array | None = None,
-) -> Vehicle:
-    """Return a vehicle at time 0; velocity (order 2 only) and body rate default to zero.
-
-    Args:
-        model: motion model.
-        position: shape (n,) [m].
-        attitude: body to world, shape (n, n).
-        fraction: share of full speed or thrust, in [0, 1].
-        velocity: in the world, shape (n,) [m/s]; ignored at translation order 1.
-        body_rate: shape (1,) or (3,) [rad/s].
-    """
-    if model.translation_order == 1:
-        velocity = model.forward * fraction * attitude[:, 0] + model.wind
-    elif velocity is None:
-        velocity = np.zeros(model.dimension)
-    rate = np.zeros(model.rates) if body_rate is None else body_rate
-    return Vehicle(0.0, position, velocity, nearest(attitude), rate, fraction, model.wind)
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
@@ -266,13 +237,6 @@ class Plant(Model):
             allowed = '0 at translation_order 2, whose thrust is limited by forward'
             raise BadInput('max_acceleration', self.max_acceleration, allowed)
 
-    def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle in its initial state, in the wind at that time."""
-        wind = self._wind(0.0)
-        if self.translation_order == 2:
-            return vehicle
-        return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
-
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
     ) -> tuple[Vehicle, ...]:
@@ -286,7 +250,6 @@ class Plant(Model):
         return tuple(trail)
 
     def _wind(self, time: float) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2] at a time of the flight [s], shape (n,)."""
         if not self.gust:
             return self.blown
         return self.blown + self.gust * gusts(time, self.dimension, self.gust_time, self.seed)
@@ -338,9 +301,8 @@ class Plant(Model):
             fraction=lagged(now.fraction, fraction, self.speed_lag, dt, limit),
         )
 
-    def _pushed(self, now: Vehicle) -> Array:
-        """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
-        return np.asarray(self.gain * self.forward * now.fraction * now.attitude[:, 0])
+    def _pushed(self, vehicle: Vehicle) -> Array:
+        return np.asarray(self.gain * self.forward * vehicle.fraction * vehicle.attitude[:, 0])
 
 
 def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:

@@ -111,7 +111,10 @@ class Flight:
             trail = model.flown(self.vehicle, min(held, model.step), fraction, body_rate)
         if held < model.step:
             safe, left = self.settings.failsafe, model.step - max(0.0, held)
-            trail += model.flown(model.released((self.vehicle, *trail)[-1], *safe), left, *safe)
+            last, (share, turn) = (self.vehicle, *trail)[-1], safe
+            if not model.lags:  # at once; at translation order 2 the vehicle coasts
+                last = replace(last, fraction=share, body_rate=turn)
+            trail += model.flown(last, left, *safe)
         return self._along(trail)
 
     def _along(self, trail: Sequence[Vehicle]) -> Flight:
