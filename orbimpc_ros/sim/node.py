@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
-from orbimpc_ros.ros.process import FAILED, Managed, qos, run
+from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
 from orbimpc_ros.sim.faults import Seen
 from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
@@ -26,6 +26,7 @@ LOOK = 0.02  # [s] between checks for planner and readers
 SETTLED = 0.1  # [s] lock-step: time for a planner to take in a goal without odometry to answer
 RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
+SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
 NO_ANSWER = (
     'an answer to the odometry on cmd_vel: it needs a planner with trigger: odom (with timer, '
@@ -45,6 +46,7 @@ class LockStep(FlightSimulation):
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
+        self._patience = settings.wait_timeout or math.inf  # [s]
         self._shared = math.inf  # time of the shared clock; infinite without one [ns]
         if settings.clock == 'shared':
             self._shared = -math.inf
@@ -93,11 +95,11 @@ class LockStep(FlightSimulation):
         if not absent:
             self._met = True
             self._ask_when_due()
-        elif self.waited > self.settings.wait_timeout:
+        elif self.waited > self._patience:
             self._give_up(absent, self.waited)
 
     def _keep_asking(self) -> None:
-        now, patience = self.node.steady_now(), self.settings.wait_timeout
+        now, patience = self.node.steady_now(), self._patience
         if self.settings.clock != 'shared':  # vehicles with a shared clock also wait for each other
             patience = min(PATIENCE, patience)
         if self._awaited is None:
@@ -186,7 +188,7 @@ class RealTime(FlightSimulation):
         events = SubscriptionEventCallbacks(
             liveliness=node.at_work(self.on_life), incompatible_qos=lambda _event: None
         )
-        promised = qos(lease=settings.lease)
+        promised = qos(lease=max(LIFE, SHARE * settings.given_command_timeout))
         node.create_subscription(
             TwistStamped, 'cmd_vel', lambda _message: None, promised, event_callbacks=events
         )

@@ -27,11 +27,9 @@ from orbimpc_ros.ros.parameters.spec import (
     specs_of,
     vector,
 )
-from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, PLAIN, EnginePlant
 from orbimpc_ros.sim.vehicle import Model, Plant, Rope, Vehicle
 
-SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 ALONG_AXES = (0.0, 0.0, 0.0)
 # Parameters that do not apply, by vehicle without an engine.
 LACKING = {'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'), 'continuous': ()}
@@ -167,7 +165,7 @@ class SimSettings(VehicleParameters):
         'Subscribers of odom that a flight waits for, including the planner', '', 1, 100)
     given_wait_for: str = parameter('wait_for', '', 'Other subscribers that a flight waits for: '
         'topics, each with a count if above 1, such as: tick, odom 2')
-    given_wait_timeout: float = parameter('wait_timeout', 120.0, 'How long lock-step waits for '
+    wait_timeout: float = parameter('wait_timeout', 120.0, 'How long lock-step waits for '
         "planner and subscribers, not counting the planner's configuration, and for an answer (20 "
         's at most); 0 for no limit', 's', 0.0, MAX_DURATION)
     # fmt: on
@@ -177,16 +175,6 @@ class SimSettings(VehicleParameters):
     def command_timeout(self) -> float:
         """Return the age at which a command expires, at least 1.5 steps [s]."""
         return max(self.given_command_timeout, 1.5 * self.step)
-
-    @property
-    def lease(self) -> float:
-        """Return the liveliness lease, after which a planner counts as lost [s]."""
-        return max(LIFE, SHARE * self.given_command_timeout)
-
-    @property
-    def wait_timeout(self) -> float:
-        """Return the lock-step timeout for planner and readers; infinite if disabled [s]."""
-        return self.given_wait_timeout or math.inf
 
     @cached_property
     def wait_for(self) -> dict[str, int]:

@@ -207,10 +207,8 @@ def _crosses(body: Box | Ball, path: Array, grazed: float) -> bool:
     start, end = path
     if isinstance(body, Ball):
         return bool(closest_approach((start, end), (body.centre,) * 2)[0] < body.radius - grazed)
-    way, low, high = end - start, body.minimum + grazed, body.maximum - grazed
-    moves = way != 0.0
-    if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():
-        return False
-    shares = np.array([low - start, high - start])[:, moves] / way[moves]
+    low, high = body.minimum + grazed, body.maximum - grazed
+    with np.errstate(divide='ignore', invalid='ignore'):  # without motion: +-inf, NaN on a face
+        shares = np.array([low - start, high - start]) / (end - start)
     begin, finish = shares.min(axis=0).max(initial=0.0), shares.max(axis=0).min(initial=1.0)
-    return bool(begin < finish or not moves.any())
+    return bool((low < high).all() and begin < finish)
