@@ -92,8 +92,8 @@ def endpoints(shared, tmp_path_factory):
 @pytest.mark.parametrize('node', ['planner', 'sim', 'recorder'])
 def test_a_node_is_granted_exactly_what_it_uses(policy, endpoints, node):
     allowed = granted(policy, node)
-    if node == 'sim' and find_spec('tf2_ros') is None:
-        allowed['publisher'].discard('/tf')  # published only where tf2 is installed
+    if node == 'sim' and find_spec('tf2_msgs') is None:
+        allowed['publisher'].discard('/tf')  # published only where tf2_msgs is installed
     assert endpoints[node] == allowed
 
 

@@ -77,5 +77,5 @@ def known(name: str, kind: str) -> bool:
 
 def message_of(name: str) -> Any:
     """Return the message class of a topic of planner or simulator, without a namespace."""
-    topics = (*SHARED, *VEHICLE, *UNRECORDED)
+    topics = (*SHARED, *TREE, *VEHICLE, *UNRECORDED)
     return next(topic.message for topic in topics if topic.name == name)

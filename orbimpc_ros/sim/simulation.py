@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,8 @@ from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure, outcome
 
-try:
-    from tf2_ros import TransformBroadcaster
-except ImportError:  # the PyPI wheels of ROS have no tf2
-    TransformBroadcaster = None
-
 DEPTH = 10  # queue depth: in lock-step no message may be dropped
+TREE_DEPTH = 100  # of /tf, as in tf2
 SILENT = 2.0  # [s] of waiting before it is logged
 MEETING = 1.5  # [s] for DDS to match planner and readers, which this node cannot observe
 TRANSITIONS = 'transition_event'  # a topic of every managed node
@@ -57,7 +54,8 @@ class FlightSimulation(ABC):
         self.node, self.settings = node, replace(settings, child_frame_id=body)
         self._orders = Orders(self.settings)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
-        deep, profiles = qos(DEPTH), {'captured': LATCHED, 'world_markers': qos()}
+        deep = qos(DEPTH)
+        profiles = {'captured': LATCHED, 'world_markers': qos(), '/tf': qos(TREE_DEPTH)}
         self._commands, _ = (
             node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)
             for name in ('cmd_vel', 'cmd_thrust')
@@ -66,7 +64,6 @@ class FlightSimulation(ABC):
             name: node.create_publisher(message_of(name), name, profiles.get(name, deep))
             for name in published(settings)
         }
-        self._transforms = None if TransformBroadcaster is None else TransformBroadcaster(node)
         self._begin(settings.begin)
 
     def _begin(self, time: float) -> None:
@@ -204,9 +201,9 @@ class FlightSimulation(ABC):
         if 'truth' in out:
             name = f'{self.node.get_fully_qualified_name()}: truth'
             out['truth'].publish(outputs.truth(at, name, flight))
-        if self._transforms is not None:
+        if '/tf' in out:
             shown = messages.odometry_message(stamp, measured(flight.vehicle))
-            self._transforms.sendTransform(outputs.transform(shown))
+            out['/tf'].publish(message_of('/tf')(transforms=[outputs.transform(shown)]))
         self.deliver(at, seen)
 
     def deliver(self, at: int, seen: Sequence[Seen]) -> None:
@@ -259,6 +256,7 @@ def published(settings: SimSettings) -> list[str]:
         'goal_path': settings.goal_path_steps,
         '/clock': settings.clock == 'lockstep',
         'truth': settings.vehicle != 'discrete',
+        '/tf': find_spec('tf2_msgs'),  # the PyPI wheels of ROS have none
     }
     always = ('captured', 'odom', 'goal', 'world_markers', '/diagnostics')
     return [*always, *(topic for topic, wanted in optional.items() if wanted)]
