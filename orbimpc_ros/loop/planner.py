@@ -335,14 +335,17 @@ class Planner:
 
     # --- a decision
 
-    def unsafe(self, snapshot: Snapshot) -> Reason | None:
-        """Return the reason why no plan may be followed; None if one may."""
-        if snapshot.stop is not None:
-            return snapshot.stop
-        if snapshot.odometry is None:
-            return WAITING
-        age, timeout = snapshot.odometry_age, self._timeouts[0]
-        return Reason(Cause.ODOMETRY, f'odometry is {age:.2f} s old') if age > timeout else None
+    def unsafe(self, age: float | None, stop: Reason | None = None) -> Reason | None:
+        """Return the reason why no plan may be followed; None if one may.
+
+        Args:
+            age: of the latest odometry [s]; None without any.
+            stop: another reason, which comes first.
+        """
+        if stop is not None or age is None:
+            return stop or WAITING
+        late = age > self._timeouts[0]
+        return Reason(Cause.ODOMETRY, f'odometry is {age:.2f} s old') if late else None
 
     def step(
         self, snapshot: Snapshot, now: float | None = None, late: Late | None = None
@@ -355,11 +358,12 @@ class Planner:
                 not compensated.
             late: whether the deadline of searches has passed; they then return their best plan.
         """
-        unsafe = self.unsafe(snapshot)
-        if unsafe is not None or snapshot.odometry is None:
+        known = snapshot.odometry
+        unsafe = self.unsafe(None if known is None else snapshot.odometry_age, snapshot.stop)
+        if unsafe is not None or known is None:
             self._change_speed(1.0)
-            return self._safe(snapshot.odometry, Status.FAILED, unsafe or WAITING)
-        start = self._compensator.start(snapshot.odometry, snapshot.latency, now, snapshot.wind)
+            return self._safe(known, Status.FAILED, unsafe or WAITING)
+        start = self._compensator.start(known, snapshot.latency, now, snapshot.wind)
         memory, time = self._memory, start.odometry.time
         hazards, left_out = self._hazards(snapshot, start.odometry)
         passed, lost = self._passed(time), ''

@@ -142,20 +142,19 @@ def read_odometry(
         wanted = found if found.endswith(f'/{child}') else child
         child = _frame(found, wanted, 'child_frame_id')
     pose, twist = message.pose.pose, message.twist.twist
-    linear = _triple(twist.linear, 'twist.linear')
-    angular = _triple(twist.angular, 'twist.angular')
+    place = _triple(pose.position, 'pose.position')[:dimension]
+    velocity = _triple(twist.linear, 'twist.linear')
+    angular = frames.turned(_triple(twist.angular, 'twist.angular'))
+    rate = angular[2 if dimension == 2 else 0 :]
+    if in_body:
+        velocity = frames.turned(velocity)
     unit = _quaternion(pose.orientation, 'pose.orientation')
     attitude = _attitude(unit, dimension, frames)
     if attitude is None:
         given = 'a body x axis that is not vertical'
         raise BadInput('pose.orientation', unit.tolist(), given)
-    odometry = Odometry(
-        at.nanoseconds / SECOND,
-        _triple(pose.position, 'pose.position')[:dimension],
-        attitude,
-        frames.turned(linear)[:dimension] if in_body else linear[:dimension] @ attitude,
-        frames.turned(angular)[2 if dimension == 2 else 0 :],
-    )
+    velocity = velocity[:dimension] if in_body else velocity[:dimension] @ attitude
+    odometry = Odometry(at.nanoseconds / SECOND, place, attitude, velocity, rate)
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
 
 
@@ -296,9 +295,9 @@ def _quaternion(message: Quaternion, culprit: str) -> Array:
 
 def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
     """Return the attitude of a quaternion; None in the plane if the x axis has no yaw."""
-    if dimension == 2 and math.hypot(*heading(unit)) < STEEPEST:
-        return None
-    return frames.turned(from_quaternion(unit, dimension))
+    if dimension == 2:  # there the thrust axis is x
+        return None if math.hypot(*heading(unit)) < STEEPEST else from_quaternion(unit, 2)
+    return frames.turned(from_quaternion(unit, 3))
 
 
 class PoseTwistSynchronizer:

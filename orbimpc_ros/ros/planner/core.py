@@ -142,9 +142,7 @@ class Inputs:
         renewed = settings.goal_prediction != self.settings.goal_prediction
         self.settings = self.transforms.settings = settings
         if renewed:
-            self.forecast = FORECASTS[settings.goal_prediction]()
-            if 'goal' in self.latest:
-                self.forecast.observe(self.latest['goal'].value)
+            self._see_anew(self.latest.get('goal'))
 
     def start_afresh(self) -> None:
         """Forget all but a goal sent by hand, as after a reset or a clock jump."""
@@ -233,7 +231,7 @@ class Inputs:
         if jump > limit and fresh:
             raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
         if jump > limit and topic == 'goal':
-            self.forecast = FORECASTS[self.settings.goal_prediction]()
+            self._see_anew(None)
 
     def _keep(self, topic: str, received: Received[Any]) -> None:
         last, first = self.latest.get(topic), self.odometry is None
@@ -252,8 +250,9 @@ class Inputs:
             # goal has a stamp of 0.)
             undated = last and last.stamp.nanoseconds == 0 and last.value.time > 0.0
             if back or undated:
-                self.forecast = FORECASTS[self.settings.goal_prediction]()
-            self.forecast.observe(received.value)
+                self._see_anew(received)
+            else:
+                self.forecast.observe(received.value)
         if topic == 'goal' or (topic == 'odom' and first):
             self._date_goal()
         if topic == 'odom':
@@ -266,18 +265,18 @@ class Inputs:
 
         A stream will send another goal; if it has stopped, its last goal must not be flown to.
         """
-        goal = self.latest.get('goal')
-        self.latest.clear()
-        self.forecast = FORECASTS[self.settings.goal_prediction]()
+        goal, kept = self.latest.get('goal'), None
         if goal is not None and goal.run < STREAM:
-            unset = replace(goal.stamp, nanoseconds=0)
-            self._see_anew(replace(goal, stamp=unset, timed=None))
+            kept = replace(goal, stamp=replace(goal.stamp, nanoseconds=0), timed=None)
+        self.latest.clear()
+        self._see_anew(kept)
 
-    def _see_anew(self, goal: Received[GoalObservation]) -> None:
-        """Replace the goal and all of its history."""
-        self.latest['goal'] = goal
+    def _see_anew(self, goal: Received[GoalObservation] | None) -> None:
+        """Replace the goal and all of its history; None forgets the latter."""
         self.forecast = FORECASTS[self.settings.goal_prediction]()
-        self.forecast.observe(goal.value)
+        if goal is not None:
+            self.latest['goal'] = goal
+            self.forecast.observe(goal.value)
 
     def _date_goal(self) -> None:
         """Give a goal without a stamp the time of the latest odometry."""
@@ -670,11 +669,8 @@ class Core:
         self, now: float, ros: int | None = None, stop: Reason | None = None
     ) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
-        known = self.inputs.odometry  # a full snapshot would drop bodies, unlike in replays
-        if known is None:
-            return self.planner.unsafe(Snapshot(stop=stop))
-        age = known.age(now, ros)
-        return self.planner.unsafe(Snapshot(known.value, odometry_age=age, stop=stop))
+        known = self.inputs.odometry
+        return self.planner.unsafe(None if known is None else known.age(now, ros), stop)
 
     def decide(self, now: float, ros: int | None = None, stop: Reason | None = None) -> Decision:
         """Return the next command, the time taken, and the messages used.
