@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from orbimpc_ros.sim.fleet import FLEETS
+from orbimpc_ros.sim.fleet import FLEETS, vehicles
 from orbimpc_ros.tool import cli, history
 from orbimpc_ros.tool.plot import PATH, in_both_looks, look, of_runs, write_gif
 
@@ -46,7 +46,7 @@ def fly(name: str, folder: Path) -> Path:
 def draw(name: str, place: Path) -> None:
     """Draw the flights of a demo."""
     if name in FLEETS:
-        flown = {each: history.of_bag(place / 'bag', each) for each in FLEETS[name][0](COUNT, 0)}
+        flown = {each: history.of_bag(place / 'bag', each) for each in vehicles(name, COUNT)}
     else:
         bags = sorted(place.glob('**/bag'))
         flown = {bag.parent.name if len(bags) > 1 else '': history.of_bag(bag) for bag in bags}

@@ -273,10 +273,10 @@ def test_one_bag_holds_every_vehicle_from_its_first_step_on(fleet):
     _, folder = fleet
     for name in NAMES:
         seen = history.of_bag(folder / 'bag', name)
-        start = vehicles(2)[name]['start.position']
+        start = vehicles('fleet', 2)[name]['start.position']
         assert np.allclose(seen.positions[0], start)
         assert seen.values['forward'] == 2.0
-        assert seen.values['rope.center'] == vehicles(2)[name]['rope.center']
+        assert seen.values['rope.center'] == vehicles('fleet', 2)[name]['rope.center']
         assert np.ptp(np.diff(seen.times)) < 1.0
         assert seen.captured
 
@@ -293,15 +293,15 @@ def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(fleet):
 
 
 def test_ropes_are_drawn_from_the_seed_alone():
-    assert vehicles(3) == vehicles(3)
-    assert vehicles(3) != vehicles(3, seed=1)
-    few, many = vehicles(3), vehicles(8)
+    assert vehicles('fleet', 3) == vehicles('fleet', 3)
+    assert vehicles('fleet', 3) != vehicles('fleet', 3, seed=1)
+    few, many = vehicles('fleet', 3), vehicles('fleet', 8)
     for name, one in few.items():
         for drawn in ('rope.frequency', 'rope.phase'):
             assert one[drawn] == many[name][drawn]
     frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
-    assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the seed after the largest one
+    assert vehicles('fleet', 2, 2**31 - 1)['/uav1']['seed'] == 0  # the seed after the largest one
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
 
 
@@ -309,7 +309,7 @@ def test_what_is_set_holds_for_every_vehicle_and_the_rest_is_read_back_by_namesp
     values, own = demo.fleet(3, ['rope.frequency=0.25', 'seed=7'])
     assert values['rope.frequency'] == 0.25
     text = settings.text(values, own)
-    for name, drawn in vehicles(3, 7).items():
+    for name, drawn in vehicles('fleet', 3, 7).items():
         assert own[name] == {k: each for k, each in drawn.items() if k != 'rope.frequency'}
         assert settings.read(text, name) == values | own[name]
 

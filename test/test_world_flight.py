@@ -12,7 +12,7 @@ from orbimpc_ros.loop.capture import STAY, Events, closest_approach, is_headed
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
-from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
+from orbimpc_ros.sim.fleet import LEAST_RING, separations, vehicles
 from orbimpc_ros.sim.vehicle import Plant, Rope
 from orbimpc_ros.sim.world import departure, touched
 
@@ -244,7 +244,7 @@ def test_who_touches_traffic_has_not_caught_anything():
 
 
 def test_a_crossing_leads_from_a_ring_through_its_middle():
-    fleet = [*crossers(8, 3).values()]
+    fleet = [*vehicles('crossing', 8, 3).values()]
     places = np.array([each['start.position'][:2] for each in fleet])
     for each, place in zip(fleet, places, strict=True):
         goal = np.array(each['rope.center'][:2])
@@ -256,9 +256,9 @@ def test_a_crossing_leads_from_a_ring_through_its_middle():
         assert 2.0 * math.atan2(z, w) == pytest.approx(math.atan2(way[1], way[0]))
     apart = np.linalg.norm(places[:, None] - places, axis=-1)
     assert apart[~np.eye(8, dtype=bool)].min() > 1.5
-    assert crossers(8, 3) == crossers(8, 3)
+    assert vehicles('crossing', 8, 3) == vehicles('crossing', 8, 3)
     with pytest.raises(BadInput, match='vehicles'):
-        crossers(65)
+        vehicles('crossing', 65)
 
 
 def test_vehicles_are_apart_as_looking_often_finds_them():

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,54 +26,46 @@ Parameters = dict[str, Any]
 Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 
 
-def vehicles(count: int, seed: int = 0) -> dict[str, Parameters]:
+def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
     """Return the simulator parameters that differ within a fleet, by namespace: /uav1, ...
 
-    The random draws of a vehicle depend on its number and ``seed``, not on ``count``.
+    Args:
+        fleet: a key of :data:`FLEETS`.
+        count: number of vehicles.
+        seed: of the random draws; those of a vehicle depend on its number, too, not on ``count``.
 
     Raises:
         BadInput: ``count`` is not in [1, 64].
     """
-
-    def follower(heading: float, rng: np.random.Generator) -> Parameters:
-        outwards = np.array([math.cos(heading), math.sin(heading)])
-        center = (RING + rng.uniform(*AHEAD)) * outwards
-        frequency, phase = float(rng.uniform(*FREQUENCIES)), rng.uniform(0.0, 2.0 * math.pi, 2)
-        swing = {'rope.frequency': frequency, 'rope.phase': _triple(phase)}
-        return _parameters(RING * outwards, heading, center, SWING) | swing
-
-    return _drawn(count, seed, follower)
-
-
-def crossers(count: int, seed: int = 0) -> dict[str, Parameters]:
-    """Return the parameters of vehicles on a ring, each with a goal on the opposite side.
-
-    All paths lead through the centre. Arguments and errors are those of :func:`vehicles`.
-    """
-    ring = max(LEAST_RING, ROOM * count / (2.0 * math.pi))
-
-    def crosser(place: float, rng: np.random.Generator) -> Parameters:
-        outwards = ring * np.array([math.cos(place), math.sin(place)])
-        start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([outwards, -outwards])
-        x, y = goal - start
-        still = {'rope.frequency': 0.0, 'rope.phase': (0.0, 0.0, 0.0)}
-        return _parameters(start, math.atan2(y, x), goal, 0.0) | still
-
-    return _drawn(count, seed, crosser)
-
-
-FLEETS = {'fleet': (vehicles, 4), 'crossing': (crossers, 8)}  # generator, default size
-
-
-def _drawn(
-    count: int, seed: int, draw: Callable[[float, np.random.Generator], Parameters]
-) -> dict[str, Parameters]:
     whole(count, 'vehicles', 1, MOST)
+    drawn, _ = FLEETS[fleet]
     return {
-        f'/uav{i + 1}': draw(2.0 * math.pi * i / count, np.random.default_rng([seed, i]))
+        f'/uav{i + 1}': drawn(2.0 * math.pi * i / count, count, np.random.default_rng([seed, i]))
         | {'seed': (seed + i + 1) % 2**31}
         for i in range(count)
     }
+
+
+def _follower(heading: float, _count: int, rng: np.random.Generator) -> Parameters:
+    """Return the parameters of a vehicle that chases a rope outwards."""
+    outwards = np.array([math.cos(heading), math.sin(heading)])
+    center = (RING + rng.uniform(*AHEAD)) * outwards
+    frequency, phase = float(rng.uniform(*FREQUENCIES)), rng.uniform(0.0, 2.0 * math.pi, 2)
+    swing = {'rope.frequency': frequency, 'rope.phase': _triple(phase)}
+    return _parameters(RING * outwards, heading, center, SWING) | swing
+
+
+def _crosser(place: float, count: int, rng: np.random.Generator) -> Parameters:
+    """Return the parameters of a vehicle with a goal on the opposite side, past the centre."""
+    ring = max(LEAST_RING, ROOM * count / (2.0 * math.pi))
+    outwards = ring * np.array([math.cos(place), math.sin(place)])
+    start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([outwards, -outwards])
+    x, y = goal - start
+    still = {'rope.frequency': 0.0, 'rope.phase': (0.0, 0.0, 0.0)}
+    return _parameters(start, math.atan2(y, x), goal, 0.0) | still
+
+
+FLEETS = {'fleet': (_follower, 4), 'crossing': (_crosser, 8)}  # a vehicle's draw, default size
 
 
 def _parameters(start: Array, heading: float, center: Array, swing: float) -> Parameters:

@@ -25,7 +25,7 @@ from orbimpc_ros.ros.messages import SECOND, time_message
 from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
 from orbimpc_ros.ros.topics import Topic, topics_of
 from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
-from orbimpc_ros.sim.fleet import FLEETS, separations
+from orbimpc_ros.sim.fleet import FLEETS, separations, vehicles
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.bags import BagWriter, stamp_of
@@ -111,8 +111,8 @@ def fleet(
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}
-    draw, usual = FLEETS[scenario]
-    drawn = draw(usual if count is None else count, values['seed'])
+    _, usual = FLEETS[scenario]
+    drawn = vehicles(scenario, usual if count is None else count, values['seed'])
     if values['avoid']:
         values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)
     own = {

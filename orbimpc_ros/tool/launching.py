@@ -92,7 +92,7 @@ def _simulated(several: bool, context: LaunchContext) -> list[Action]:
     common: Values = {'clock': clock, 'exit_when_done': asked['exit_when_done'] == 'true'}
     if recorded:  # the flight waits for the recorder's subscriptions
         common = {**common, 'wait_for': RECORDED}
-    drawn = vehicles(int(asked['vehicles']), int(asked['seed'])) if several else {'': {}}
+    drawn = vehicles('fleet', int(asked['vehicles']), int(asked['seed'])) if several else {'': {}}
     planners, sims = [], []
     for namespace, own in drawn.items():
         where = _outer(asked) + namespace
