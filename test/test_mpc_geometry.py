@@ -54,7 +54,7 @@ def test_thrust_aligned_keeps_the_axis_and_finds_the_best_roll(seed):
     rng = np.random.default_rng(seed)
     mix = rng.dirichlet(np.ones(4))
     matrix = sum(w * rotation(rng, 3) for w in mix)
-    q = so.project_all(matrix[None], np.eye(3), 'thrust_aligned')[0][0]
+    q = so.project_all(matrix[None], np.eye(3), 'thrust_aligned')[0]
     heading = matrix[:, 0]
     assert is_rotation(q)
     assert np.allclose(np.linalg.norm(heading) * q[:, 0], heading, atol=1e-12)

@@ -64,9 +64,8 @@ class Plan(ByContent):
         velocities: p_0..p_N, shape (N + 1, n) [m/s].
         rotations: R_0..R_N in conv SO(n), shape (N + 1, n, n).
         inputs: u_0..u_{N-1}, shape (N, n, n).
-        projected: R_0..R_N projected to rotations, shape (N + 1, n, n).
-        held: True for each k with R_k e1 = 0, whose heading is undefined: the previous rotation is
-            held, shape (N + 1,).
+        projected: R_0..R_N projected to rotations, shape (N + 1, n, n); for R_k e1 = 0, whose
+            heading is undefined, the previous one.
     """
 
     objective: float
@@ -77,11 +76,10 @@ class Plan(ByContent):
     rotations: Array
     inputs: Array
     projected: Array
-    held: np.ndarray
 
     def __post_init__(self) -> None:
         moved = self.positions, self.velocities, self.rotations, self.inputs
-        for array in (*moved, self.projected, self.held):
+        for array in (*moved, self.projected):
             array.setflags(write=False)
 
     @cached_property
@@ -149,13 +147,11 @@ def assemble(
     flown = trajectory_of(problem, state, goals, x)
     rotations = flown.rotations
     projected = np.empty_like(rotations)
-    held = np.zeros(len(rotations), dtype=bool)
     projected[0] = state.attitude
     known = 1
     if problem.rotation_order == 2 and state.coasted is not None:
         projected[1], known = state.coasted, 2  # the body turns there whatever the thrust
-    before = projected[known - 1]
-    projected[known:], held[known:] = project_all(rotations[known:], before, projection)
+    projected[known:] = project_all(rotations[known:], projected[known - 1], projection)
     return Plan(
         objective=flown.cost,
         proof=proof,
@@ -165,7 +161,6 @@ def assemble(
         rotations=rotations,
         inputs=flown.inputs,
         projected=projected,
-        held=held,
     )
 
 

@@ -150,21 +150,22 @@ def _cross(a: Array, b: Array) -> Array:
     return a[:, 1:4] * b[:, 2:5] - a[:, 2:5] * b[:, 1:4]
 
 
-def project_all(matrices: Array, first: Array, how: str) -> tuple[Array, np.ndarray]:
-    """Project a sequence of points of conv SO(n) to rotations; return these and which were held.
+def project_all(matrices: Array, first: Array, how: str) -> Array:
+    """Return rotations, shape (K, n, n), to which a sequence of points of conv SO(n) is projected.
+
+    Where a heading is undefined, the previous rotation is held.
 
     Args:
         matrices: points in order, shape (K, n, n).
-        first: the rotation before them, held if the first heading is undefined, shape (n, n).
+        first: the rotation before them, shape (n, n).
         how: ``'nearest'`` or ``'thrust_aligned'``.
     """
     sizes = _lengths(matrices[:, :, 0])
-    held = sizes[:, 0] < HEADING_UNDEFINED
-    if not held.any():
-        return _projected(matrices, sizes, how), held
-    defined = np.flatnonzero(~held)
+    defined = np.flatnonzero(sizes[:, 0] >= HEADING_UNDEFINED)
+    if len(defined) == len(matrices):
+        return _projected(matrices, sizes, how)
     choices = np.concatenate([first[None], _projected(matrices[defined], sizes[defined], how)])
-    return choices[np.searchsorted(defined, np.arange(len(matrices)), side='right')], held
+    return choices[np.searchsorted(defined, np.arange(len(matrices)), side='right')]
 
 
 def _projected(matrices: Array, sizes: Array, how: str) -> Array:

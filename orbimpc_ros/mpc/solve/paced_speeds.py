@@ -123,7 +123,7 @@ class PacedSpeeds:
         state, headings, program = request.state, way[:, :, 0], self._program
         regions = self._regions
         before = state.attitude if state.coasted is None else state.coasted
-        units = project_all(way, before, 'thrust_aligned')[0][:, :, 0]
+        units = project_all(way, before, 'thrust_aligned')[:, :, 0]
         spare, first = self._spare(state, units), self._problem.rotation_order - 1
         if (spare < 0.0).any():
             return None
