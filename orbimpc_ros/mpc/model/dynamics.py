@@ -35,14 +35,10 @@ from orbimpc_ros.mpc.geometry.rotations import (
 from orbimpc_ros.mpc.problem import Problem, State
 
 
-def inputs_of(problem: Problem, rotations: Array) -> Array:
-    """Return the inputs u_0..u_{N-1}, shape (N, n, n), that produce rotations R_0..R_N.
+def _inputs_of(problem: Problem, rotations: Array) -> Array:
+    """Return the inputs u_0..u_{N-1} that produce rotations R_0..R_N, shape (N + 1, n, n).
 
     At rotation order 2 the last input changes only W_N, which no cost contains: it is zero.
-
-    Args:
-        problem: gives the order and the step.
-        rotations: R_0..R_N, shape (N + 1, n, n).
     """
     rates = (rotations[1:] - rotations[:-1]) / problem.step
     if problem.rotation_order == 1:
@@ -154,40 +150,6 @@ def first_length(problem: Problem, state: State) -> float:
     return float(length_weights(problem)[0]) * math.sqrt(heading @ heading)
 
 
-def value(
-    problem: Problem,
-    state: State,
-    goals: Array,
-    rotations: Array,
-    inputs: Array,
-    flown: tuple[Array, Array],
-) -> float:
-    """Return the cost of a trajectory.
-
-    Args:
-        problem: gives the weights.
-        state: gives the desired final rotation.
-        goals: g_1..g_N, shape (N, n) [m].
-        rotations: R_0..R_N, shape (N + 1, n, n).
-        inputs: u_0..u_{N-1}, shape (N, n, n).
-        flown: s_0..s_N and p_0..p_N, shape (N + 1, n) each.
-    """
-    positions, velocities = flown
-    w, missed, u = problem.weights, positions[1:] - goals, inputs.ravel()
-    every, last = missed.ravel(), missed[-1]
-    cost = w.position * (every @ every) + w.input * (u @ u)
-    cost += (w.terminal + problem.arrival_weight) * (last @ last)
-    if problem.arrival_weight > 0.0:
-        cost += velocity_weight(problem) * (velocities[-1] @ velocities[-1])
-    if w.length > 0.0:
-        axes = rotations[:, :, 0]
-        cost += length_weights(problem) @ np.sqrt(np.einsum('kc,kc->k', axes, axes))
-    if w.attitude > 0.0:
-        off = (rotations[-1] - state.wanted).ravel()
-        cost += w.attitude * (off @ off)
-    return float(cost)
-
-
 def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Array]:
     """Return the gradient of each cost term in the coordinates x of R_1..R_N, shape (N, d) each."""
     maps, turn = problem.maps, input_map(problem)[:, 1:]
@@ -241,12 +203,23 @@ class Trajectory:
 
 
 def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Trajectory:
-    """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d)."""
+    """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d), and its cost."""
     rotations = np.concatenate([state.rotation[None], matrix(x)])
-    positions, velocities = translation_rollout(problem, state, rotations[:, :, 0])
-    inputs = inputs_of(problem, rotations)
-    cost = value(problem, state, goals, rotations, inputs, (positions, velocities))
-    return Trajectory(positions, velocities, rotations, inputs, cost)
+    axes = rotations[:, :, 0]
+    positions, velocities = translation_rollout(problem, state, axes)
+    inputs = _inputs_of(problem, rotations)
+    w, missed, u = problem.weights, positions[1:] - goals, inputs.ravel()
+    every, last = missed.ravel(), missed[-1]
+    cost = w.position * (every @ every) + w.input * (u @ u)
+    cost += (w.terminal + problem.arrival_weight) * (last @ last)
+    if problem.arrival_weight > 0.0:
+        cost += velocity_weight(problem) * (velocities[-1] @ velocities[-1])
+    if w.length > 0.0:
+        cost += length_weights(problem) @ np.sqrt(np.einsum('kc,kc->k', axes, axes))
+    if w.attitude > 0.0:
+        off = (rotations[-1] - state.wanted).ravel()
+        cost += w.attitude * (off @ off)
+    return Trajectory(positions, velocities, rotations, inputs, float(cost))
 
 
 def controls(degree: int, step: float, positions: Array, velocities: Array) -> Array:
