@@ -106,10 +106,11 @@ def reason(problem: Problem, state: State, goals: Array) -> str:
         state: where plans start.
         goals: g_1..g_N, shape (N, n) [m].
     """
-    found = [
-        *_out_of_reach(problem, state, goals),
-        *_boxed_in(problem, state),
-    ]
+    found = [*_boxed_in(problem, state)]
+    beyond = beyond_reach(problem, state, goals)
+    if beyond > 0.0:
+        asked = f'terminal: constraint asks for a goal {beyond:.4g} m beyond'
+        found.insert(0, f'{asked} what {problem.horizon} steps can reach')
     if found:
         return '; '.join(found)
     together = ', '.join(constraints_in_force(problem, state)) or 'the dynamics'
@@ -179,15 +180,6 @@ def beyond_turning(problem: Problem, state: State) -> float:
     ahead = float(np.clip(state.attitude[:, 0] @ problem.approach.axis(state), -1.0, 1.0))
     turned = problem.horizon * problem.widest_turn
     return math.acos(ahead) - turned - problem.approach.cone
-
-
-def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]:
-    beyond = beyond_reach(problem, state, goals)
-    if beyond > 0.0:
-        yield (
-            f'terminal: constraint asks for a goal {beyond:.4g} m beyond what '
-            f'{problem.horizon} steps can reach'
-        )
 
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
