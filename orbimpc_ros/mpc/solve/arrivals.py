@@ -1,8 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Arcs bent so that they arrive: within floor and turn rate, without a search.
+"""Arcs bent so that they arrive: within floor, turn rate and approach, without a search.
 
 A terminal constraint is linear in the headings z_k = R_k e1. Its residual is removed by Newton
-steps of least norm in their speeds and turns, within the limits of both.
+steps of least norm in their speeds and turns, within the limits of both; and likewise what the last
+heading misses of a cone of approach.
 
 Mathematics: docs/mathematics.md, 7.6.
 """
@@ -21,6 +22,7 @@ from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 
 WITHIN = 1.0 - 1e-9  # share of the widest turn
+WITHIN_CONE = 0.99  # share of the cone of approach that corrections turn into
 CORRECTIONS = 20
 LARGEST = 0.5  # change of a heading in one correction
 PROGRESS = 0.95  # a correction ends if it leaves more of the residual
@@ -76,13 +78,15 @@ def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | 
             least = np.minimum(1.0, problem.floor.least(frames[:, :n, 0]))
         arc = arc._replace(speeds=np.clip(arc.speeds, least, 1.0))
         missing = wanted - rows @ (arc.speeds[:, None] * frames[:, :n, 0])
+        aside = _turned_aside(problem, state, frames[-1, :n, 0])
         missed = max(np.abs(missing[0]).max(), problem.step * np.abs(missing[1:]).max(initial=0.0))
+        missed = max(missed, problem.length_unit * np.abs(aside).max(initial=0.0))
         if missed <= MET * problem.length_unit:
             return np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
         if not missed < PROGRESS * best:
             return None
         best = missed
-        arc = _bent(problem, arc, frames, (rows / scale, missing / scale, least))
+        arc = _bent(problem, arc, frames, (rows / scale, missing / scale, aside, least))
     return None
 
 
@@ -94,16 +98,29 @@ def _wanted(problem: Problem, state: State, goals: Array) -> Array:
     return np.array([place, stopped] if problem.inertial else [place])
 
 
-def _bent(problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, Array]) -> Arc:
+def _turned_aside(problem: Problem, state: State, unit: Array) -> Array:
+    """Return the change of the last direction, shape (n,), into the approach; (0,) if inside."""
+    if not problem.approach.exists:
+        return unit[:0]
+    axis, cone = problem.approach.axis(state), WITHIN_CONE * problem.approach.cone
+    if unit @ axis >= math.cos(cone):
+        return unit[:0]
+    return np.asarray(math.cos(cone) * axis + math.sin(cone) * aside_of(axis, unit) - unit)
+
+
+def _bent(
+    problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, Array, Array]
+) -> Arc:
     """Return an arc with the least change of speeds and turns that arrives to first order.
 
     Args:
         problem: what to solve.
         arc: to change, within the limits of its speeds and turns.
         frames: of its steps, shape (N, 3, 3).
-        asked: rows of the arrival, shape (m, N); what it misses, shape (m, n); least speeds, (N,).
+        asked: rows of the arrival, shape (m, N); what it misses, shape (m, n); the change of the
+            last direction, shape (n,) or (0,); least speeds, (N,).
     """
-    (rows, missing, least), n, count = asked, problem.dimension, len(arc.turns)
+    (rows, missing, aside, least), n, count = asked, problem.dimension, len(arc.turns)
     widest = WITHIN * problem.widest_turn if problem.turns_are_angles else math.inf
     angles, axes = _turned_about(n, arc.turns)
     units = frames[:, :, 0]
@@ -111,13 +128,15 @@ def _bent(problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, 
     pushed = np.eye(count)[:, :, None] * units
     swung = np.tri(count).T[:, :, None] * np.cross(about, arc.speeds[:, None] * units)
     moved = np.concatenate([pushed, *swung])
-    matrix = np.einsum('mk,vkc->mcv', rows, moved[:, :, :n])
+    matrix = np.einsum('mk,vkc->mcv', rows, moved[:, :, :n]).reshape(missing.size, -1)
+    turned = np.cross(about[:, :, 0], units[-1]).reshape(-1, 3)[:, : len(aside)].T
+    matrix = np.vstack([matrix, np.hstack([np.zeros((len(aside), count)), turned])])
     low, high = np.full((2, n, count), math.inf)
     low[0], high[0] = arc.speeds - least, 1.0 - arc.speeds
     low[1], high[1] = widest + angles, widest - angles
     low[:, : arc.given] = high[:, : arc.given] = 0.0
     limits = -low.ravel(), high.ravel()
-    change = _least_change(matrix.reshape(missing.size, -1), missing.ravel(), limits)
+    change = _least_change(matrix, np.concatenate([missing.ravel(), aside]), limits)
     change *= min(1.0, LARGEST / np.abs(change).max(initial=LARGEST))
     more = change[count:].reshape(n - 1, count)
     turns = arc.turns + np.einsum('ak,akc->kc', more, axes)

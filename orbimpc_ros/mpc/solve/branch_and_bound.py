@@ -41,6 +41,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
+FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 WORST_CONDITION = 1e12
@@ -206,6 +207,7 @@ class _Run:
         self._dives = Dives(posed, tolerance, passing=guided)
         self._root = -np.inf  # bound of the root
         self._closed = np.inf
+        self._stood_in = False
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
         self._open = [self._nodes[0]]
 
@@ -228,6 +230,9 @@ class _Run:
         while self._open and self._open[0].bound < self._limit:
             if posed.solved >= MAX_NODES or (posed.solved and posed.request.late):
                 break
+            if posed.solved >= FRUITLESS and best.x is None and not self._stood_in:
+                self._stood_in = True
+                best.stand_in()
             self._expand(heapq.heappop(self._open))
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:

@@ -16,14 +16,17 @@ from collections.abc import Iterable
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.faces import Cell
-from orbimpc_ros.mpc.geometry.rotations import margin
+from orbimpc_ros.mpc.geometry.rotations import coordinates, margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
 from orbimpc_ros.mpc.solve.turns import Turns
 
 DIVE_STEPS = 4
@@ -150,6 +153,17 @@ class Dives:
             and is_accurate(posed.problem, posed.request.goals, trajectory)
         ):
             self.x, self.cost = x, trajectory.cost
+
+    def stand_in(self) -> None:
+        """Accept the first trajectory found without a search that passes the check of plans."""
+        problem, request = self._posed.problem, self._posed.request
+        known = problem, request.state, request.goals
+        for rotations in in_time(turning(*known), request.out_of_time):
+            x = coordinates(rotations)
+            plan = assemble(*known, x, projection='nearest', proof=UNPROVED)
+            if holds(*known, plan):
+                self.x, self.cost = x, plan.objective
+                return
 
     def follow(self, headings: Array, rows: Rows) -> None:
         """Solve with the sides on which a path passes; repeat with the solution as the path.

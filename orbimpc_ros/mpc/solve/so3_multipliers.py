@@ -55,6 +55,7 @@ USUAL = 100.0  # gradients of problems near their goal
 # Largest |rho| of the minimiser without orbitopes. With a larger one, as with a weight on length
 # alone, bounds would be small differences of huge numbers.
 STEEPEST = 1e4
+FLATTEST = 1e-30  # least curvature along rho, which by rounding may be none
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # relative to the largest terms that cancel in a cost
@@ -196,6 +197,7 @@ class SO3Multipliers:
         slope += 2.0 * float(first[3:] @ (self._others.least[-1] @ rest))
         # The coasted rotation has columns of length one.
         curvature = 2.0 * (self._thrust.least[-1, -1] + 2.0 * self._others.least[-1, -1])
+        curvature = max(curvature, FLATTEST)
         rho = -slope / curvature
         axes[-1], rest[-1] = rho * first[:3], rho * first[3:]
         self._least += self._length * rho
