@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_324,
-    'orbimpc_ros/mpc': 17_249,
+    'orbimpc_ros': 33_346,
+    'orbimpc_ros/mpc': 17_271,
     'orbimpc_ros/loop': 3_756,
     'orbimpc_ros/ros': 4_675,
     'orbimpc_ros/sim': 2_659,

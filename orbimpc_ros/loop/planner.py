@@ -123,8 +123,7 @@ class _Memory:
     goals: Array | None = None  # goals of the previous plan
     wanted: Array | None = None  # attitude at its end
     fallbacks: int = 0  # decisions since a plan was found
-    planned: int = 0  # number of steps of the last plan found; 0 before the first
-    since: float = 0.0  # steps since it was found
+    until: float = 0.0  # end of the last plan found, in steps since the start; 0 before the first
     last: float | None = None  # stamp of the last decision [s]
     catch: float = 0.0  # planned time of the catch [s]
     route: Route | None = None  # path followed
@@ -319,7 +318,6 @@ class Planner:
         memory = self._memory
         memory.last = time
         memory.flown += passed
-        memory.since += passed
         count, step = self._steps(memory.flown)
         before, memory.pace = memory.pace, step
         if before == step == self.problem.step:
@@ -449,8 +447,8 @@ class Planner:
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
-        memory.fallbacks, memory.since = 0, 0.0
-        memory.planned, memory.aim = task.problem.horizon, goals[-1]
+        memory.fallbacks, memory.aim = 0, goals[-1]
+        memory.until = memory.flown + task.problem.horizon
         decision = self._following(task, plan, status, reason)
         return replace(decision, catch=catch) if catch and decision.plan else decision
 
@@ -568,10 +566,10 @@ class Planner:
     def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
         memory.fallbacks += 1
-        lasts = memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP
+        lasts = memory.fallbacks <= FALLBACK_TICKS and memory.flown < memory.until - SNAP
         if lasts and task.rest and holds(*task.known, task.rest):
             return self._following(task, task.rest, status, reason, Fallback.SHIFTED_PLAN)
-        arriving = memory.planned or task.problem.has_cones  # waiting means falling
+        arriving = memory.until or task.problem.has_cones  # waiting means falling
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
         if task.state.hazards and not reason.cause:
@@ -594,7 +592,7 @@ class Planner:
         if plan is None:
             return self._safe(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
-        jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.planned else 0.0
+        jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.until else 0.0
         if jump > task.problem.length_unit:
             jumped = f'the goal has jumped by {jump:.3g} m'
             reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')

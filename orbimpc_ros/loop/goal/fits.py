@@ -270,9 +270,6 @@ class Fits:
         self.rates, self.dampings = np.zeros(size), np.zeros(size)
         self.coefficients = np.zeros((size, COLUMNS, n))
         self._jacobian = constant.copy()
-        self._transposed = np.ascontiguousarray(
-            self._jacobian.transpose(0, 2, 3, 1).reshape(size, COLUMNS, n * rows)
-        )
         self._pull = np.zeros((size, rows))  # parameters that the priors pull to zero
         self._gram = np.zeros((size, COLUMNS, COLUMNS))
         self._moments = np.zeros((size, COLUMNS, n))
@@ -306,7 +303,6 @@ class Fits:
         self.coefficients[family] = coefficients
         self.known[family], self.weighed[family] = True, weighed
         self._jacobian[family] = jacobian(family, coefficients)
-        self._transposed[family] = self._jacobian[family].transpose(1, 2, 0).reshape(COLUMNS, -1)
         first, last = shape_rows(family, n)
         size = self._noise.variance * shape_precision(family, rate)
         self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
@@ -340,6 +336,11 @@ class Fits:
             if self.known[family]:
                 where = self.rates[family], self.dampings[family], kept[family]
                 self.place(Placement(family, *where, bool(self.weighed[family])), past)
+
+    @property
+    def _transposed(self) -> Array:
+        """Return the Jacobians, parameters last, shape (K, 7, nP)."""
+        return self._jacobian.transpose(0, 2, 3, 1).reshape(len(NAMES), COLUMNS, -1)
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
