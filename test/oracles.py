@@ -39,7 +39,7 @@ class Choice(NamedTuple):
 def choices(problem: Problem) -> list[Choice]:
     n, found = problem.dimension, []
     if problem.floor.exists and problem.floor.shape != 'circle':
-        faces = [(cell.normal, cell.offset) for cell in problem.floor.cells(n)]
+        faces = [(normal, problem.floor.fraction) for normal in problem.floor.normals(n)]
         steps = range(1, problem.horizon + 1)
         found += [Choice('floor', 'heading', (k,), faces) for k in steps]
     for i, box in enumerate(problem.boxes):

@@ -160,12 +160,8 @@ def _across(heading: Array, other: Array) -> Array:
 def _slow(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """Yield the floor's half-space in which each heading on the floor has the largest margin."""
     floor, headings = problem.floor, plan.rotations[1:, :, 0]
-    outward = floor.normals(problem.dimension)
     for k in np.flatnonzero(floor.margin(headings) < ACTIVE).tolist():
-        normal = headings[k] / np.linalg.norm(headings[k])
-        if outward is not None:
-            normal = outward[np.argmax(outward @ headings[k])]
-        yield Slack('floor', k + 1, _at(plan, k + 1, normal))
+        yield Slack('floor', k + 1, _at(plan, k + 1, floor.tangent(headings[k])))
 
 
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:

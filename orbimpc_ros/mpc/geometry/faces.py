@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -57,19 +56,6 @@ def _dodecahedron_vertices() -> Array:
     cube = [(a, b, c) for a in signs for b in signs for c in signs]
     plane = [(0.0, a / _GOLDEN, b * _GOLDEN) for a in signs for b in signs]
     return np.array(cube + [tuple(np.roll(p, shift)) for shift in range(3) for p in plane])
-
-
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """A half-space normal . v >= offset.
-
-    Attributes:
-        normal: unit vector, shape (n,).
-        offset: smallest value of normal . v.
-    """
-
-    normal: Array
-    offset: float
 
 
 def cap(tilt: float) -> Array:

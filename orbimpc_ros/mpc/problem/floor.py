@@ -19,7 +19,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import Cell, Lines, edges, normals, sphere
+from orbimpc_ros.mpc.geometry.faces import Lines, edges, normals, sphere
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 
 SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_FACES = 64
@@ -90,10 +91,15 @@ class Floor:
         made = SHAPES[self.shape]
         return made(dimension, self.faces) if made else None
 
-    def cells(self, dimension: int) -> tuple[Cell, ...]:
-        """Return the half-spaces whose union is allowed; empty for a round floor."""
-        outward = self.normals(dimension)
-        return () if outward is None else tuple(Cell(each, self.fraction) for each in outward)
+    def tangent(self, heading: Array) -> Array:
+        """Return the unit normal, shape (n,), of the half-space that a heading violates least.
+
+        It is bounded by one of the faces, or touches a round floor.
+        """
+        outward = self.normals(len(heading))
+        if outward is None:
+            return np.asarray(heading / max(float(np.linalg.norm(heading)), HEADING_UNDEFINED))
+        return np.asarray(outward[np.argmax(outward @ heading)])
 
     def margin(self, axes: Array) -> Array:
         """Return the margins of axes, shape (..., n), above the floor, shape (...,); < 0 below."""

@@ -18,7 +18,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.faces import Cell
 from orbimpc_ros.mpc.geometry.rotations import coordinates, margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
@@ -27,7 +26,7 @@ from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
-from orbimpc_ros.mpc.solve.turns import Turns
+from orbimpc_ros.mpc.solve.turns import Cell, Turns
 
 DIVE_STEPS = 4
 PASSING_STEPS = 10  # of a dive among balls and moving obstacles

@@ -110,9 +110,9 @@ class Regions:
             self._curvature = np.where(along > 0.0, along, np.inf)
         self._flat: Sides | None = None  # faces of the floor, if its choices are faces
         if floor.exists and not floor.radius and (n == 3 or floor.shape != 'polygon'):
-            cells = floor.cells(n)
-            offsets = np.array([[cell.offset] for cell in cells])
-            self._flat = np.array([cell.normal for cell in cells]), offsets
+            outward = floor.normals(n)
+            assert outward is not None
+            self._flat = outward, np.full((len(outward), 1), floor.fraction)
         self._faces = floor.faces if floor.shape == 'polygon' and n == 2 else 0
         begun = -math.pi / self._faces if self._faces else 0.0
         self.origins = np.full(count, begun) if ordered else NOWHERE
@@ -401,13 +401,10 @@ class Regions:
 
     def _tangent(self, heading: Array) -> tuple[Array, Array] | None:
         """Return the tangent of a round floor, or the face that is violated least."""
-        floor, size = self.problem.floor, float(np.linalg.norm(heading))
-        if floor.radius:
-            known = heading / max(size, HEADING_UNDEFINED), np.array([floor.radius])
-            return known if size > HEADING_UNDEFINED else None
-        cells = floor.cells(self.problem.dimension)
-        cell = max(cells, key=lambda each: float(each.normal @ heading) - each.offset)
-        return cell.normal, np.array([cell.offset])
+        floor = self.problem.floor
+        if floor.radius and np.linalg.norm(heading) <= HEADING_UNDEFINED:
+            return None
+        return floor.tangent(heading), np.array([floor.fraction])
 
     def _passed(self, choice: int, ways: Array) -> tuple[Array, Array]:
         """Return the half-space of a body with a given normal, ``ways[j, k]``."""

@@ -12,11 +12,11 @@ Mathematics: docs/mathematics.md, 3.6.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.faces import Cell
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.arrivals import aside_of
@@ -25,6 +25,19 @@ from orbimpc_ros.mpc.solve.relaxation import Row
 WITHIN = 1.0 - 1e-6  # share of the widest turn
 ACCURATE = 5e-7  # [rad] half the tolerance of the check
 KEPT = 0.9  # share of its speed that a heading keeps in the next solve
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A half-space normal . v >= offset.
+
+    Attributes:
+        normal: unit vector, shape (n,).
+        offset: smallest value of normal . v.
+    """
+
+    normal: Array
+    offset: float
 
 
 class Turns:
@@ -37,7 +50,6 @@ class Turns:
     def __init__(self, problem: Problem) -> None:
         self._problem, floor, n = problem, problem.floor, problem.dimension
         self._widest, self._least = WITHIN * problem.widest_turn, problem.least_speed
-        self._cells = () if floor.radius else floor.cells(n)
         # A speed allowed in every heading, and a turn with no longer a chord than at least speed.
         self._speed = floor.circling(n)
         half = self._least * math.sin(0.5 * self._widest) / self._speed
@@ -119,9 +131,7 @@ class Turns:
 
     def _cell(self, unit: Array) -> Cell:
         """Return the tangent of a round floor, or the face nearest to a direction, (n,)."""
-        if not self._cells:
-            return Cell(unit, self._least)
-        return max(self._cells, key=lambda cell: float(cell.normal @ unit) - cell.offset)
+        return Cell(self._problem.floor.tangent(unit), self._least)
 
 
 def _towards(unit: Array, wanted: Array, widest: float) -> Array:
