@@ -197,6 +197,16 @@ def turned_onto(rotation: Array, axis: Array) -> Array:
     return exp(math.atan2(sine, cosine) / sine * across) @ rotation
 
 
+def aside_of(axis: Array, towards: Array) -> Array:
+    """Return the direction across an axis, shape (n,), on the side of a point."""
+    aside = towards - axis * (axis @ towards)
+    # Across a parallel or opposite direction any orthogonal vector will do.
+    if np.linalg.norm(aside) <= HEADING_UNDEFINED * np.linalg.norm(towards):
+        other = np.eye(len(axis))[np.argmin(np.abs(axis))]
+        aside = other - axis * (axis @ other)
+    return np.asarray(aside / np.linalg.norm(aside))
+
+
 def carried(attitude: Array, headings: Array) -> Array:
     """Return |z_k| Q_k, shape (K, n, n), with Q_k turned from Q_{k-1} onto z_k, unless z_k = 0.
 

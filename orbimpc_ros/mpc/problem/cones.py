@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem.problem import Problem
@@ -175,18 +175,11 @@ def turned_towards(problem: Problem, pointing: Array, ways: Array, steps: Array)
         shares = np.minimum(1.0, steps * problem.chord / sizes[:, None])
         return np.asarray(pointing + shares[..., None] * left[:, None])
     unit = pointing / max(_size(pointing), HEADING_UNDEFINED)
-    asides, angles = zip(*(_turn(unit, way) for way in ways), strict=True)
-    turned = np.minimum(np.array(angles)[:, None], steps * problem.widest_turn)[..., None]
-    return np.asarray(np.cos(turned) * unit + np.sin(turned) * np.array(asides)[:, None])
-
-
-def _turn(unit: Array, towards: Array) -> tuple[Array, float]:
-    """Return the unit vector orthogonal to ``unit`` in the plane of a turn, and its angle [rad]."""
-    aside = towards - unit * (unit @ towards)
-    if _size(aside) < HEADING_UNDEFINED:  # parallel or opposite: any orthogonal vector will do
-        other = np.eye(len(unit))[np.argmin(np.abs(unit))]
-        aside = other - unit * (unit @ other)
-    return aside / _size(aside), 2.0 * math.atan2(_size(towards - unit), _size(towards + unit))
+    asides = np.array([aside_of(unit, way) for way in ways])
+    off, along = (np.linalg.norm(ways + sign * unit, axis=1) for sign in (-1.0, 1.0))
+    angles = np.minimum(2.0 * np.arctan2(off, along)[:, None], steps * problem.widest_turn)
+    turned = angles[..., None]
+    return np.asarray(np.cos(turned) * unit + np.sin(turned) * asides[:, None])
 
 
 def _size(vector: Array) -> float:

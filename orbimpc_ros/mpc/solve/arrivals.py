@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, exps
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exps
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -55,15 +55,6 @@ def arc_of(problem: Problem, ahead: Array, z: Array, towards: Array, turn: float
     frame[:, 2] = np.cross(frame[:, 0], frame[:, 1])
     turns[given:, 2] = turn / len(z)
     return Arc(frame, speeds, turns, given)
-
-
-def aside_of(axis: Array, towards: Array) -> Array:
-    """Return the direction across an axis, shape (n,), on the side of a point."""
-    aside = towards - axis * (axis @ towards)
-    if np.linalg.norm(aside) <= HEADING_UNDEFINED * np.linalg.norm(towards):
-        other = np.eye(len(axis))[np.argmin(np.abs(axis))]
-        aside = other - axis * (axis @ other)
-    return np.asarray(aside / np.linalg.norm(aside))
 
 
 def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | None:

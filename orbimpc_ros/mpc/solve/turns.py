@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.arrivals import aside_of
 from orbimpc_ros.mpc.solve.relaxation import Row
 
 WITHIN = 1.0 - 1e-6  # share of the widest turn
