@@ -105,45 +105,23 @@ class Maps:
 
     def __init__(self, model: Translation, horizon: int, step: float, forward: float) -> None:
         once = step_of(model, step, forward)
-        pushes = [_responses(once.transition, each, horizon) for each in once[1:]]
-        after = np.zeros((horizon, horizon + 1, len(once.push)))
-        after[:, 1:] = _lagged(pushes[1])[:, :horizon]
-        every = _lagged(pushes[0]) + after
-        self.reach = every[:, :, 0].copy()
-        self.arrival = every[-1].T.copy()
-        self.pushed = every[:, :, -1].copy()
-        blown, still = np.cumsum(pushes[2], axis=0), np.zeros((horizon, 1))
-        self.blown, self.hastened = blown[:, :1].copy(), blown[:, -1:].copy()
-        moved = _responses(once.transition, once.transition, horizon)  # A^k, k = 1..N
-        self.drift = moved[:, :1, 1].copy() if model.inertial else still
-        self.carried = moved[:, 1:, 1].copy() if model.inertial else still
-        self.lasting = _shares(once, horizon)
+        # A rollout of unit vectors: one for each of R_0 e1..R_N e1, one for p_0 and one for w.
+        axes, speed, wind = np.split(np.eye(horizon + 3), [-2, -1])
+        y = np.concatenate([np.zeros_like(speed), speed])[: len(once.push)]
+        blown, rolled = np.outer(once.blow, wind), np.empty((horizon, *y.shape))
+        for k in range(horizon):
+            pushed = np.outer(once.push, axes[k]) + np.outer(once.follow, axes[k + 1])
+            y = rolled[k] = once.transition @ y + pushed + blown
+        places, velocities = (np.split(rolled[:, i], [-2, -1], axis=1) for i in (0, -1))
+        self.reach, self.drift, self.blown = (each.copy() for each in places)
+        self.pushed, self.carried, self.hastened = (each.copy() for each in velocities)
+        self.arrival = rolled[-1, :, :-2].copy()
+        late = once.follow[-1] / (once.push[-1] + once.follow[-1])
+        self.lasting = np.ones(horizon + 1)
+        self.lasting[[0, -1]] = 1.0 - late, late
         for each in vars(self).values():
             sealed(each)
         self.unit = step * (step * forward) if model.inertial else step * forward
-
-
-def _responses(transition: Array, first: Array, horizon: int) -> Array:
-    """Return A^k times the first response for k = 0..N-1, shape (N, ...)."""
-    responses = [first]
-    for _ in range(horizon - 1):
-        responses.append(transition @ responses[-1])
-    return np.array(responses)
-
-
-def _lagged(responses: Array) -> Array:
-    """Return the contributions of a push at step j = 0..N to y_1..y_N, shape (N, N + 1, m)."""
-    horizon = len(responses)
-    lag = np.arange(horizon)[:, None] - np.arange(horizon + 1)[None, :]
-    return np.where(lag[:, :, None] >= 0, responses[np.maximum(lag, 0)], 0.0)
-
-
-def _shares(once: Step, horizon: int) -> Array:
-    """Return the share of a step for which each R_j e1 acts, from the last entries of b and c."""
-    late = once.follow[-1] / (once.push[-1] + once.follow[-1])
-    shares = np.ones(horizon + 1)
-    shares[0], shares[-1] = 1.0 - late, late
-    return shares
 
 
 @lru_cache(maxsize=256)
