@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_332,
-    'orbimpc_ros/mpc': 17_258,
+    'orbimpc_ros': 33_310,
+    'orbimpc_ros/mpc': 17_236,
     'orbimpc_ros/loop': 3_755,
     'orbimpc_ros/ros': 4_675,
     'orbimpc_ros/sim': 2_659,
