@@ -340,6 +340,17 @@ def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
     assert (depth[2:] <= 1e-6).all()
 
 
+@needs_machine_code
+def test_who_is_too_fast_to_stop_before_a_disc_leaves_it_again():
+    """The way of the present velocity to s_1 is longer than any that thrust adds in a step."""
+    problem, rock = Problem(horizon=6, translation_order=2), still([4.0, 0.0], 0.8)
+    start = State.at([0.0, 0.0], np.eye(2), velocity=[4.0, 0.0], hazards=(rock,))
+    goals = np.tile([12.0, 0.0], (6, 1))
+    plan = Solver(problem).solve(start, goals)
+    assert violations(problem, start, goals, plan) == []
+    assert (rock.body.depth(plan.positions[2:]) <= 1e-6).all()
+
+
 def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():
     """The margin is relaxed as if inside, but a vehicle that stays put is still hit in step 2."""
     ball, bends = Ball([0.0, 0.0], 1.0), np.array([0.0, -0.2, 0.0, 0.2, 0.0, 0.0])

@@ -70,7 +70,7 @@ def _bound_to_enter(problem: Problem, state: State, traffic: Traffic, depth: Arr
     known, unit = problem.decided_steps, problem.length_unit
     if not known:
         return np.zeros(len(depth), dtype=bool)
-    reached = np.linalg.norm(dynamics.adrift(problem, state)[:known] - state.position, axis=1).max()
+    reached = np.linalg.norm(dynamics.drift(problem, state)[:known] - state.position, axis=1).max()
     ways = np.linalg.norm(traffic.shifts[:, : known + 1], axis=2).max(axis=1)
     near = depth + ways + known * unit + reached > 0.0
     if not near.any():
