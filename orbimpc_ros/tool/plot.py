@@ -42,6 +42,7 @@ PATH, DATA = 'trajectory.png', 'data.png'
 LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of the lines in one chart
 AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
 MOST_HEADINGS, MOST_PLANS = 20, 6
+ZOOM = 0.9  # of views of space
 WIDE = 2.5  # ratio of extents from which on a flight is drawn above its charts
 NOSE = 0.035  # length of a heading, as a share of the flight's extent
 LEAST = 1e-16  # drawn instead of zero on a logarithmic axis
@@ -168,7 +169,7 @@ def paths(flown: Flights) -> Figure:
             start = history.positions[0, : history.values['dimension']]
             axes.text(*start, name.strip('/'), fontsize=8.5, path_effects=halo(), zorder=9)
     handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=6)
+    figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=7)
     return figure
 
 
@@ -189,6 +190,8 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
             axes.plot(*history.ropes.T[:n], color=ORANGE, lw=4, alpha=0.5, label="goal's way")
     axes.set_aspect('equal', adjustable='box' if n == 3 else 'datalim')
     axes.autoscale(n == 2)  # in 3D it would undo the aspect
+    if n == 3:  # leave room for labels, which the layout does not count
+        axes.set_box_aspect(axes.get_box_aspect(), zoom=ZOOM)
     several = len(flown) > 2 and first.values['avoid_radius']
     above = figure.add_subplot(grid[1, 0] if wide else grid[0, 1])
     draw_panel(above, separation(flown) if several else distance(flown))
