@@ -42,7 +42,7 @@ PATH, DATA = 'trajectory.png', 'data.png'
 LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of the lines in one chart
 AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
 MOST_HEADINGS, MOST_PLANS = 20, 6
-ZOOM = 0.9  # of views of space
+ZOOM, MOST_TICKS = 0.9, 6  # of views of space
 WIDE = 2.5  # ratio of extents from which on a flight is drawn above its charts
 NOSE = 0.035  # length of a heading, as a share of the flight's extent
 LEAST = 1e-16  # drawn instead of zero on a logarithmic axis
@@ -85,6 +85,7 @@ def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
     inked = ('text.color', 'axes.edgecolor', 'axes.labelcolor', 'xtick.color', 'ytick.color')
     return {
         **dict.fromkeys(inked, colors[0]),
+        **dict.fromkeys((f'axes3d.{axis}axis.panecolor' for axis in 'xyz'), page),
         'font.size': 9.0,
         'figure.facecolor': page,
         'savefig.dpi': 200,
@@ -190,8 +191,11 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
             axes.plot(*history.ropes.T[:n], color=ORANGE, lw=4, alpha=0.5, label="goal's way")
     axes.set_aspect('equal', adjustable='box' if n == 3 else 'datalim')
     axes.autoscale(n == 2)  # in 3D it would undo the aspect
-    if n == 3:  # leave room for labels, which the layout does not count
-        axes.set_box_aspect(axes.get_box_aspect(), zoom=ZOOM)
+    if n == 3:
+        sides = axes.get_box_aspect()
+        axes.set_box_aspect(sides, zoom=ZOOM)  # the layout does not count labels
+        for axis, size in zip('xyz', sides, strict=True):  # short sides have room for few numbers
+            axes.locator_params(axis, nbins=max(1, round(MOST_TICKS * size / max(sides))))
     several = len(flown) > 2 and first.values['avoid_radius']
     above = figure.add_subplot(grid[1, 0] if wide else grid[0, 1])
     draw_panel(above, separation(flown) if several else distance(flown))
