@@ -44,6 +44,16 @@ def test_no_part_proves_more_than_a_flight_in_it_costs(seed):
             assert found is None or not found.is_false, f'{seed}: {found}'
 
 
+def test_a_cone_and_a_wide_sector_prove_no_more_than_a_flight_in_both_costs():
+    """Beyond a polygonal floor, where every direction in the cone is uphill."""
+    rng = np.random.default_rng([752128, 54104])
+    drawn = adversary.flight(rng)
+    assert drawn is not None
+    found = adversary.judged(drawn, rng)
+    assert found is not None
+    assert not found.is_false
+
+
 @pytest.mark.parametrize('seed', seeds(20))
 def test_fractions_prove_what_floats_do(seed):
     proved = 0

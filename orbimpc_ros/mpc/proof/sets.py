@@ -102,7 +102,7 @@ def over_polygon(g, along, known, k, fastest, sets):
         sets: data of stage sets.
     """
     low, high, best = known[1][k, 0], known[1][k, 1], along * fastest
-    if along <= 0 or high - low >= sets.full / 2:
+    if along <= 0:  # so it is in wide sectors, unless a cone leaves only directions uphill
         return best
     share = sets.full / sets.polygon
     first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
