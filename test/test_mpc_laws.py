@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.plan import Plan, shifted
-from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import reach
 from orbimpc_ros.mpc.problem.units import Units
@@ -175,6 +175,17 @@ def test_a_search_that_finds_nothing_leaves_a_plan_all_the_same(index):
     assert drawn is not None
     found = Solver(drawn.case.problem).solve(*drawn.case[1:], out_of_time=polled(400))
     assert violations(*drawn.case, found) == []
+
+
+@needs_machine_code
+def test_the_general_search_of_a_round_floor_in_space_keeps_the_deadline():
+    weights = Weights(position=0.0, input=0.0, terminal=0.0)  # so that no bound is above the cost
+    problem = Problem(dimension=3, horizon=4, weights=weights, floor=Floor('circle'))
+    state, goals, nodes = State.at(np.zeros(3), np.eye(3)), np.zeros((4, 3)), []
+    for limit in (20, 2000):
+        plan = Solver(problem, patient=True).solve(state, goals, None, polled(limit))
+        nodes.append(plan.proof.nodes)
+    assert nodes[0] < 20 < nodes[1]
 
 
 # --- certificates

@@ -76,7 +76,7 @@ NEAR = 0.2  # share of a bound's gap: climbs that cannot gain more than this end
 # at the root, whose point is needed as a start for descents
 YOUNG, EVERY = 4, 4  # descents start from each of the first nodes, then from every 4th
 MOST, ROOM = 12_800, 800_000  # most nodes of a search; nodes times steps
-BRANCHES = 8000  # most polls of the deadline by the general search, which is then used without one
+BRANCHES = 8000  # most polls of the deadline by the general search
 STIFF = 1e4  # weight of an arrival, in units of the largest curvature
 SAME = 1e-9  # relative: costs this close to the incumbent's count as equal
 OUT_OF_REACH = 1e-9  # relative margin beyond the reach
@@ -295,7 +295,9 @@ class RoundFloor(TreeSearch):
         guess = None if found.x is None else Guess(found.x, found.cost)
         asked = iter(range(BRANCHES))
         other = self._general.solve(
-            request._replace(guess=guess, out_of_time=lambda: next(asked, None) is None)
+            request._replace(
+                guess=guess, out_of_time=lambda: request.late or next(asked, None) is None
+            )
         )
         best = other if other.cost < found.cost else found
         bound = other if other.lower_bound > found.lower_bound else found
