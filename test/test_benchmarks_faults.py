@@ -3,11 +3,14 @@
 
 import json
 import math
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from harness import orbimpc
 
 from benchmarks.faults import inputs, processes
+from benchmarks.faults.harness import Harness
 from benchmarks.faults.injection import Fault, unsafe_commands
 from benchmarks.faults.matrix import FaultCase, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Monitor
@@ -53,6 +56,17 @@ def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
 
 
 # --- rows
+
+
+def test_the_message_that_is_repeated_is_the_first_of_each_injection():
+    """One from long ago would seem to come from another clock, and could be flown when it came."""
+    fed = SimpleNamespace()
+    fed.spoiling = partial(Harness.spoiling, fed)
+    (fault,) = (each for each in inputs._stamps() if each.name == 'the same stamp')
+    for first in (1, 2):
+        with fault.imposed(fed):
+            spoil = fed._spoiled['odometry']
+            assert [spoil(each, None) for each in (first, 7)] == [[first], [first]]
 
 
 def row(*outcomes):
