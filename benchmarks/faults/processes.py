@@ -149,8 +149,8 @@ def _signalled(number: int) -> Any:
             with closing(Harness(nodes, slow, seed=count)) as harness:
                 if count % 10 != 9:  # every tenth receives it at the start
                     harness.until_planned()
-                else:
-                    harness.until(harness.monitor.health.copy, 'its diagnostics')
+                else:  # but not before the first command, since then there is nothing to end
+                    harness.until(harness.monitor.commands.copy, 'a command')
                 harness.spin(draw.uniform(0.0, STEP))
                 yield _ended(harness, number, f'{signal.Signals(number).name} {count + 1}')
 
