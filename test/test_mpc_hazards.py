@@ -10,6 +10,7 @@ from plans import assembled, straight
 from problems import needs_machine_code, polled
 from stepping import Stepped, odometry
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
 from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import (
@@ -298,6 +299,35 @@ def test_the_clearest_way_is_flown_where_none_is_clear():
     away = np.linalg.norm(tick.plan.positions - [9.0, 1.0], axis=1)
     assert away[-1] > away[0] + 2.0  # backwards, out of it
     assert controller.tick(odometry(time=0.5), FAR).command.body_rate != 0.0
+
+
+@pytest.mark.parametrize(
+    ('model', 'place', 'speed', 'size', 'leaves'),
+    [
+        (MODELS[1], -1.2, 0.0, 3.0, True), (MODELS[3], -1.2, 0.0, 3.0, True),
+        (MODELS[3], -2.8, 3.0, 3.0, True), (MODELS[1], -1.2, 0.0, 20.0, False),
+    ],
+)  # fmt: skip
+def test_a_box_that_holds_a_vehicle_is_left_where_it_can_be(model, place, speed, size, leaves):
+    """No plan is outside of it from there, but it may be left as a hazard may."""
+    box = Box([-size, -size], [size, size])
+    planner = Stepped(Problem(horizon=8, step=0.5, forward=2.0, obstacles=(box,), **model))
+    place, velocity = place * np.eye(2)[0], speed * np.eye(2)[0]
+    attitude, told = np.eye(2), []
+    for k in range(8):
+        seen = Odometry(0.5 * k, place, attitude, attitude.T @ velocity, np.zeros(1))
+        tick = planner.tick(seen, np.tile([9.0, 9.0], (8, 1)))
+        told.append(tick.fallback)
+        if tick.plan is None:
+            break
+        flown = tick.plan
+        place, attitude, velocity = flown.positions[1], flown.projected[1], flown.velocities[1]
+    if leaves:
+        count = told.count('clearest way')
+        assert told == ['clearest way'] * count + [''] * (8 - count)
+        assert 0 < count < 8
+    else:
+        assert told == ['safe command']
 
 
 # --- starts inside a margin

@@ -233,7 +233,6 @@ def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
     start, goals = replace(STILL, position=np.array([0.9, 0.0])), np.zeros((8, 2))
     message = blamed(replace(free, obstacles=(around,)), start, goals)
     assert message.startswith('obstacle 0 contains s_1, ')
-    assert message.endswith('; a box offers no way out from inside, unless it is a hazard')
     hazard = MovingObstacle.drifting(around, np.zeros(2))
     plan = Solver(free).solve(replace(start, hazards=(hazard,)), goals)
     assert plan.positions[-1, 0] <= -0.7 + 1e-6

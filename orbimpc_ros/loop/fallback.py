@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, stop
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import MAX_HAZARDS, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.pace import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
@@ -85,6 +85,21 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     unit, ends = SAME * problem.length_unit, [_end(task, each) for each in best]
     chosen = max(range(len(best)), key=lambda i: (round(rooms[i] / unit), ends[i]))
     return best[chosen], rooms[chosen]
+
+
+def leaving(task: Task) -> Task | None:
+    """Return the task with the boxes around the vehicle as hazards, if it is inside of any.
+
+    A plan stays out of boxes, so that none starts deep inside; a hazard may be left.
+    """
+    problem, state, here = task.problem, task.state, task.state.position[None]
+    boxes = (each for each in problem.obstacles if isinstance(each, Box))
+    around = [each for each in boxes if each.depth(here)[0] > 0.0]
+    others = tuple(each for each in problem.obstacles if each not in around)
+    still = (MovingObstacle.drifting(each, np.zeros(problem.dimension)) for each in around)
+    hazards = (*state.hazards, *still)[-MAX_HAZARDS:]
+    known = replace(problem, obstacles=others), replace(state, hazards=hazards)
+    return replace(task, problem=known[0], state=known[1]) if around else None
 
 
 def _clear_steps(task: Task, plan: Plan) -> int:

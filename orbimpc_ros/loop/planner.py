@@ -23,6 +23,7 @@ from orbimpc_ros.loop.fallback import (
     cuts_turns,
     entry_of_safety,
     is_clear,
+    leaving,
     may_stop,
     safe_command,
 )
@@ -139,7 +140,8 @@ class Planner:
       never past its horizon;
     - a *soft arrival*, if disturbances have made a terminal constraint infeasible: the plan with
       the smallest miss; in a descent from the start on;
-    - among hazards, the *clearest way*: a plan that meets all else and keeps farthest from them;
+    - the *clearest way*: from inside of boxes, the best plan that leaves them as it may leave
+      hazards; among hazards, a plan that meets all else and keeps farthest from them;
     - the safe command.
 
     Snapshots may arrive at any rate. The elapsed part of the previous plan, and the remainder of a
@@ -572,13 +574,19 @@ class Planner:
         arriving = memory.until or task.problem.has_cones  # waiting means falling
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
-        if task.state.hazards and not reason.cause:
-            return self._sidestep(task, status, reason)
-        return self._safe(task.state, status, reason)
+        if reason.cause:
+            return self._safe(task.state, status, reason)
+        if status is Status.INFEASIBLE and (eased := leaving(task)):
+            eased = replace(eased, solver=self._solver_for(eased.problem))
+            plan, _, _ = eased.solved()
+            if plan is not None:
+                reason = reason.and_so('the plan leads out of it')
+                return self._following(eased, plan, status, reason, Fallback.CLEAREST_WAY)
+        return self._sidestep(task, status, reason)
 
     def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
         """Return the decision for the clearest way, if one meets all other constraints."""
-        plan, apart = clearest(task)
+        plan, apart = clearest(task) if task.state.hazards else (None, 0.0)
         if plan is None:
             return self._safe(task.state, status, reason)
         reason = reason.and_so(f'the clearest plan is {-apart:.3g} m inside a hazard')

@@ -15,7 +15,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
 SURE = 1e-12  # relative margin for rounding: farther away is surely out of reach
@@ -195,16 +195,9 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
             why = 'which the state already determines'
         else:
             why = f'{deep[held[0]]:.4g} m inside; plans move that by at most {free[held[0]]:.4g} m'
-        yield f'obstacle {i} contains s_{held[0] + 1}, {why}{_way_out(body, state)}'
+        yield f'obstacle {i} contains s_{held[0] + 1}, {why}'
     for i, hazard in enumerate(state.hazards):
         moved = hazard.moved(problem.step * np.arange(1, known + 1))
         inside = np.flatnonzero(hazard.body.depth(decided[:known] - moved) > 0.0)
         if inside.size:
             yield f'hazard {i} contains s_{inside[0] + 1}, which the state already determines'
-
-
-def _way_out(body: Box | Ball, state: State) -> str:
-    """Return a hint about a state inside of a box; empty for other bodies and states."""
-    if not isinstance(body, Box) or body.depth(state.position[None])[0] <= 0.0:
-        return ''
-    return '; a box offers no way out from inside, unless it is a hazard'
