@@ -5,16 +5,16 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_319,
-    'orbimpc_ros/mpc': 17_238,
-    'orbimpc_ros/loop': 3_755,
+    'orbimpc_ros': 33_335,
+    'orbimpc_ros/mpc': 17_231,
+    'orbimpc_ros/loop': 3_778,
     'orbimpc_ros/ros': 4_675,
     'orbimpc_ros/sim': 2_659,
     'orbimpc_ros/tool': 4_810,
-    'benchmarks': 3_451,
-    'test': 17_852,
+    'benchmarks': 3_456,
+    'test': 17_895,
 }
-WORDS = {'docs': 23_345, 'README.md': 900}
+WORDS = {'docs': 23_355, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
