@@ -61,4 +61,5 @@ class Session(Observer):
         self.spin(PATIENCE, lambda: bool(done()) or not self.processes[-1].running)
         if not done():
             self.processes[-1].require_health()
-            raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
+            said = self.processes[-1].output.splitlines()[-3:]
+            raise OrbimpcError('; '.join([f'waited {PATIENCE:g} s in vain for {what}', *said]))
