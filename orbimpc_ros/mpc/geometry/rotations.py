@@ -207,6 +207,14 @@ def aside_of(axis: Array, towards: Array) -> Array:
     return np.asarray(aside / np.linalg.norm(aside))
 
 
+def turned_within(unit: Array, wanted: Array, widest: float) -> Array:
+    """Return a direction, shape (n,), turned towards another by at most an angle."""
+    along = float(unit @ wanted)
+    if math.atan2(float(np.linalg.norm(wanted - along * unit)), along) <= widest:
+        return wanted
+    return np.asarray(math.cos(widest) * unit + math.sin(widest) * aside_of(unit, wanted))
+
+
 def carried(attitude: Array, headings: Array) -> Array:
     """Return |z_k| Q_k, shape (K, n, n), with Q_k turned from Q_{k-1} onto z_k, unless z_k = 0.
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exps
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exps, turned_within
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -93,10 +93,8 @@ def _turned_aside(problem: Problem, state: State, unit: Array) -> Array:
     """Return the change of the last direction, shape (n,), into the approach; (0,) if inside."""
     if not problem.approach.exists:
         return unit[:0]
-    axis, cone = problem.approach.axis(state), WITHIN_CONE * problem.approach.cone
-    if unit @ axis >= math.cos(cone):
-        return unit[:0]
-    return np.asarray(math.cos(cone) * axis + math.sin(cone) * aside_of(axis, unit) - unit)
+    aimed = turned_within(problem.approach.axis(state), unit, WITHIN_CONE * problem.approach.cone)
+    return unit[:0] if aimed is unit else aimed - unit
 
 
 def _bent(

@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import carried
+from orbimpc_ros.mpc.geometry.rotations import aside_of, carried
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
 from orbimpc_ros.mpc.problem.leaving import ways_out
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.solve.arrivals import WITHIN, arc_of, arriving, aside_of
+from orbimpc_ros.mpc.solve.arrivals import WITHIN, arc_of, arriving
 
 # [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, turned_within
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Row
 
@@ -101,7 +101,7 @@ class Turns:
             size = float(np.linalg.norm(heading))
             wanted = heading / size if size > HEADING_UNDEFINED else unit
             given = k == 1 and self._problem.rotation_order == 2
-            unit = wanted if given else _towards(unit, wanted, widest)
+            unit = wanted if given else turned_within(unit, wanted, widest)
             cells.append(self._cell(unit))
         return cells
 
@@ -131,11 +131,3 @@ class Turns:
     def _cell(self, unit: Array) -> Cell:
         """Return the tangent of a round floor, or the face nearest to a direction, (n,)."""
         return Cell(self._problem.floor.tangent(unit), self._least)
-
-
-def _towards(unit: Array, wanted: Array, widest: float) -> Array:
-    """Return a direction, shape (n,), turned towards another by at most an angle."""
-    along = float(unit @ wanted)
-    if math.atan2(float(np.linalg.norm(wanted - along * unit)), along) <= widest:
-        return wanted
-    return np.asarray(math.cos(widest) * unit + math.sin(widest) * aside_of(unit, wanted))
