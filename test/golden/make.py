@@ -45,7 +45,7 @@ FLIGHTS = {
             'goal_prediction=velocity',
             'rope.amplitude=[0.3, 0.3, 0.0]',
             'faults.position_noise=0.05',
-            'max_ticks=30',
+            'max_ticks=29',
         ),
     ),
     'fixed_wing': ('fixed_wing', ()),
