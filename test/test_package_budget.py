@@ -5,16 +5,16 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 33_335,
-    'orbimpc_ros/mpc': 17_231,
+    'orbimpc_ros': 33_333,
+    'orbimpc_ros/mpc': 17_229,
     'orbimpc_ros/loop': 3_778,
     'orbimpc_ros/ros': 4_675,
     'orbimpc_ros/sim': 2_659,
     'orbimpc_ros/tool': 4_810,
-    'benchmarks': 3_456,
-    'test': 17_895,
+    'benchmarks': 3_457,
+    'test': 17_896,
 }
-WORDS = {'docs': 23_355, 'README.md': 900}
+WORDS = {'docs': 23_386, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
