@@ -203,7 +203,7 @@ class FlightSimulation(ABC):
             out['truth'].publish(outputs.truth(at, name, flight))
         if '/tf' in out:
             shown = messages.odometry_message(stamp, measured(flight.vehicle))
-            out['/tf'].publish(out['/tf'].msg_type(transforms=[outputs.transform(shown)]))
+            out['/tf'].publish(message_of('/tf')(transforms=[outputs.transform(shown)]))
         self.deliver(at, seen)
 
     def deliver(self, at: int, seen: Sequence[Seen]) -> None:
