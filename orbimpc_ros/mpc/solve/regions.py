@@ -145,10 +145,8 @@ class Regions:
         at = control_points(tuple(bodies.of.tolist()), count, self._controls - 1)
         self._rows, steps = (at >= 0).sum(axis=2), np.arange(count)[:, None]
         at = at[:, :, : self._rows.max()]
-        held, middles = (
-            at >= 0,
-            bodies.centres[:, :, : at.shape[2]],
-        )  # missing rows repeat the first
+        held, middles = at >= 0, bodies.centres[:, :, : at.shape[2]]
+        # missing rows repeat the first
         self._points = count + self._controls * steps + np.where(held, at, at[:, :, :1])
         self._middles = np.where(held[..., None], middles, middles[:, :, :1])
         radii, margins = bodies.extents[:, -1:], bodies.margins[0]
