@@ -576,7 +576,7 @@ class Planner:
             return self._arrive_softly(task, status, reason)
         if reason.cause:
             return self._safe(task.state, status, reason)
-        if status is Status.INFEASIBLE and (eased := leaving(task)):
+        if eased := leaving(task):
             eased = replace(eased, solver=self._solver_for(eased.problem))
             plan, _, _ = eased.solved()
             if plan is not None:
