@@ -100,16 +100,18 @@ def _depths(
 
 
 def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return escapes in all directions, shape (A, N + 1, n), in order of depth at ends of steps.
+    """Return escapes in all directions, shape (A, N + 1, n), in order of depth.
+
+    At the ends of steps first, then within steps, where the escape that plans may follow is clear.
 
     Args:
         problem: gives the model and its limits.
         state: where the plan starts.
         traffic: the bodies to stay clear of.
     """
-    ways = directions(problem.dimension)
-    met = _depths(problem, state, traffic, ways, ends=True).sum(axis=(1, 2))
-    return escapes(problem, state, ways)[np.argsort(met, kind='stable')]
+    known = problem, state, traffic, directions(problem.dimension)
+    keys = (_depths(*known, ends=each).sum(axis=(1, 2)) for each in (False, True))
+    return escapes(problem, state, known[-1])[np.lexsort(tuple(keys))]
 
 
 def escapes(problem: Problem, state: State, ways: Array) -> Array:
