@@ -33,6 +33,7 @@ ORTHOGONAL = 1e-9
 RATE_TOLERANCE = 1e-6  # relative
 SUMMING = 1e-9  # relative: between two summations of the same objective
 ROUNDING = 1e-15  # relative: of coordinates far from the origin
+SHARES = 'hull', 'floor', 'max_rate', 'max_acceleration', 'approach', 'tilt'
 IDENTITY = {n: np.eye(n) for n in (2, 3)}
 
 
@@ -153,92 +154,88 @@ def _limits(
     problem: Problem, state: State, goals: Array, plan: Plan
 ) -> dict[str, tuple[float, float]]:
     """Return the least margin to each limit, and its tolerance."""
-    shares, lengths = _on_headings(problem, state, plan.rotations), dict[str, float]()
-    if problem.has_cones:
-        tilt, slope = cone_margins(problem, state, goals, plan)
-        shares |= {'tilt': float(tilt.min())} if problem.tilt else {}
-        lengths |= {'glide_slope': float(slope.min())} if problem.glide_slope else {}
+    found = {'hull': float(margin(plan.rotations[1:]).min())}
+    flown = plan.rotations[:, :, 0], plan.positions[1:]
+    for name, each in step_margins(problem, state, goals, *flown).items():
+        found[name] = float(each.min())
     if problem.boxes:
-        lengths['obstacle'] = obstacle_margin(problem, plan.positions)
+        found['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:
-        lengths |= clearances(problem, state, plan)
+        found |= clearances(problem, state, plan)
     length = _length_tolerance(problem, state)
-    found = {name: (least, TOLERANCE) for name, least in shares.items()}
-    return found | {name: (least, length) for name, least in lengths.items()}
+    return {name: (least, TOLERANCE if name in SHARES else length) for name, least in found.items()}
 
 
-def _on_headings(problem: Problem, state: State, rotations: Array) -> dict[str, float]:
-    """Return the least margin to each limit on R_0..R_N alone, shape (N + 1, n, n)."""
-    found = {'hull': float(margin(rotations[1:]).min())}
+def step_margins(
+    problem: Problem, state: State, goals: Array, headings: Array, places: Array
+) -> dict[str, Array]:
+    """Return the margins of single steps to all limits but hull and bodies, negative outside.
+
+    Args:
+        problem: gives the limits.
+        state: gives attitude and entry speed, and determines the relaxation of cones.
+        goals: g_1..g_N, shape (N, n) [m].
+        headings: R_0 e1..R_N e1, shape (..., N + 1, n).
+        places: s_1..s_N, shape (..., N, n) [m].
+
+    Returns:
+        As for :func:`margins`, of shape (..., N); (..., 1) for ``approach``, of the last step.
+    """
+    found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        found['floor'] = float(problem.floor.margin(rotations[1:, :, 0]).min())
-    if problem.max_rate > 0.0:
-        found['max_rate'] = float(turn_margin(problem, state, rotations).min())
-    if problem.max_acceleration > 0.0:
-        found['max_acceleration'] = float(speed_margin(problem, state, rotations).min())
+        found['floor'] = problem.floor.margin(turned)
+    if problem.max_rate:
+        found['max_rate'] = turn_margin(problem, state, headings)
+    if problem.max_acceleration:
+        found['max_acceleration'] = speed_margin(problem, state, headings)
     if problem.approach.exists:
-        found['approach'] = approach_margin(problem, state, rotations[-1, :, 0])
+        found['approach'] = approach_margin(problem, state, headings[..., -1:, :])
+    if problem.has_cones:
+        eased = relief(problem, state, goals)
+        if problem.tilt:
+            found['tilt'] = eased.tilt - leaning(problem, turned)
+        if problem.glide_slope:
+            found['glide_slope'] = eased.slope - strayed(problem, places - goals)
     return found
 
 
-def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
-    """Return the margins of R_k e1 and s_k inside of their relaxed cones, shape (N,) each.
-
-    Args:
-        problem: gives the cones.
-        state: determines the relaxation of the cones.
-        goals: g_1..g_N, shape (N, 3) [m].
-        plan: gives rotations and positions.
-    """
-    eased = relief(problem, state, goals)
-    headings, away = plan.rotations[1:, :, 0], plan.positions[1:] - goals
-    return eased.tilt - leaning(problem, headings), eased.slope - strayed(problem, away)
+def approach_margin(problem: Problem, state: State, heading: Array) -> Array:
+    """Return the margins of last headings R_N e1, shape (..., n), inside the cone of approach."""
+    approach, sizes = problem.approach, _sizes(heading)
+    demanded = math.cos(approach.cone) * np.maximum(sizes, problem.least_heading)
+    return np.asarray(heading @ approach.axis(state) - demanded)
 
 
-def approach_margin(problem: Problem, state: State, heading: Array) -> float:
-    """Return the margin of a last heading R_N e1, shape (n,), inside the cone of approach."""
-    approach, size = problem.approach, math.sqrt(heading @ heading)
-    demanded = math.cos(approach.cone) * max(size, problem.least_heading)
-    return float(heading @ approach.axis(state)) - demanded
-
-
-def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
-    """Return the margins of the turns of R_0..R_N, shape (N + 1, n, n), to the limit, shape (N,).
+def turn_margin(problem: Problem, state: State, headings: Array) -> Array:
+    """Return the margins of turns between headings, (..., N + 1, n), to the limit, (..., N).
 
     With a floor they are angles [rad]: h omega minus the angle from R_k e1 to R_{k+1} e1, the first
     one from the measured axis; a first turn that the state decides counts as zero. Without a floor
     they are chords: 2 sin(h omega / 2) - |R_{k+1} e1 - R_k e1|.
     """
-    if problem.max_rate == 0.0:
-        return np.full(len(rotations) - 1, np.inf)
-    headings, turn = rotations[:, :, 0], problem.step * problem.max_rate
+    turn = problem.step * problem.max_rate
     if not problem.floor.exists:
-        return 2.0 * math.sin(0.5 * turn) - _sizes(np.diff(headings, axis=0))
-    units = headings / np.maximum(_sizes(headings), HEADING_UNDEFINED)[:, None]
-    units[0] = state.attitude[:, 0]
-    before, after = units[:-1], units[1:]
-    angles: Array = 2.0 * np.arctan2(_sizes(after - before), _sizes(after + before))
+        return np.asarray(2.0 * math.sin(0.5 * turn) - _sizes(np.diff(headings, axis=-2)))
+    units = headings / np.maximum(_sizes(headings), HEADING_UNDEFINED)[..., None]
+    units[..., 0, :] = state.attitude[:, 0]
+    before, after = units[..., :-1, :], units[..., 1:, :]
+    angles = 2.0 * np.arctan2(_sizes(after - before), _sizes(after + before))
     if problem.first_turn_is_decided:
-        angles[0] = 0.0
-    return turn - angles
+        angles[..., 0] = 0.0
+    return np.asarray(turn - angles)
 
 
-def speed_margin(problem: Problem, state: State, rotations: Array) -> Array:
-    """Return the margins of the changes of |R_k e1| to the limit, shape (N,).
+def speed_margin(problem: Problem, state: State, headings: Array) -> Array:
+    """Return the margins of changes of the size of headings, (..., N + 1, n), (..., N).
 
     They are h max_acceleration / z - ||R_{k+1} e1| - |R_k e1||, the first change being counted from
     the entry speed; a first change that the state decides counts as zero.
-
-    Args:
-        problem: gives the limit.
-        state: gives the entry speed.
-        rotations: R_0..R_N, shape (N + 1, n, n).
     """
-    speeds = _sizes(rotations[:, :, 0])
-    speeds[0] = entry_speed(problem, state)
+    speeds = _sizes(headings)
+    speeds[..., 0] = entry_speed(problem, state)
     changes = np.abs(np.diff(speeds))
     if first_change_is_decided(problem, state):
-        changes[0] = 0.0
+        changes[..., 0] = 0.0
     return np.asarray(problem.speed_change - changes)
 
 
@@ -360,8 +357,8 @@ def _off_projection(plan: Plan, known: int) -> float:
 
 
 def _sizes(vectors: Array) -> Array:
-    """Return the lengths, shape (K,), of vectors, shape (K, n)."""
-    return np.sqrt(np.einsum('kc,kc->k', vectors, vectors))
+    """Return the lengths, shape (...,), of vectors, shape (..., n)."""
+    return np.asarray(np.sqrt(np.einsum('...c,...c->...', vectors, vectors)))
 
 
 def command_violations(

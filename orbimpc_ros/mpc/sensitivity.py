@@ -17,21 +17,19 @@ Mathematics: docs/mathematics.md, 6.3.
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import approach_margin, cone_margins, speed_margin, turn_margin
+from orbimpc_ros.mpc.check import step_margins
 from orbimpc_ros.mpc.geometry.rotations import coordinates, lmi, lmi_parts
-from orbimpc_ros.mpc.model.dynamics import KINK, length_weights, on_axes
+from orbimpc_ros.mpc.model.dynamics import KINK, drift, length_weights, on_axes
 from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.solve.regions import Regions
@@ -41,7 +39,7 @@ ROUNDING = 1e-6  # share of the cost's gradient that is negligible
 TINY = 1e-12
 ACTIVE = 1e-5  # constraints with less slack count as active: solvers leave less
 AXES = 'xyz'
-UP = np.array([0.0, 0.0, 1.0])
+NUDGE = 1e-6  # difference of headings, and relative one of limits, for gradients and units
 
 
 @dataclass(frozen=True)
@@ -72,30 +70,64 @@ def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Itera
         goals: g_1..g_N, shape (N, n) [m].
         plan: a plan that meets all constraints.
     """
-    yield from _hull(plan)
-    yield from _rates(problem, state, plan)
-    if problem.max_acceleration:
-        yield from _changes(problem, state, plan)
-    yield from _slow(problem, plan)
+    yield from _limits(problem, state, goals, plan)
+    if problem.dimension == 3:
+        yield from _hull(plan)
     if problem.obstacles or state.hazards:
         yield from _beside(problem, state, goals, plan)
-    if problem.has_cones:
-        yield from _cones(problem, state, goals, plan)
-    if problem.approach.exists:
-        yield from _approach(problem, state, plan)
     yield from _arrival(problem, plan)
     if problem.rotation_order == 2 and state.coasted is not None:
         yield from _thrust(state.coasted, plan)
 
 
-def _hull(plan: Plan) -> Iterator[Slack]:
-    """Yield 1 - |x_k| for n = 2, and for n = 3 the eigenvalues of the LMI that are zero."""
-    for k, x in enumerate(coordinates(plan.rotations[1:]), start=1):
-        if len(x) == 2:
-            size = math.sqrt(x @ x)
-            if size > 1.0 - ACTIVE:
-                yield Slack('hull', k, _at(plan, k, -x / size))
+def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
+    """Yield the slacks of limits on single steps; gradients and units are central differences.
+
+    A floor of several faces has the slope of the face whose margin is largest; where a cone has its
+    tip, or a speed is zero, the differences are those of a smooth function.
+    """
+    headings, steps, n = plan.rotations[:, :, 0], plan.horizon, problem.dimension
+    nudges = np.zeros((steps * n, steps + 1, n))
+    nudges[:, 1:] = NUDGE * np.eye(steps * n).reshape(-1, steps, n)
+    slacks = _slacks(problem, state, goals, headings)
+    more, less = (_slacks(problem, state, goals, headings + sign * nudges) for sign in (1.0, -1.0))
+    for name, each in slacks.items():
+        slopes = (more[name] - less[name]) / (2.0 * NUDGE)
+        nothing = ACTIVE * (problem.length_unit if name == 'glide_slope' else 1.0)
+        active = np.flatnonzero(each < nothing)
+        if not len(active):
             continue
+        units = np.ones(len(each))
+        if name not in ('hull', 'floor'):
+            tight, by = _tightened(problem, name)
+            units = np.abs(each - _slacks(tight, state, goals, headings)[name]) / by
+        for k in active.tolist():
+            gradient = on_axes(slopes[:, k].reshape(steps, n))
+            yield Slack(name, steps - len(each) + k + 1, gradient, float(units[k]))
+
+
+def _slacks(problem: Problem, state: State, goals: Array, headings: Array) -> dict[str, Array]:
+    """Return the margins of each step, shape (..., N), for headings, shape (..., N + 1, n)."""
+    places = drift(problem, state) + problem.maps.reach @ headings
+    found = step_margins(problem, state, goals, headings, places)
+    if problem.dimension == 2:
+        found['hull'] = 1.0 - np.linalg.norm(headings[..., 1:, :], axis=-1)
+    return found
+
+
+def _tightened(problem: Problem, name: str) -> tuple[Problem, float]:
+    """Return a problem with a slightly smaller limit, and by how much it is smaller."""
+    if name == 'approach':
+        cone = problem.approach.cone
+        approach = replace(problem.approach, cone=(1.0 - NUDGE) * cone)
+        return replace(problem, approach=approach), NUDGE * cone
+    limit = getattr(problem, name)
+    return replace(problem, **{name: (1.0 - NUDGE) * limit}), NUDGE * limit
+
+
+def _hull(plan: Plan) -> Iterator[Slack]:
+    """Yield the eigenvalues of the LMI of conv SO(3) that are zero."""
+    for k, x in enumerate(coordinates(plan.rotations[1:]), start=1):
         values, vectors = np.linalg.eigh(lmi(x))
         yield from _face(plan, k, vectors[:, values < ACTIVE])
 
@@ -113,55 +145,6 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
             both = np.outer(kernel[:, i], kernel[:, j])
             gradient = linear.T @ (0.5 * (both + both.T)).ravel()
             yield Slack('hull', k, _at(plan, k, gradient), float(i == j), signed=count > 1)
-
-
-def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """Yield slacks of ``max_rate``: of chords |(R_k - R_{k-1}) e1|, or with a floor of angles.
-
-    The gradient of an angle is orthogonal to each heading, of the size of its inverse length, and
-    directed against the turn at its beginning, along it at its end.
-    """
-    headings = plan.rotations[:, :, 0].copy()
-    wider = problem.step * math.cos(0.5 * problem.step * problem.max_rate)
-    if problem.turns_are_angles:
-        headings[0], wider = state.attitude[:, 0], problem.step
-    for k in 1 + np.flatnonzero(turn_margin(problem, state, plan.rotations) < ACTIVE):
-        gradient = np.zeros((plan.horizon + 1, headings.shape[1]))
-        before, after = headings[k - 1], headings[k]
-        if problem.turns_are_angles:
-            gradient[k] = -_across(after, before)
-            gradient[k - 1] = -_across(before, after)
-        else:
-            gradient[k] = -(after - before) / np.linalg.norm(after - before)
-            gradient[k - 1] = -gradient[k]
-        yield Slack('max_rate', int(k), on_axes(gradient[1:]), wider)
-
-
-def _changes(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """Yield slacks h a / z - ||R_k e1| - |R_{k-1} e1||, priced per unit of the acceleration a."""
-    headings, unit = plan.rotations[:, :, 0], problem.step / problem.forward
-    speeds = plan.speed_fraction
-    for k in 1 + np.flatnonzero(speed_margin(problem, state, plan.rotations) < ACTIVE):
-        before = entry_speed(problem, state) if k == 1 else speeds[k - 1]
-        sign = 1.0 if speeds[k] > before else -1.0
-        gradient = np.zeros((plan.horizon + 1, headings.shape[1]))
-        gradient[k] = -sign * headings[k] / max(speeds[k], ACTIVE)
-        gradient[k - 1] = sign * headings[k - 1] / max(speeds[k - 1], ACTIVE)
-        yield Slack('max_acceleration', int(k), on_axes(gradient[1:]), unit)
-
-
-def _across(heading: Array, other: Array) -> Array:
-    """Return the gradient in a heading of its angle to another one, shape (n,)."""
-    unit = heading / np.linalg.norm(heading)
-    across = (other @ unit) * unit - other
-    return across / (np.linalg.norm(across) * np.linalg.norm(heading))
-
-
-def _slow(problem: Problem, plan: Plan) -> Iterator[Slack]:
-    """Yield the floor's half-space in which each heading on the floor has the largest margin."""
-    floor, headings = problem.floor, plan.rotations[1:, :, 0]
-    for k in np.flatnonzero(floor.margin(headings) < ACTIVE).tolist():
-        yield Slack('floor', k + 1, _at(plan, k + 1, floor.tangent(headings[k])))
 
 
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
@@ -184,41 +167,6 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
                 gradient = on_axes(np.outer(row.shares, row.normal))
                 begins = still and (row.place - count) % controls == 0
                 yield Slack(names[body - 2], step + (not begins), gradient)
-
-
-def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """Yield slacks of the tilt limit and the glide slope, priced per unit of their angles."""
-    tilt, slope = cone_margins(problem, state, goals, plan)
-    if problem.tilt:
-        for k in 1 + np.flatnonzero(tilt < ACTIVE):
-            yield _in_cone('tilt', plan, int(k), problem.tilt, UP, ACTIVE)
-    if problem.glide_slope:
-        for k in 1 + np.flatnonzero(slope < ACTIVE * problem.length_unit):
-            yield _gliding(problem, plan.positions[k] - goals[k - 1], int(k))
-
-
-def _approach(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    approach = problem.approach
-    if approach_margin(problem, state, plan.rotations[-1, :, 0]) < ACTIVE:
-        cone = approach.cone, approach.axis(state), problem.least_heading
-        yield _in_cone('approach', plan, plan.horizon, *cone)
-
-
-def _in_cone(name: str, plan: Plan, k: int, angle: float, axis: Array, least: float) -> Slack:
-    """Return the slack z_k . axis - cos(angle) max(|z_k|, least), priced per unit of the angle."""
-    heading = plan.rotations[k, :, 0]
-    size = float(np.linalg.norm(heading))
-    gradient = axis - (math.cos(angle) * heading / size if size > least else 0.0)
-    return Slack(name, k, _at(plan, k, gradient), math.sin(angle) * max(size, least))
-
-
-def _gliding(problem: Problem, away: Array, k: int) -> Slack:
-    """Return the slack of the glide slope; its gradient at the tip, a kink, is taken as upwards."""
-    sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
-    aside = float(np.hypot(away[0], away[1]))
-    outward = away[:2] / max(aside, ACTIVE * problem.length_unit)
-    gradient = np.outer(problem.maps.reach[k - 1, 1:], np.array([*(-sine * outward), cosine]))
-    return Slack('glide_slope', k, on_axes(gradient), cosine * aside + sine * float(away[2]))
 
 
 def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:

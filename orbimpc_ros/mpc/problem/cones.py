@@ -49,21 +49,21 @@ class Relief(NamedTuple):
 
 
 def leaning(problem: Problem, headings: Array) -> Array:
-    """Return the tilt violations cos(tilt) |z| - z_3, shape (K,), of headings z, shape (K, 3)."""
-    sizes = np.sqrt(np.einsum('kc,kc->k', headings, headings))
-    return np.asarray(math.cos(problem.tilt) * sizes - headings[:, 2])
+    """Return the tilt violations cos(tilt) |z| - z_3, (...,), of headings z, shape (..., 3)."""
+    sizes = np.sqrt(np.einsum('...c,...c->...', headings, headings))
+    return np.asarray(math.cos(problem.tilt) * sizes - headings[..., 2])
 
 
 def strayed(problem: Problem, away: Array) -> Array:
-    """Return signed distances from the glide-slope cone, shape (K,), < 0 inside [m].
+    """Return signed distances from the glide-slope cone, shape (...,), < 0 inside [m].
 
     Args:
         problem: gives the angle of the cone.
-        away: s_k - g_k, shape (K, 3) [m].
+        away: s_k - g_k, shape (..., 3) [m].
     """
-    aside = np.hypot(away[:, 0], away[:, 1])
+    aside = np.hypot(away[..., 0], away[..., 1])
     return np.asarray(
-        math.sin(problem.glide_slope) * aside - math.cos(problem.glide_slope) * away[:, 2]
+        math.sin(problem.glide_slope) * aside - math.cos(problem.glide_slope) * away[..., 2]
     )
 
 

@@ -88,7 +88,7 @@ class PacedSpeeds:
 
     def _holds(self, request: Request, x: Array) -> bool:
         rotations = self._flown(request, x).rotations
-        return bool(speed_margin(self._problem, request.state, rotations).min() >= 0.0)
+        return bool(speed_margin(self._problem, request.state, rotations[:, :, 0]).min() >= 0.0)
 
     def _ways(self, request: Request, found: Found) -> Iterator[Array]:
         """Yield R_1..R_N, shape (N, n, n), of the result, and of the guess or of fallbacks."""
