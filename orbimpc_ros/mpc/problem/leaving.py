@@ -79,20 +79,13 @@ def _bound_to_enter(problem: Problem, state: State, traffic: Traffic, depth: Arr
     return np.asarray(near & (depths[:, :known] > INSIDE * unit).any(axis=1))
 
 
-def _depths(
-    problem: Problem, state: State, traffic: Traffic, ways: Array, *, ends: bool = False
-) -> Array:
-    """Return depths inside of bodies, (A, J, N), of escapes in directions, (A, n); 0 outside.
-
-    They are those of whole steps or, with ``ends``, of the ends of steps.
-    """
+def _depths(problem: Problem, state: State, traffic: Traffic, ways: Array) -> Array:
+    """Return depths inside of bodies, (A, J, N), of escapes in directions, (A, n); 0 outside."""
     headings = escapes(problem, state, ways)[:, None]
     reach, started = control_maps(problem)
     coasted = started @ [state.rotation[:, 0], state.velocity, state.disturbance]
     points = coasted + reach @ headings[:, :, 1:] + state.position
     weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
-    if ends:
-        points, weights = points[:, :, -1:], weights[-1:]
     begin, end = traffic.shifts[:, :-1, None], traffic.shifts[:, 1:, None]
     away = points - (begin + weights * (end - begin))[:, None]  # (J, A, N, m, n)
     outside = np.array([_outside(*each) for each in zip(traffic.bodies, away, strict=True)])
@@ -100,18 +93,16 @@ def _depths(
 
 
 def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return escapes in all directions, shape (A, N + 1, n), in order of depth.
-
-    At the ends of steps first, then within steps, where the escape that plans may follow is clear.
+    """Return escapes in all directions, shape (A, N + 1, n), in order of depth within steps.
 
     Args:
         problem: gives the model and its limits.
         state: where the plan starts.
         traffic: the bodies to stay clear of.
     """
-    known = problem, state, traffic, directions(problem.dimension)
-    keys = (_depths(*known, ends=each).sum(axis=(1, 2)) for each in (False, True))
-    return escapes(problem, state, known[-1])[np.lexsort(tuple(keys))]
+    ways = directions(problem.dimension)
+    deep = _depths(problem, state, traffic, ways).sum(axis=(1, 2))
+    return escapes(problem, state, ways)[np.argsort(deep, kind='stable')]
 
 
 def escapes(problem: Problem, state: State, ways: Array) -> Array:
