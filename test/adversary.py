@@ -34,8 +34,7 @@ from orbimpc_ros.mpc.problem import (
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by

@@ -18,8 +18,7 @@ from problems import state as state_of
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.proof.document import (
     Unproved,
     held_in_time,

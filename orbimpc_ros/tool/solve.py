@@ -14,8 +14,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
-from orbimpc_ros.mpc.problem.case import Case, case_of
-from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
 from orbimpc_ros.mpc.proof.document import (
     WORD,
     OutOfTime,

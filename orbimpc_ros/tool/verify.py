@@ -22,8 +22,7 @@ from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.problem.case import Case, case_of
-from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import Document, Unproved, certificate_of, refutation, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of

@@ -1,15 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Planning problems with state and goals, from the plain mappings of case files."""
+"""Planning problems with state and goals, also from the plain mappings of case files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, numbers_of
+from orbimpc_ros.mpc.arrays import Array, ByContent, fields_of, frozen, numbers_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import (
     Approach,
@@ -44,6 +44,24 @@ class Case(NamedTuple):
     problem: Problem
     state: State
     goals: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sought(ByContent):
+    """A problem and the kind of trajectory to find in it.
+
+    Attributes:
+        problem: model and constraints, with the cone of approach of a catch.
+        state: where plans start.
+        goals: g_1..g_N, shape (N, n) [m].
+        radius: largest distance |s_k - g_k| at which the goal is caught at step k [m]; 0 to find
+            any feasible trajectory.
+    """
+
+    problem: Problem
+    state: State
+    goals: Array
+    radius: float = 0.0
 
 
 def case_of(mapping: Any) -> Case:

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.case import Sought
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import (
     Document,
