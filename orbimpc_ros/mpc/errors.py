@@ -7,8 +7,6 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
-from orbimpc_ros.install import command
-
 LISTED = 20  # most names listed by an error
 
 
@@ -44,12 +42,6 @@ class BadInput(OrbimpcError, ValueError):
         error = cls(subject, problem, hint)
         error.args = (f'{subject}: {_in_short(problem)}; {hint}',)
         return error
-
-    @classmethod
-    def without(cls, package: str) -> BadInput:
-        """Return the error of a problem whose method requires a package that is not installed."""
-        needed = f'the general method for this problem needs it: {command(package)}'
-        return cls.stating(package, 'not installed', needed)
 
     @classmethod
     def unknown(cls, kind: str, name: str, known: Iterable[str], where: str = '') -> BadInput:

@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from orbimpc_ros.install import command
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 
 try:
     import clarabel
 except ModuleNotFoundError:
-    raise BadInput.without('clarabel') from None
+    hint = f'the general method for this problem needs it: {command("clarabel")}'
+    raise BadInput.stating('clarabel', 'not installed', hint) from None
 
 REDUCED = 1e-7
 SOLVED = ('Solved', 'AlmostSolved')
