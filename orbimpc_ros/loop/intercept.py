@@ -60,8 +60,8 @@ from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.problem.reach import farthest, missed
-from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.case import Sought
+from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -193,6 +193,7 @@ class Interception:
     ) -> None:
         self._solver_for = solver_for
         self._tracked, self._radius, self._lag = problem, radius, lag
+        self._near = GRAZE * radius
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
@@ -235,7 +236,7 @@ class Interception:
         # Past the horizon this takes a search and comes first; else it may be unnecessary.
         held = self._held(query) if query.expected > self._horizon else None
         best, bound, counted = self._in_view(query)
-        near = self._radius < best.miss <= GRAZE * self._radius
+        near = self._radius < best.miss <= self._near
         goals = self._goals(query, self._horizon)
         sought = Sought(self._tracked, query.task.state, goals, self._radius)
         never = Intercept(math.nan, self._step * bound, sought, self._step * counted)
@@ -245,7 +246,7 @@ class Interception:
             rest, kept = held or self._held(query)
             best = self._sooner(query, kept) if kept.plan else self._beyond(query)
             if best.plan is None:
-                lost = rest if rest.miss <= GRAZE * self._radius else MISSED
+                lost = rest if rest.miss <= self._near else MISSED
                 return lost.found, never
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(query, best)
@@ -276,11 +277,12 @@ class Interception:
         """
         bound, counted, best = 1, 1, MISSED
         goals = self._goals(query, self._horizon)
-        too_far = self._too_far(query.task.state, goals, np.arange(1.0, 1.0 + len(goals)))
-        out_of_reach = missed(self._tracked, query.task.state, goals, self._radius)
         moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
         # Largest relative motion of vehicle and goal in a step.
         travel = self._step * self._tracked.forward + float(moved.max(initial=0.0))
+        near = max(self._near, self._radius + travel)
+        known = self._tracked, query.task.state, goals
+        out_of_reach, too_far = (missed(*known, within) for within in (self._radius, near))
         for end in range(1, self._horizon + 1):
             attempt = MISSED if too_far[end - 1] else self._tried(query, end, goals[:end])
             if self._is_well(attempt):
@@ -288,7 +290,7 @@ class Interception:
             surely = bool(out_of_reach[end - 1])
             bound += bound == end and (surely or attempt.never)
             counted += counted == end and (surely or (attempt.never and attempt.checked))
-            if attempt.miss <= self._radius + travel:
+            if attempt.miss <= near:
                 attempt = min(attempt, self._passing(query, end), key=_miss)
             best = min(best, attempt, key=_miss)
             if self._is_well(best):
@@ -321,7 +323,7 @@ class Interception:
             return rest, rest
         end = COARSEST * math.ceil(query.expected / COARSEST)
         anew = self._surely(query, end) if end <= self._last(query) else MISSED
-        return rest, anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
+        return rest, anew if anew.plan is not None or rest.miss > self._near else rest
 
     def _beyond(self, query: InterceptQuery) -> _Attempt:
         """Try to catch the goal past the horizon.
@@ -359,7 +361,7 @@ class Interception:
         """Return the first catch that bisection finds within the step that ends with a catch."""
         away = 0.5
         while away >= self._finest:
-            sooner = self._at(query, found.end - away, self._radius)
+            sooner = self._at(query, found.end - away)
             if self._is_well(sooner):
                 found = sooner
             away *= 0.5
@@ -378,8 +380,7 @@ class Interception:
         off = self._off(query, end, found.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        near = GRAZE * self._radius
-        through = self._attempted(query, end, before, near, narrow=self._coned)
+        through = self._attempted(query, end, before, narrow=self._coned)
         if through.plan is None or not self._is_well(through):
             return found
         miss = float(np.linalg.norm(self._off(query, end, through.plan, goals)))
@@ -396,19 +397,19 @@ class Interception:
         """Return the first catch, or the nearest miss, within the step before an end."""
         best = MISSED
         for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
-            best = min(best, self._at(query, float(end - away), GRAZE * self._radius), key=_miss)
+            best = min(best, self._at(query, float(end - away)), key=_miss)
             if self._is_well(best):
                 break
         return best
 
-    def _at(self, query: InterceptQuery, end: float, near: float) -> _Attempt:
+    def _at(self, query: InterceptQuery, end: float) -> _Attempt:
         """Try to catch the goal at any end where that is possible, as in :meth:`_attempted`."""
         if not self._may(query, end):
             return MISSED
         goals = self._goals(query, end)
-        if self._too_far(query.task.state, goals[-1:], np.array([end]))[0]:
+        if missed(self.problem(end), query.task.state, goals, self._near)[-1]:
             return MISSED
-        found = self._attempted(query, end, goals, near, narrow=self._coned)
+        found = self._attempted(query, end, goals, narrow=self._coned)
         return MISSED if found.plan and _turns_too_far(found.plan, end) else found
 
     def _may(self, query: InterceptQuery, end: float) -> bool:
@@ -428,7 +429,7 @@ class Interception:
         """Try to come well within the radius at an end past the horizon."""
         if end <= self._horizon:
             return MISSED
-        attempt = self._at(query, end, self._radius)
+        attempt = self._at(query, end)
         return attempt if self._is_well(attempt) else MISSED
 
     def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
@@ -436,24 +437,23 @@ class Interception:
 
         A plan possible only in the wider cone is never well within, however small its miss.
         """
-        near = GRAZE * self._radius
         if not self._coned:
-            return self._attempted(query, end, goals, near)
-        within = self._attempted(query, end, goals, near, narrow=True)
+            return self._attempted(query, end, goals)
+        within = self._attempted(query, end, goals, narrow=True)
         if self._is_well(within):
             return within
-        wider = self._attempted(query, end, goals, near)
+        wider = self._attempted(query, end, goals)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         found = min(within, wider, key=_miss)
         return found._replace(never=wider.never, checked=wider.checked)
 
     def _attempted(
-        self, query: InterceptQuery, end: float, goals: Array, near: float, *, narrow: bool = False
+        self, query: InterceptQuery, end: float, goals: Array, *, narrow: bool = False
     ) -> _Attempt:
         """Try to catch the goal at an end, in units of steps, with correction of the defect.
 
         Plans are solved again while the expected miss is less than that of the one before, and at
-        most ``near`` [m].
+        most that of a goal that is still flown at.
         """
         found, aims = MISSED, goals
         for _ in range(TRIES):
@@ -475,7 +475,7 @@ class Interception:
             elif miss < found.miss:
                 found = found._replace(found=(task, answer), miss=miss)
             left, change = aims[-1] - place, goals[-1] - astray - aims[-1]
-            worth = min(near, miss - WORTH * self._radius)
+            worth = min(self._near, miss - WORTH * self._radius)
             if self._is_well(found) or self._expected(end, left, change, miss) > worth:
                 break
             aims = np.concatenate([goals[:-1], aims[-1:] + change])
@@ -492,20 +492,6 @@ class Interception:
         if away <= self._well(end):  # the solver stops early here, so nearer plans may exist
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
-
-    def _too_far(self, state: State, goals: Array, ends: Array) -> np.ndarray:
-        """Return for which ends, shape (K,), no search for a catch is worth it.
-
-        There the goals, shape (K, n), are farther away than a vehicle gets that flies straight from
-        the start. This proves nothing: a goal passed in the first step is out of reach at its end.
-        """
-        problem, times = self._tracked, (self._step * ends)[:, None]
-        moved = state.disturbance * times
-        if problem.inertial:
-            moved = (state.velocity + 0.5 * moved) * times
-        away = goals - state.position - moved
-        reach = farthest(problem, 0.0, 0.0, times[:, 0]) + self._radius
-        return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach)
 
 
 def _turns_too_far(plan: Plan, end: float) -> bool:
