@@ -21,8 +21,6 @@ from orbimpc_ros.loop.traffic import (
     ObservedBody,
     Traffic,
     achieved_clearance,
-    along,
-    centre,
     clearance,
     nearest,
     silence,
@@ -411,7 +409,7 @@ def seen(time, body, name='a/0', lifetime=math.inf):
 
 def at(hazard, time):
     """Return the centre of a hazard at a time after its start."""
-    return centre(hazard.body) + hazard.moved(np.array([time]))[0]
+    return hazard.body.centre + hazard.moved(np.array([time]))[0]
 
 
 # --- bodies
@@ -451,7 +449,7 @@ def test_an_even_motion_is_found_whatever_the_stamps(seed):
 def test_a_track_is_followed_from_any_time_and_beyond_both_ends():
     times, points = np.array([1.0, 2.0, 4.0]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 4.0]])
     for begin in (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 7.0):
-        hazard = along(disc(7.0, 7.0), times, points, begin)
+        hazard = AgentTrajectory(1.0, times, points).hazards(begin, NEAR)[0]
         for time, expected in (
             (0.0, [-1.0, 0.0]),
             (1.25, [0.25, 0.0]),
@@ -461,7 +459,7 @@ def test_a_track_is_followed_from_any_time_and_beyond_both_ends():
         ):
             if time >= begin:
                 np.testing.assert_allclose(at(hazard, time - begin), expected, atol=1e-12)
-    alone = along(disc(0.0, 0.0), times[:1], points[1:2], 3.0)
+    alone = AgentTrajectory(1.0, times[:1], points[1:2]).hazards(3.0, NEAR)[0]
     np.testing.assert_allclose(at(alone, 5.0), [1.0, 0.0])
 
 
@@ -488,7 +486,7 @@ def test_who_is_silent_is_covered_flying_on_and_stopped_anywhere_since(seed):
     course = AgentTrajectory(times[0], times, np.cumsum(rng.uniform(-1.0, 1.0, (6, 2)), axis=0))
     now = times[0] + rng.uniform(0.5001, 0.5 + FORGOTTEN)
     on, stopped = course.hazards(now, NEAR)
-    flown = along(disc(0.0, 0.0), course.times, course.positions, times[0])
+    (flown,) = course.hazards(times[0], NEAR)
     np.testing.assert_allclose(at(on, 1.0), at(flown, now + 1.0 - times[0]), atol=1e-9)
     for moment in np.linspace(0.0, now - times[0], 200):
         for later in (0.0, 30.0):  # anywhere it may have stopped, at the required distance

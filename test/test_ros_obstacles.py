@@ -11,7 +11,6 @@ from geometry_msgs.msg import Pose
 from planners import FRAMES, goal, odometry, settings
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
@@ -150,7 +149,7 @@ def test_one_place_at_a_time_for_each_name(inputs):
     assert 'duplicate id' in inputs.update('obstacles', twice, 0.0)
     assert inputs.update('obstacles', array(marker(place=(9.0, 0.0, 0.0))), 0.0) == ''
     assert 'reordered stamp' in inputs.update('obstacles', array(marker(0.5)), 0.0)
-    np.testing.assert_array_equal(centre(hazards(inputs)[0].body), [9.0, 0.0])
+    np.testing.assert_array_equal(hazards(inputs)[0].body.centre, [9.0, 0.0])
     assert inputs.refused == {'obstacles: duplicate id': 1, 'obstacles: reordered stamp': 1}
 
 
@@ -160,7 +159,7 @@ def test_a_jump_is_told_and_counted(inputs):
     assert told == 'obstacles: a/0 jumped at 90 m/s: taken for a new body at rest'
     assert inputs.refused == {'obstacles: jump': 1}
     (hazard,) = hazards(inputs, 2.1)
-    np.testing.assert_array_equal(centre(hazard.body), [9.0, 0.0])
+    np.testing.assert_array_equal(hazard.body.centre, [9.0, 0.0])
     assert not hazard.moved(np.ones(1)).any()
 
 

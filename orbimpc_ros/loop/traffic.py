@@ -22,55 +22,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.reach import farthest
 
-SOON = 1e-6  # [s] points of a track that are due sooner are skipped
 LATEST = 3  # sightings used to fit a velocity
 MOST = 1000  # largest number of bodies
 FORGOTTEN = 10.0  # [s] after falling silent, a vehicle is no longer avoided
 SHARES = (1 / 3, 2 / 3, 1.0)  # of a reserve, tested in turn
-
-
-def centre(body: Box | Ball) -> Array:
-    """Return the centre of a body, shape (n,) [m]."""
-    if isinstance(body, Ball):
-        return body.centre
-    return np.asarray(0.5 * (body.minimum + body.maximum))
-
-
-def placed(body: Box | Ball, at: Array) -> Box | Ball:
-    """Return a body with its centre moved to a position, shape (n,) [m]."""
-    if isinstance(body, Ball):
-        return Ball(at, body.radius)
-    way = at - centre(body)
-    return Box(body.minimum + way, body.maximum + way)
-
-
-def position(times: Array, positions: Array, at: float) -> Array:
-    """Return the position at a time [s] on a track of K times and positions (K, n) [m], shape (n,).
-
-    It is extrapolated linearly beyond both ends.
-    """
-    if len(times) == 1:
-        return np.asarray(positions[0])
-    leg = int(np.clip(np.searchsorted(times, at, side='right') - 1, 0, len(times) - 2))
-    share = (at - times[leg]) / (times[leg + 1] - times[leg])
-    return np.asarray(positions[leg] + share * (positions[leg + 1] - positions[leg]))
-
-
-def along(body: Box | Ball, times: Array, positions: Array, at: float) -> MovingObstacle:
-    """Return the hazard, from a time [s] on, of a body whose centre moves along a track."""
-    start, later = position(times, positions, at), times > at + SOON
-    ahead, points = times[later] - at, positions[later]
-    if not len(ahead):
-        ahead, points = np.array([1.0]), position(times, positions, at + 1.0)[None]
-    shifts = np.concatenate([np.zeros((1, len(start))), points - start])
-    return MovingObstacle(placed(body, start), np.concatenate([[0.0], ahead]), shifts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +78,7 @@ class Bodies:
                 if seen.body != last.body:
                     raise BadInput('duplicate id', seen.name, 'one position per stamp')
                 return ''
-            way = float(np.linalg.norm(centre(seen.body) - centre(last.body)))
+            way = float(np.linalg.norm(seen.body.centre - last.body.centre))
             speed = way / (seen.time - last.time)
             if speed > fastest:
                 track = None
@@ -144,11 +106,11 @@ class Bodies:
 
 def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
     """Return the hazard of a body on the straight line fitted to its latest sightings."""
-    last, places = track[-1], np.array([centre(seen.body) for seen in track])
+    last, places = track[-1], np.array([seen.body.centre for seen in track])
     stamps = np.array([seen.time for seen in track])
     past = stamps - stamps.mean()
     velocity = past @ places / (past @ past) if len(track) > 1 else 0.0 * places[0]
-    body = placed(last.body, places[-1] + (at - last.time) * velocity)
+    body = last.body.shifted((at - last.time) * velocity)
     moving = MovingObstacle.drifting(body, velocity)
     return replace(moving, unsure=0.0 if len(track) > 1 else unseen)
 
@@ -161,21 +123,25 @@ class AgentTrajectory:
     times: Array  # increasing, shape (K,) [s]
     positions: Array  # shape (K, n) [m]
 
-    def __post_init__(self) -> None:
-        sealed(self.times)
-        sealed(self.positions)
-
     def hazards(self, at: float, distance: Distance) -> list[MovingObstacle]:
         """Return the hazards that the vehicle constitutes from a time [s] on."""
         age = at - self.time
         if age > distance.timeout + FORGOTTEN:
             return []
-        body = Ball(self.positions[0], distance.radius)
-        found = [along(body, self.times, self.positions, at)]
+        course = self._course(distance.radius)
+        found = [course.after(at - float(self.times[0]))]
         if age > distance.timeout:
-            stopped = _stopped(self, at, distance.radius)
-            found.append(MovingObstacle.drifting(stopped, 0.0 * body.centre))
+            times = self.times[(self.times > self.time) & (self.times < at)]
+            way = course.moved(np.array([self.time, *times, at]) - self.times[0])
+            found.append(_around(way + course.body.centre, distance.radius))
         return found
+
+    def _course(self, radius: float) -> MovingObstacle:
+        """Return the vehicle as a ball, with times from its first position on."""
+        first = Ball(self.positions[0], radius)
+        if len(self.times) == 1:
+            return MovingObstacle.drifting(first, 0.0 * first.centre)
+        return MovingObstacle(first, self.times - self.times[0], self.positions - self.positions[0])
 
 
 @dataclass(frozen=True)
@@ -199,13 +165,11 @@ def silence(name: str, agent: AgentTrajectory | None, due: float) -> str:
     return f'{name} is silent: avoided wherever it may have stopped' if silent > 0.0 else ''
 
 
-def _stopped(agent: AgentTrajectory, at: float, radius: float) -> Ball:
-    """Return a ball around all points where a vehicle may have stopped since its last plan."""
-    between = (agent.times > agent.time) & (agent.times < at)
-    ends = [position(agent.times, agent.positions, time) for time in (agent.time, at)]
-    way = np.array([ends[0], *agent.positions[between], ends[1]])
+def _around(way: Array, radius: float) -> MovingObstacle:
+    """Return a ball at rest around the points of a way, (K, n), where a vehicle may stop."""
     middle = 0.5 * (way.min(axis=0) + way.max(axis=0))
-    return Ball(middle, radius + float(np.linalg.norm(way - middle, axis=1).max()))
+    reach = radius + float(np.linalg.norm(way - middle, axis=1).max())
+    return MovingObstacle.drifting(Ball(middle, reach), 0.0 * middle)
 
 
 @dataclass(frozen=True)
@@ -242,7 +206,7 @@ def nearest(
     reached = np.array([farthest(problem, speed, blown, time) for time in times[1:]])
     met = []
     for hazard in hazards:
-        apart = outside(hazard, odometry.position[None], times)
+        apart = -hazard.depth(odometry.position[None], times)
         # Between both ends of a step, a hazard may come closer than at either.
         speeds = np.linalg.norm(np.diff(hazard.shifts, axis=0), axis=1) / np.diff(hazard.times)
         if (apart[:-1] - float(speeds.max()) * problem.step <= reached).any():
@@ -251,21 +215,13 @@ def nearest(
     return tuple(hazard for _, hazard in met[:MAX_HAZARDS]), max(0, len(met) - MAX_HAZARDS)
 
 
-def outside(hazard: MovingObstacle, points: Array, times: Array) -> Array:
-    """Return the distances of points, (M, n) or (1, n), from a hazard at its times, (M,) [m].
-
-    They are negative inside.
-    """
-    return np.asarray(-hazard.body.depth(points - hazard.moved(times)))
-
-
 def clearance(problem: Problem, state: State, positions: Array) -> float:
     """Return the least distance of a plan's points s_0..s_N from hazards and obstacles [m].
 
     It is infinite without any; for a box, it is the largest distance beyond one of its faces.
     """
     times = problem.step * np.arange(len(positions))
-    moving = [outside(each, positions, times).min() for each in state.hazards]
+    moving = [-each.depth(positions, times).max() for each in state.hazards]
     still = [-each.depth(positions).max() for each in problem.obstacles]
     return float(min([*moving, *still], default=math.inf))
 

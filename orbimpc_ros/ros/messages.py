@@ -45,7 +45,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.compensation import Odometry, WindReport
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory, Route
-from orbimpc_ros.loop.traffic import AgentTrajectory, ObservedBody, centre
+from orbimpc_ros.loop.traffic import AgentTrajectory, ObservedBody
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
@@ -568,7 +568,7 @@ def shown(marker: Marker, body: Box | Ball) -> Marker:
         marker.type, sizes = Marker.CUBE, body.maximum - body.minimum
     if body.dimension == 2:
         sizes = np.append(sizes, FLAT)
-    marker.pose.position = point(centre(body))
+    marker.pose.position = point(body.centre)
     marker.scale = vector(sizes)
     return marker
 
@@ -602,7 +602,7 @@ def plan_markers(
         found.append(shown(marker(stamp, 'hazards', k, Marker.CUBE, RED, step), hazard.body))
         way = marker(stamp, 'ways', k, Marker.LINE_STRIP, RED, step)
         way.scale.x = LINE * unit
-        way.points = [point(each) for each in centre(hazard.body) + hazard.moved(times)]
+        way.points = [point(each) for each in hazard.body.centre + hazard.moved(times)]
         found.append(way)
     if lines := problem.floor.outline(problem.dimension):
         floor = marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, step)

@@ -14,7 +14,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
-from orbimpc_ros.loop.traffic import centre, placed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Stamp, marker, point, pose, shown
 from orbimpc_ros.sim.world import Flight
@@ -86,7 +85,7 @@ def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> Marker
     for k, each in enumerate(flight.settings.traffic):
         moved = each.moved(np.array([flight.vehicle.time]))[0]
         ball = marker(stamp, 'traffic', k, Marker.SPHERE, messages.RED, model.step)
-        shown(ball, placed(each.body, centre(each.body) + moved))
+        shown(ball, each.body.shifted(moved))
         for axis in 'xyz'[: model.dimension]:
             setattr(ball.scale, axis, getattr(ball.scale, axis) + 2.0 * margin)
         markers.append(ball)

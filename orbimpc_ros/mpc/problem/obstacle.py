@@ -7,7 +7,7 @@ Mathematics: docs/mathematics.md, 3.7.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 
 MAX_HAZARDS = 64
+SOON = 1e-6  # [s] points of a track that are due sooner are skipped
 RESERVE_STEPS = 4  # until a reserve applies in full and an obstacle seen only once is seen again
 
 
@@ -42,6 +43,15 @@ class Box(ByContent):
     def dimension(self) -> int:
         """Return n."""
         return len(self.minimum)
+
+    @property
+    def centre(self) -> Array:
+        """Return the centre, shape (n,) [m]."""
+        return np.asarray(0.5 * (self.minimum + self.maximum))
+
+    def shifted(self, way: Array) -> Box:
+        """Return the box moved by a way, shape (n,) [m]."""
+        return Box(self.minimum + way, self.maximum + way)
 
     def scaled(self, factor: float) -> Box:
         """Return the box in units in which lengths are ``factor`` times as large."""
@@ -77,6 +87,10 @@ class Ball(ByContent):
     def dimension(self) -> int:
         """Return n."""
         return len(self.centre)
+
+    def shifted(self, way: Array) -> Ball:
+        """Return the ball moved by a way, shape (n,) [m]."""
+        return Ball(self.centre + way, self.radius)
 
     def scaled(self, factor: float) -> Ball:
         """Return the ball in units in which lengths are ``factor`` times as large."""
@@ -142,8 +156,21 @@ class MovingObstacle(ByContent):
             self.unsure * length / time,
         )
 
+    def after(self, time: float) -> MovingObstacle:
+        """Return it from a time [s] on, which may be before the start of the plan."""
+        (start,) = self.moved(np.array([time]))
+        ends = self.times[1:][self.times[1:] > time + SOON]
+        ends = ends if len(ends) else np.array([time + 1.0])
+        times, shifts = np.append(0.0, ends - time), self.moved(ends) - start
+        shifts = np.concatenate([np.zeros((1, self.dimension)), shifts])
+        return replace(self, body=self.body.shifted(start), times=times, shifts=shifts)
+
+    def depth(self, points: Array, times: Array) -> Array:
+        """Return how deep points, (M, n) or (1, n), are inside at times, (M,) [m]; <= 0 outside."""
+        return self.body.depth(points - self.moved(times))
+
     def moved(self, times: Array) -> Array:
-        """Return the displacements, shape (M, n) [m], at times >= 0, shape (M,) [s]."""
+        """Return the displacements, shape (M, n) [m], at times, shape (M,) [s]."""
         at = np.searchsorted(self.turns, times, side='right')
         share = (times - self.times[at]) / (self.times[at + 1] - self.times[at])
         begin = self.shifts[at]

@@ -90,10 +90,7 @@ def held_goal(problem: Problem, state: State, goals: Array) -> str:
     """
     times = problem.step * np.arange(1, len(goals) + 1)
     still = {f'obstacle {i}': body.depth(goals) for i, body in enumerate(problem.obstacles)}
-    moving = {
-        f'hazard {i}': hazard.body.depth(goals - hazard.moved(times))
-        for i, hazard in enumerate(state.hazards)
-    }
+    moving = {f'hazard {i}': each.depth(goals, times) for i, each in enumerate(state.hazards)}
     held = [name for name, deep in (still | moving).items() if (deep > 0.0).all()]
     return f'the goal is inside of {" and ".join(held)}' if held else ''
 
@@ -197,7 +194,7 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
             why = f'{deep[held[0]]:.4g} m inside; plans move that by at most {free[held[0]]:.4g} m'
         yield f'obstacle {i} contains s_{held[0] + 1}, {why}'
     for i, hazard in enumerate(state.hazards):
-        moved = hazard.moved(problem.step * np.arange(1, known + 1))
-        inside = np.flatnonzero(hazard.body.depth(decided[:known] - moved) > 0.0)
+        times = problem.step * np.arange(1, known + 1)
+        inside = np.flatnonzero(hazard.depth(decided[:known], times) > 0.0)
         if inside.size:
             yield f'hazard {i} contains s_{inside[0] + 1}, which the state already determines'
