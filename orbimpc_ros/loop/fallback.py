@@ -25,8 +25,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
-from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, stop
-from orbimpc_ros.mpc.problem import MAX_HAZARDS, Box, MovingObstacle, Problem, State
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, followed, stop
+from orbimpc_ros.mpc.problem import MAX_HAZARDS, Box, MovingObstacle, Problem
 from orbimpc_ros.mpc.problem.pace import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
@@ -116,7 +116,7 @@ def _suffices(problem: Problem, room: float) -> bool:
 def _end(task: Task, plan: Plan) -> float:
     """Return the distance of the end of a plan from hazards [m]."""
     over, place = np.array([task.problem.step * plan.horizon]), plan.positions[-1:]
-    return min(-float(each.body.depth(place - each.moved(over))[0]) for each in task.state.hazards)
+    return min(-float(each.depth(place, over)[0]) for each in task.state.hazards)
 
 
 def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
@@ -131,7 +131,7 @@ def _room(task: Task, plan: Plan, steps: int) -> float:
     steps, (problem, state, goals) = min(steps, plan.horizon), task.known
     part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
     if cuts_turns(problem):
-        x = _steered(problem, state, x)
+        x = followed(problem, state, x)
     begun = assemble(part, state, goals[:steps], x, projection=plan.projection, proof=UNPROVED)
     return min(clearances(part, state, begun).values())
 
@@ -140,20 +140,6 @@ def cuts_turns(problem: Problem) -> bool:
     """Return True if commands in the plane may turn less than the plans of a problem."""
     planar = problem.dimension == 2 and problem.rotation_order == 1
     return planar and problem.max_rate > 0.0 and not problem.turns_are_angles
-
-
-def _steered(problem: Problem, state: State, x: Array) -> Array:
-    """Return headings, followed at the turn limit of the vehicle, shape (N, 2); (7.2a)."""
-    widest, followed = problem.max_rate * problem.step, np.zeros_like(x)
-    angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
-    for k, (along, aside) in enumerate(x.tolist()):
-        size = math.hypot(along, aside)
-        wanted = math.remainder(math.atan2(aside, along) - angle, 2.0 * math.pi) if size else 0.0
-        turn = min(max(wanted, -widest), widest)
-        angle += turn
-        share = size * max(0.0, math.cos(wanted - turn))
-        followed[k] = share * math.cos(angle), share * math.sin(angle)
-    return followed
 
 
 def decided(kind: str, problem: Problem, gravity: float = 0.0) -> str:

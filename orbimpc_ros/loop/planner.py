@@ -31,16 +31,15 @@ from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.task import Answer, Late, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
-from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, assemble, command_of, later
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, assemble, command_of
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
-from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -426,8 +425,7 @@ class Planner:
         motion = None if isinstance(given, np.ndarray) else given
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
-        goals = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals.setflags(write=False)
+        goals = sealed(np.array(given if motion is None else motion.at(ends), dtype=float))
         goals, shortened = clamp_goal(self.problem, state, goals)
         solver = self._solver(len(knots), memory.pace)
         before = memory.previous, self._projection
@@ -559,7 +557,8 @@ class Planner:
         unknown = memory.goals is None or (self._wants_attitude and memory.wanted is None)
         if unknown or memory.goals is None or not len(knots):
             return self._safe(state, Status.FAILED, reason)
-        memory.goals = sealed(later(memory.goals, knots - 1.0))
+        before = memory.goals
+        memory.goals = sealed(interpolated(knots - 1.0, np.arange(0.0, len(before)), before))
         solver = self._solver(len(knots), memory.pace)
         known = state, memory.goals, knots, solver, memory.previous, self._projection
         task = Task(solver.problem, *known)

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, shifted
@@ -72,8 +72,7 @@ class Task:
             each = self.knots[1] - self.knots[0]
             stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
             knots = self.knots[0] - each + each * stretched
-        goals = goals.copy()
-        goals.setflags(write=False)
+        goals = sealed(goals.copy())
         return replace(self, problem=problem, goals=goals, knots=knots, solver=solver)
 
     def solved(self, *, guessing: bool = False) -> Answer:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent
+from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, sealed
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, project_all
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
@@ -77,11 +77,6 @@ class Plan(ByContent):
     inputs: Array
     projected: Array
 
-    def __post_init__(self) -> None:
-        moved = self.positions, self.velocities, self.rotations, self.inputs
-        for array in (*moved, self.projected):
-            array.setflags(write=False)
-
     @cached_property
     def horizon(self) -> int:
         """Return N."""
@@ -127,9 +122,7 @@ class Plan(ByContent):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        sizes: Array = np.linalg.norm(self.rotations[:, :, 0], axis=1)
-        sizes.setflags(write=False)
-        return sizes
+        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
 
     @property
     def projection_distance(self) -> Array:
@@ -164,19 +157,6 @@ def assemble(
     )
 
 
-def later(values: Array, at: Array) -> Array:
-    """Return values interpolated linearly between entries; beyond the last one it is held.
-
-    Args:
-        values: entries 0..M - 1, shape (M, d).
-        at: fractional indices >= 0, shape (K,).
-    """
-    below = np.minimum(at.astype(int), len(values) - 1)
-    share = (at - below)[:, None]
-    above = np.minimum(below + 1, len(values) - 1)
-    return np.asarray(values[below] + share * (values[above] - values[below]))
-
-
 def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = None) -> Array | None:
     """Return the remaining steps of the previous plan, the last rotation held, shape (N, d).
 
@@ -196,9 +176,9 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
         return None
     x = coordinates(plan.rotations)
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
-    moved = _as_long(problem, x, later(x, at), at)
+    moved = _as_long(problem, x, interpolated(at, np.arange(0.0, len(x)), x), at)
     if problem.dimension == 2 and problem.turns_are_angles:
-        moved = _followed(problem, state, moved)
+        moved = followed(problem, state, moved)
     return moved
 
 
@@ -207,23 +187,29 @@ def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:
 
     In space they may then leave the orbitope, so they are only scaled up to the floor's radius.
     """
-    n = problem.dimension
-    sizes = later(np.linalg.norm(x[:, :n], axis=1, keepdims=True), at)
+    n, lengths = problem.dimension, np.linalg.norm(x[:, : problem.dimension], axis=1)
+    sizes = np.interp(at, np.arange(len(x)), lengths)[:, None]
     found = np.linalg.norm(moved[:, :n], axis=1, keepdims=True)
     if n == 3:
         sizes = np.maximum(found, np.minimum(sizes, problem.floor.radius))
     return np.asarray(moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0))
 
 
-def _followed(problem: Problem, state: State, x: Array) -> Array:
-    """Return headings, shape (K, 2), of the same lengths with turns limited to the widest one."""
-    widest, followed = WITHIN * problem.widest_turn, np.zeros_like(x)
+def followed(problem: Problem, state: State, x: Array) -> Array:
+    """Return headings as a vehicle in the plane follows them at its turn limit, shape (K, 2).
+
+    With a floor they keep their lengths; otherwise it flies their components, as in (7.2a).
+    """
+    widest, found = WITHIN * problem.widest_turn, np.zeros_like(x)
     angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
     for k, (along, aside) in enumerate(x.tolist()):
-        wanted = math.remainder(math.atan2(aside, along) - angle, 2.0 * math.pi)
-        angle += min(max(wanted, -widest), widest)
-        followed[k] = math.cos(angle), math.sin(angle)
-    return followed * np.linalg.norm(x, axis=1, keepdims=True)
+        size = math.hypot(along, aside)
+        wanted = math.remainder(math.atan2(aside, along) - angle, 2.0 * math.pi) if size else 0.0
+        turn = min(max(wanted, -widest), widest)
+        angle += turn
+        share = size if problem.turns_are_angles else size * max(0.0, math.cos(wanted - turn))
+        found[k] = share * math.cos(angle), share * math.sin(angle)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,10 +225,6 @@ class Command(ByContent):
     speed_fraction: float
     body_rate: Array
     rotation: Array
-
-    def __post_init__(self) -> None:
-        self.body_rate.setflags(write=False)
-        self.rotation.setflags(write=False)
 
 
 def stop(rotation: Array) -> Command:

@@ -20,23 +20,20 @@ from typing import Protocol
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, sealed
 from orbimpc_ros.mpc.errors import BadInput
 
 FINE = 0.25  # [s] of flight between samples of the direction of the path
 SHARP = 1.2  # ratio of the mean turn rate over a step to its limit, above which it is reported
 
 
-@dataclass(frozen=True)
-class GoalObservation:
+@dataclass(frozen=True, eq=False)
+class GoalObservation(ByContent):
     """An observed position of the goal."""
 
     time: float  # stamp [s]
     position: Array  # in the world frame, shape (n,) [m]
     attitude: Array | None = None  # shape (n, n); None if undefined in the plane
-
-    def __post_init__(self) -> None:
-        self.position.setflags(write=False)
 
 
 class GoalMotion(Protocol):
@@ -53,8 +50,8 @@ class Forecast(GoalMotion, Protocol):
         """Take in a sighting; sightings come in order of time."""
 
 
-@dataclass(frozen=True)
-class GoalTrajectory:
+@dataclass(frozen=True, eq=False)
+class GoalTrajectory(ByContent):
     """An external forecast: stamped future positions, interpolated in between."""
 
     times: Array  # increasing stamps, shape (M,) [s]
@@ -64,14 +61,11 @@ class GoalTrajectory:
     def __post_init__(self) -> None:
         if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):
             raise BadInput('goal_path stamps', self.times.tolist(), 'one or more, increasing')
-        sealed(self.times)
-        sealed(self.positions)
+        super().__post_init__()
 
     def at(self, times: Array) -> Array:
         """Return the positions at ``times``, shape (N, n); both end points are held."""
-        return np.column_stack(
-            [np.interp(times, self.times, column) for column in self.positions.T]
-        )
+        return interpolated(times, self.times, self.positions)
 
 
 @dataclass(frozen=True)
@@ -112,7 +106,7 @@ class Route:
     def place(self, along: Array) -> Array:
         """Return the points at distances along the path, shape (K,) [m], as shape (K, n) [m]."""
         along = along % self.length if self.closed else np.clip(along, 0.0, self.length)
-        return np.column_stack([np.interp(along, self._ends, each) for each in self.positions.T])
+        return interpolated(along, self._ends, self.positions)
 
     def direction(self, along: float) -> Array:
         """Return the path's direction at a distance along it [m], a unit vector, shape (n,)."""

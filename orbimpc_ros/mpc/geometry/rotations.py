@@ -237,25 +237,8 @@ def to_quaternion(rotation: Array) -> Array:
     if rotation.shape == (2, 2):
         half = 0.5 * math.atan2(rotation[1, 0], rotation[0, 0])
         return np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
-    m = rotation
-    # Shepperd's method: divide by the largest component.
-    squares = np.array(
-        [
-            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
-            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
-        ]
-    )
-    rows = np.array(
-        [
-            [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], squares[1], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], squares[2], m[1, 2] + m[2, 1]],
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[3]],
-        ]
-    )
-    quaternion = rows[int(np.argmax(squares))]
+    rows = lmi(coordinates(rotation))  # 4 q q^T; Shepperd's method: divide by the largest component
+    quaternion = rows[int(np.argmax(np.diag(rows)))]
     return quaternion / math.sqrt(quaternion @ quaternion)
 
 
