@@ -29,10 +29,9 @@ from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, shown
-from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, measured
-from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.offline import OfflinePlanner
@@ -251,14 +250,14 @@ def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp
 
 def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
     """Its inputs are forgotten, so that the next answer has no odometry."""
-    recording, values = recording_of(RETRIEVAL), settings.of_bag(RETRIEVAL)
+    recording = recording_of(RETRIEVAL)
     first = recording.answers[0]
     forgotten, kept = (Cause.AFRESH, Cause.RESET), (Cause.DISABLED, 'sabotage', None)
     for cause in (*forgotten, *kept):
         fallback = 'safe command' if cause in forgotten else ''
         said = {'cause': cause, 'reason': 'starting afresh or not', 'solve_time_ms': 0.0}
         answers = (first, replace(first, answer=said), first)
-        ticks = replayed(replace(recording, answers=answers), planner_settings(values), True)
+        ticks = replayed(replace(recording, answers=answers))
         *_, last = (each.answer for each in ticks)
         assert last['fallback'] == fallback
 
@@ -451,12 +450,19 @@ def inputs(second):
     ]
 
 
+class Timed(OfflinePlanner):
+    """A planner whose solves all take a millisecond."""
+
+    def decide(self, *given):
+        return replace(super().decide(*given), solve_time_ms=1.0)
+
+
 def flown(late):
     """Return a recording of three ticks, and the clearance of each.
 
     Messages on ``late`` topics were sent before a tick and heard after it.
     """
-    planner = OfflinePlanner(AVOIDING, '/uav1/planner')
+    planner = Timed(AVOIDING, '/uav1/planner')
     told, answers, pending, clearances = [], [], [], []
 
     def hear(each):
@@ -470,20 +476,20 @@ def flown(late):
             else:
                 hear(each)
         sent = second * SECOND + 50 * MILLISECOND
-        answer = planner.answer(second * SECOND, sent / SECOND, solve_time_ms=1.0)
+        answer = planner.answer(second * SECOND, sent / SECOND)
         planner.went_out(sent / SECOND)
         answers.append(RecordedTick(second * SECOND, sent, published(answer)))
         clearances.append(fields(answer['tick'])['clearance'])
         for each in pending:
             hear(each)
         pending.clear()
-    return Recording('/uav1', tuple(told), tuple(answers)), clearances
+    return Recording('/uav1', AVOIDING, False, tuple(told), tuple(answers)), clearances
 
 
 @pytest.mark.parametrize('late', [(), ('obstacles',), (OTHER,)], ids=['none', 'markers', 'plans'])
 def test_the_commands_are_those_that_were_given(late):
     recording, clearances = flown(late)
-    ticks = replayed(recording, AVOIDING, simulated=False)
+    ticks = replayed(recording)
     for again, clearance in zip(ticks, clearances, strict=True):
         now, then = again.answer, again.recorded.answer
         assert again.refusals == ()
@@ -499,8 +505,8 @@ def test_what_was_heard_late_makes_a_difference():
 
 
 def test_frames_that_are_not_heard_make_a_difference():
-    recording, deaf = flown(())[0], replace(AVOIDING, tf=False)
-    (refused,) = next(iter(replayed(recording, deaf, simulated=False))).refusals
+    deaf = replace(flown(())[0], settings=replace(AVOIDING, tf=False))
+    (refused,) = next(iter(replayed(deaf))).refusals
     assert refused.startswith('/uav1/goal refused: header.frame_id')
 
 

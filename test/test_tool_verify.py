@@ -100,9 +100,9 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, mon
     assert not made.exists()
 
 
-def lost(*known):
+def lost(known):
     """Yield replayed ticks without their plans."""
-    for each in replayed(*known):
+    for each in replayed(known):
         yield replace(
             each, decision=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
         )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -77,7 +77,6 @@ class OfflinePlanner(Core):
         now: float = 0.0,
         advanced: float = 0.0,
         stop: Reason | None = None,
-        solve_time_ms: float | None = None,
     ) -> dict[str, Any]:
         """Answer the latest odometry with a plan or a fallback.
 
@@ -86,42 +85,39 @@ class OfflinePlanner(Core):
             now: on the steady clock [s].
             advanced: time from the measurement to the effect of the answer, to extrapolate by [s].
             stop: reason for a safe command instead of a plan, other than the solver's.
-            solve_time_ms: to report; by default as measured.
         """
         known = self.inputs.odometry
         ros = None if stop else stamp + round(advanced * SECOND)
-        decision = self.decide(now, ros, stop)
-        if decision.solve_time_ms and solve_time_ms is not None:
-            decision = replace(decision, solve_time_ms=solve_time_ms)
-        self.decision = decision
+        self.decision = decision = self.decide(now, ros, stop)
         at = Stamp(stamp, self.settings.frames if known is None else known.stamp.frames)
         return {
             **command_messages(self.settings, at, decision.command, oriented=known is not None),
             **report_messages(self.settings, at, decision, self._node),
         }
 
-    def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
+    def went_out(self, at: float, published: Mapping[str, Any] = {}) -> None:
         """Register the published command; by default that of the last answer.
 
         Args:
             at: time of publication, on the ROS clock [s].
-            pushed: speed [m/s] or, at translation order 2, force [N].
-            rate: body rate, shape (3,) [rad/s].
+            published: its ``speed`` [m/s], ``force`` [N] and ``body_rate``, shape (3,) [rad/s].
         """
         assert self.decision is not None
         problem, command = self.settings.problem, self.decision.command
-        if pushed is not None:
-            weight = 1.0 if problem.translation_order == 1 else self.settings.mass
-            command = replace(command, speed_fraction=pushed / (weight * problem.forward))
-        if rate is not None:
-            command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
+        name, weight = ('force', self.settings.mass) if problem.inertial else ('speed', 1.0)
+        if name in published:
+            share = published[name] / (weight * problem.forward)
+            command = replace(command, speed_fraction=share)
+        if 'body_rate' in published:
+            rate = published['body_rate'][-len(command.body_rate) :].copy()
+            command = replace(command, body_rate=rate)
         self.planner.sent(command, at)
 
     # --- on board a flight in this process, at times since its start
 
     def hear(self, topic: str, message: Any, now: float) -> None:
         """Take in a message at a time [s]."""
-        self.inputs.update(topic, message, now, self._nanoseconds(now))
+        self.inputs.update(topic, message, now, self.at(now).nanoseconds)
 
     def sense(
         self, now: float, content: Odometry | GoalObservation, measured: float | None = None
@@ -132,17 +128,14 @@ class OfflinePlanner(Core):
 
     def report(self, now: float) -> Decision:
         """Plan at a time [s]; return the decision, with its command registered as sent."""
-        at = self._nanoseconds(now)
+        at = self.at(now).nanoseconds
         decision = self.decide(now, at)
         self.planner.sent(decision.command, at / SECOND)
         return decision
 
     def at(self, now: float) -> Stamp:
         """Return the stamp of a message at a time [s]."""
-        return Stamp(self._nanoseconds(now), self.settings.frames)
-
-    def _nanoseconds(self, now: float) -> int:
-        return self.epoch + round(now * SECOND)
+        return Stamp(self.epoch + round(now * SECOND), self.settings.frames)
 
 
 def closed_loop(

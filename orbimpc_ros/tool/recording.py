@@ -8,10 +8,12 @@ one difference does not cause differences in all later ticks.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,11 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, pushed
-from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, read
-from orbimpc_ros.tool import bags
+from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
+from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, others, read
+from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields, point, stamp_of
-from orbimpc_ros.tool.offline import OfflinePlanner
+from orbimpc_ros.tool.offline import OfflinePlanner, resolving
 
 CLOCK = '/clock'
 TREE = tuple(topic.name for topic in topics.TREE)
@@ -97,6 +99,8 @@ class Recording:
     """The inputs and answers of one planner in a bag."""
 
     namespace: str  # of the vehicle, such as ``/uav1``
+    settings: PlannerSettings  # of the planner
+    simulated: bool  # whether its time came from ``/clock``
     inputs: tuple[Message, ...]  # with their own stamps, in the order of sending
     answers: tuple[RecordedTick, ...]  # in the order of sending
 
@@ -105,36 +109,44 @@ class Recording:
         """Return the number of messages sent to the planner, without those of /clock."""
         return sum(each.topic != CLOCK for each in self.inputs)
 
-    @property
-    def simulated(self) -> bool:
-        """Return whether simulated time was published."""
-        return self.received < len(self.inputs)
 
-
-def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) -> Recording:
+def recording_of(
+    path: Path, namespace: str = '', params: str | None = None, changes: Sequence[str] = ()
+) -> Recording:
     """Return the recording of the planner in a namespace.
 
     Args:
         path: path of the bag.
         namespace: of the vehicle, such as ``/uav1``.
-        others: topics of other vehicles' plans that it received.
+        params: file of the planner's parameters, if not those noted in the bag.
+        changes: ``name=value``, of these parameters.
 
     Raises:
-        BadInput: no bag, or not one with odometry, a goal and the planner's answers.
+        BadInput: no bag, or not one with odometry, a goal and the planner's answers, or there are
+            no parameters.
     """
-    shared = (CLOCK, *others, *TREE)
+    if params is not None:
+        values = settings.resolve(Path(params), changes)
+    elif changes or bags.notes(path):
+        values = settings.changed(settings.of_bag(path, namespace), changes)
+    else:
+        missing = 'no notes of its parameters'
+        raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
+    planner = planner_settings(values)
+    shared = (CLOCK, *others(planner, resolving(namespace)), *TREE)
     found = bags.of_vehicle(path, namespace, (*INPUTS, *COMPARED), shared, NEEDED)
     found.sort(key=lambda each: each.sent)
-    dated = [each._replace(stamp=_own_stamp(each)) for each in found]
+    own = [stamp_of(each.content) for each in found]
+    dated = [
+        each._replace(stamp=UNDATED if stamp is None else stamp)
+        for each, stamp in zip(found, own, strict=True)
+    ]
     heard = {*INPUTS, *shared}.difference(POSE_TWIST)
     inputs = tuple(each for each in dated if each.topic in heard)
     answers = _answers(each for each in dated if each.topic in COMPARED)
-    return Recording(namespace, inputs, tuple(sorted(answers, key=lambda each: each.sent)))
-
-
-def _own_stamp(each: Message) -> int:
-    stamp = stamp_of(each.content)
-    return UNDATED if stamp is None else stamp
+    in_order = tuple(sorted(answers, key=lambda each: each.sent))
+    simulated = values.get('use_sim_time', any(each.topic == CLOCK for each in inputs))
+    return Recording(namespace, planner, bool(simulated), inputs, in_order)
 
 
 def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
@@ -167,27 +179,31 @@ class ReplayedTick:
     decision: Decision  # behind the answer of the replay
 
 
-def replayed(
-    recording: Recording, settings: PlannerSettings, simulated: bool
-) -> Iterator[ReplayedTick]:
-    """Yield a tick for each that was recorded.
-
-    Args:
-        recording: the inputs, and the times of their answers.
-        settings: of the planner.
-        simulated: whether its time came from ``/clock``.
-    """
-    planner = OfflinePlanner(settings, f'{recording.namespace}/planner')
-    feed = Feed(planner, recording, simulated)
+def replayed(recording: Recording) -> Iterator[ReplayedTick]:
+    """Yield a tick for each that was recorded, with inputs as the planner received them."""
+    known, simulated = recording.settings, recording.simulated
+    planner = OfflinePlanner(known, f'{recording.namespace}/planner')
+    planner.inputs.lag = known.step if simulated else 0.0
+    inputs, clock, counts = list(recording.inputs), None, dict[str, int]()
     for recorded in recording.answers:
-        refusals = tuple(feed.until(recorded))
+        sent = inputs[: bisect_right(inputs, recorded.sent, key=lambda each: each.sent)]
+        until = _until(sent, recorded)
+        came = [each for each in sent if each.sent <= until[each.topic]]
+        inputs[: len(sent)] = [each for each in sent if each.sent > until[each.topic]]
+        counted = recorded.answer.get('goal_counts', {})
+        lost, refusals = _lost(came, counts, counted, known), list[str]()
+        counts |= counted
+        for each in came:
+            if each.topic == CLOCK:
+                clock = each.stamp
+            elif each not in lost:
+                now, ros = each.sent / SECOND, clock if simulated else each.sent
+                refusals.append(planner.inputs.update(each.topic, each.content, now, ros))
         answer = published(_answer(planner, recorded))
-        then = recorded.answer
-        pushed = then.get('force' if settings.problem.translation_order == 2 else 'speed')
         at = recorded.stamp if simulated else recorded.sent
-        planner.went_out(at / SECOND, pushed, then.get('body_rate'))
+        planner.went_out(at / SECOND, recorded.answer)
         assert planner.decision is not None
-        yield ReplayedTick(recorded, answer, refusals, planner.decision)
+        yield ReplayedTick(recorded, answer, tuple(filter(None, refusals)), planner.decision)
 
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
@@ -204,75 +220,27 @@ def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     return planner.answer(stamp, recorded.sent / SECOND, answer.get('advanced', 0.0))
 
 
-class Feed:
-    """Feeds a planner with the inputs of a recording, as it originally received them.
+def _lost(
+    came: Sequence[Message], before: Answer, now: Answer, known: PlannerSettings
+) -> list[Message]:
+    """Return the goals that the planner never received, from its counts ``before`` and ``now``.
 
-    Args:
-        planner: to feed.
-        recording: its inputs.
-        simulated: whether the ROS clock is ``/clock``, or that of the times of sending.
+    Its queues hold one message: of several acceptable goals, it received the newest.
     """
-
-    def __init__(self, planner: OfflinePlanner, recording: Recording, simulated: bool) -> None:
-        self._planner, self._inputs = planner, list(recording.inputs)
-        self._simulated = simulated
-        planner.inputs.lag = planner.settings.step if simulated else 0.0
-        self._clock: int | None = None
-        self._counts: Counter[str] = Counter()
-
-    def until(self, recorded: RecordedTick) -> Iterator[str]:
-        """Feed the inputs received before a tick began; yield validation errors."""
-        sent = list(takewhile(lambda each: each.sent <= recorded.sent, self._inputs))
-        until = _until(sent, recorded)
-        came = [each for each in sent if each.sent <= until[each.topic]]
-        lost = self._lost(came, recorded.answer.get('goal_counts', {}))
+    if known.tf or known.transforms:  # whether a goal could be transformed is not recorded
+        known = replace(known, frame_id='')
+    lost: list[Message] = []
+    for topic, count in now.items():
+        good: list[Message] = []
         for each in came:
-            if each not in lost and (refusal := self._take(each)):
-                yield refusal
-        self._inputs[: len(sent)] = [each for each in sent if each.sent > until[each.topic]]
-
-    def _lost(self, came: Sequence[Message], counts: Mapping[str, int]) -> list[Message]:
-        """Return the goals that the planner never received, from the counts that it reports.
-
-        Its queues hold one message: of several goals, it received the newest.
-        """
-        lost: list[Message] = []
-        for topic, count in counts.items():
-            goals = (each for each in came if each.topic == topic)
-            good = _increasing(goals, self._planner.settings)
-            surplus = len(good) - (count - self._counts[topic])
-            lost += good[: max(0, surplus)]
-            self._counts[topic] = count
-        return lost
-
-    def _take(self, each: Message) -> str:
-        if each.topic == CLOCK:
-            self._clock = each.stamp
-            return ''
-        shown = self._clock if self._simulated else each.sent
-        return self._planner.inputs.update(each.topic, each.content, each.sent / SECOND, shown)
-
-
-def _increasing(goals: Iterable[Message], settings: PlannerSettings) -> list[Message]:
-    """Return the valid goals in order, without those whose stamps do not increase."""
-    good: list[Message] = []
-    for each in goals:
-        unset = each.topic == 'goal' and each.stamp == 0
-        if (not good or unset or each.stamp > good[-1].stamp) and _acceptable(each, settings):
-            good.append(each)
-    return good
-
-
-def _acceptable(goal: Message, settings: PlannerSettings) -> bool:
-    """Return whether the planner's validators accept a goal."""
-    # Accept other frames: whether the goal could be transformed is not recorded.
-    if settings.tf or settings.transforms:
-        settings = replace(settings, frame_id='')
-    try:
-        read(goal.topic, goal.content, settings)
-    except BadInput:
-        return False
-    return True
+            unset = topic == 'goal' and each.stamp == 0
+            newer = not good or unset or each.stamp > good[-1].stamp
+            if each.topic == topic and newer:
+                with suppress(BadInput):
+                    read(topic, each.content, known)
+                    good.append(each)
+        lost += good[: max(0, len(good) - (count - before.get(topic, 0)))]
+    return lost
 
 
 def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:

@@ -18,14 +18,11 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
-from orbimpc_ros.ros.planner.core import others
-from orbimpc_ros.tool import bags, history, settings
-from orbimpc_ros.tool.offline import resolving
-from orbimpc_ros.tool.recording import Answer, Recording, ReplayedTick, recording_of, replayed
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.tool import history
+from orbimpc_ros.tool.recording import Answer, ReplayedTick, recording_of, replayed
 
 LINES = 20  # differences printed individually
-SAME, DIFFERENT = 0, 1
 # Solver versions, with and without numba, agree on an optimum within these tolerances. The
 # objective is flat at its optimum: it agrees more closely than the command that attains it.
 SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
@@ -41,13 +38,13 @@ def run(
 ) -> int:
     """Replay a bag and report differences; return 0 if all are within the tolerances."""
     begun, path = time.perf_counter(), Path(bag)
-    recording, planner, simulated = opened(path, namespace, params, changes)
+    recording = recording_of(path, namespace, params, changes)
     if tick is not None:
         if not 0 <= tick < len(recording.answers):
             raise BadInput('--tick', tick, f'0 to {len(recording.answers) - 1}')
         recording = replace(recording, answers=recording.answers[: tick + 1])
-    answers = list(replayed(recording, planner, simulated))
-    found = list(compared(answers, planner))
+    answers = list(replayed(recording))
+    found = list(compared(answers, recording.settings))
     if tick is not None:
         found = [each for each in found if each.tick == tick]
         _show(answers[-1], found)
@@ -55,26 +52,7 @@ def run(
         inputs = f'{recording.received}, {sum(len(each.refusals) for each in answers)} refused'
         took = f'in {time.perf_counter() - begun:.2f} s'
         _sum_up(f'{len(answers)} ticks of {path} {took}', inputs, found)
-    return DIFFERENT if any(each.differs for each in found) else SAME
-
-
-def opened(
-    path: Path, namespace: str, params: str | None, changes: Sequence[str] = ()
-) -> tuple[Recording, PlannerSettings, bool]:
-    """Return a bag's recording, the planner's settings, and whether its time was simulated.
-
-    The settings come from the given file or, by default, from the recorder's notes in the bag.
-    """
-    if params is not None:
-        values = settings.resolve(Path(params), changes)
-    else:
-        if not (changes or bags.notes(path)):
-            missing = 'no notes of its parameters'
-            raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
-        values = settings.changed(settings.of_bag(path, namespace), changes)
-    planner = planner_settings(values)
-    recording = recording_of(path, namespace, others(planner, resolving(namespace)))
-    return recording, planner, bool(values.get('use_sim_time', recording.simulated))
+    return int(any(each.differs for each in found))
 
 
 def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:

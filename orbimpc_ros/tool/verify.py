@@ -54,13 +54,9 @@ class TickVerdict(NamedTuple):
         claimed, proved = (f'{each:<24}' for each in shown)
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
 
-    def failed(self, why: str) -> TickVerdict:
-        """Return the verdict that the bound does not hold, with the reason."""
-        return self._replace(outcome=FAILS, words=f'{FAILS}: {why}')
-
-    def unproved(self, why: str) -> TickVerdict:
-        """Return the verdict that there is no certificate, with the reason."""
-        return self._replace(outcome=NONE, words=f'{NONE}: {why}')
+    def because(self, outcome: str, why: str) -> TickVerdict:
+        """Return the verdict with another outcome, and its reason."""
+        return self._replace(outcome=outcome, words=f'{outcome}: {why}')
 
 
 def run(
@@ -118,12 +114,12 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
 def _bag(
     path: Path, namespace: str, params: str | None, tick: int | None, out: str | None
 ) -> Iterator[TickVerdict]:
-    from orbimpc_ros.tool import recording, replay  # need ROS, unlike a certificate file
+    from orbimpc_ros.tool import recording  # needs ROS, unlike a certificate file
 
     if tick is None:
         yield from _published(path, namespace)
-    known = replay.opened(path, namespace, params)
-    for number, each in enumerate(recording.replayed(*known)):
+    known = recording.recording_of(path, namespace, params)
+    for number, each in enumerate(recording.replayed(known)):
         if number == 0:
             gc.freeze()  # else each full collection scans all imported objects
         if tick in (None, number):
@@ -140,7 +136,7 @@ def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
             try:
                 yield _verified(None, document.parsed(bytes(each.content.data)))
             except document.Refused as error:
-                yield TickVerdict(None, COST).failed(str(error))
+                yield TickVerdict(None, COST).because(FAILS, str(error))
 
 
 def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
@@ -150,17 +146,17 @@ def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
     if then.get('status') == Status.INFEASIBLE:
         row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
         if sought is None:
-            return row.failed(f'the replay is {tick.status}')
+            return row.because(FAILS, f'the replay is {tick.status}')
         return _certified(row, out, lambda: refutation_of(sought))
     row = TickVerdict(number, COST, claimed)
     if claimed is None or not claimed > 0.0:
         return row
     if plan is None:
-        return row.failed(f'the replay is {tick.status}')
+        return row.because(FAILS, f'the replay is {tick.status}')
     if not _is_about(then.get('earliest_catch'), tick):
-        return row.unproved('it planned another catch, or none, at its deadline')
+        return row.because(NONE, 'it planned another catch, or none, at its deadline')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
-        return row.failed(f'a trajectory costs {plan.objective!r}')
+        return row.because(FAILS, f'a trajectory costs {plan.objective!r}')
     posed, proof = tick.case, replace(plan.proof, lower_bound=claimed)
     assert posed is not None
     return _certified(row, out, lambda: certificate_of(*posed, proof))
@@ -183,12 +179,12 @@ def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVer
         return
     row = TickVerdict(number, CATCH, claimed)
     if catch is None:
-        yield row.failed('the replay seeks no catch')
+        yield row.because(FAILS, 'the replay seeks no catch')
         return
     sought = catch.sought
     count = steps_before(claimed, sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
-        yield row.failed(f'a plan catches the goal at {catch.time!r}')
+        yield row.because(FAILS, f'a plan catches the goal at {catch.time!r}')
     elif count:
         yield _certified(row, out, lambda: refutation_of(sought, count))
 
@@ -201,10 +197,10 @@ def _certified(row: TickVerdict, out: str | None, make: Callable[[], Document]) 
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
     except document.Refused as error:
-        return row.unproved(f'refused: {error}')
+        return row.because(NONE, f'refused: {error}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
         (folder_at(Path(out)) / name).write_text(made + '\n')
     if found.outcome == FAILS:  # not refuted: no trajectory is known to cost less
-        return found.unproved(f'another search proves {found.proved!r}')
+        return found.because(NONE, f'another search proves {found.proved!r}')
     return found

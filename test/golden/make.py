@@ -12,7 +12,9 @@ from __future__ import annotations
 import argparse
 import shutil
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -123,13 +125,18 @@ class Recorder(OfflinePlanner):
         """Answer the latest odometry."""
         disabled = self._hostile and round(now / self.settings.step) in SWITCHED_OFF
         stop, at = DISABLED if disabled else None, self.stamp
-        told = self.answer(at, self.said / SECOND, stop=stop, solve_time_ms=SOLVE_TIME_MS)
+        told = self.answer(at, self.said / SECOND, stop=stop)
         self.said += round(1e6 * SOLVE_TIME_MS)
         for topic, message in told.items():
             if topic != 'plan_markers':  # large, and derived from the plan
                 self._say(topic, message)
         self.went_out(at / SECOND)
         return self.decision
+
+    def decide(self, *given: Any, **more: Any) -> Decision:
+        """Return the decision, with the recorded solve time if there was a solve."""
+        decision = super().decide(*given, **more)
+        return replace(decision, solve_time_ms=SOLVE_TIME_MS * bool(decision.solve_time_ms))
 
     def _show(self, now: float) -> None:
         """Set the clock to a time [s]."""
