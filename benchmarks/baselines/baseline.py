@@ -19,6 +19,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import MovingObstacle, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.sim.world import Flight
 
 BEHIND: Mapping[str, float] = {'behind': 10.0}  # default with a cone of approach
 LINED = math.radians(30.0)  # off the direction of approach: a vehicle within it is behind the goal
@@ -108,6 +109,9 @@ class Baseline(ABC):
         behind = self.tuned['behind'] * self.problem.step * self.problem.forward
         back = (0.5 * along if lined else behind) * axis
         return sight._replace(ahead=lambda times: sight.ahead(times) - back)
+
+    def steer(self, flight: Flight) -> None:  # noqa: B027
+        """Leave the engine's own guidance, if it has one, alone."""
 
     def expect_hazards(self) -> None:  # noqa: B027
         """Compile nothing: a baseline solves none of the package's programs."""

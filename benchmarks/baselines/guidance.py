@@ -15,6 +15,8 @@ import numpy as np
 
 from benchmarks.baselines.baseline import BEHIND, Baseline, Sight, depths, wrapped
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.sim.world import Flight
 
 LOOKS, FARTHEST = 240, 12.0  # points of the forecast, and its length in horizons
 NEAR = 1e-9
@@ -116,6 +118,17 @@ class Waypoint(Baseline):
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return full speed, and no turn."""
         return 1.0, 0.0
+
+    def steer(self, flight: Flight) -> None:
+        """Have the engine's own guidance fly to the present position of the goal.
+
+        Raises:
+            BadInput: the vehicle has no engine with its own guidance.
+        """
+        steer_to = getattr(flight.vehicle.engine, 'steer_to', None)
+        if steer_to is None:
+            raise BadInput('--controllers', 'waypoint', 'an engine with its own guidance')
+        steer_to(flight.goal)
 
 
 class Proportional(_Guided):

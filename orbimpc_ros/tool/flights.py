@@ -39,7 +39,7 @@ Key = tuple[str, int]  # controller, and number of a flight
 Job = tuple[str, str, int, settings.Values, float]  # arguments of :func:`flown`
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
 GLANCE = 0.2  # [s] between checks for a signal
-OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
+OURS = 'orbitope'  # this package's controller
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
 
 
@@ -62,10 +62,9 @@ def flown(
     :func:`_of_way` and :func:`_of_ticks`.
     """
     simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
+    pilot = _pilot(study, controller, given)
     # Ticks are measured in processor time, because other processes may load the machine.
-    planner = OfflinePlanner(
-        given, clock=time.thread_time, planner=_pilot(study, controller, given)
-    )
+    planner = OfflinePlanner(given, clock=time.thread_time, planner=pilot)
     way, ticks, failed = list[Flight](), list[Decision](), ''
     try:
         for flight, decision in closed_loop(planner, simulated, margin):
@@ -74,8 +73,8 @@ def flown(
                 break
             if decision is not None:
                 ticks.append(decision)
-            if controller == WAYPOINT:
-                _steer(flight)
+            if controller != OURS:
+                pilot.steer(flight)
     except EngineFailure as error:
         failed = str(error)
     caught = flight.captured
@@ -91,11 +90,10 @@ def flown(
     }
 
 
-def _pilot(study: str, controller: str, given: PlannerSettings) -> Planner:
+def _pilot(study: str, controller: str, given: PlannerSettings) -> Any:
     """Return the controller of a flight, reset."""
     if controller != OURS:
-        made: Planner = baselines().baseline_named(controller, given, study)
-        return made
+        return baselines().baseline_named(controller, given, study)
     known = _ours(given)
     known.reset()
     return known
@@ -118,14 +116,6 @@ def baselines() -> Any:
     except ModuleNotFoundError:
         missing = f'{BASELINES} is missing'
         raise BadInput.stating('--controllers', missing, 'run it from a clone') from None
-
-
-def _steer(flight: Flight) -> None:
-    """Have the engine's own guidance fly to the current position of the goal."""
-    steer_to = getattr(flight.vehicle.engine, 'steer_to', None)
-    if steer_to is None:
-        raise BadInput('--controllers', WAYPOINT, 'an engine with its own guidance')
-    steer_to(flight.goal)
 
 
 def _of_way(way: Sequence[Flight]) -> Row:
@@ -189,21 +179,18 @@ def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Ro
     if file.exists() != resumed:
         there = 'no study to continue' if resumed else 'a study already'
         raise BadInput(str(file), there, 'another -o DIR' if resumed else '--resume')
-    kept = _kept(file, about) if resumed else {}
-    file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))
-    return kept
-
-
-def _kept(file: Path, about: dict[str, Any]) -> dict[Key, Row]:
-    try:
-        whole = file.read_text().rpartition('\n')[0]
-        head, *rows = map(json.loads, whole.splitlines())
-        kept = {(row['controller'], row['index']): row for row in rows}
-        differ = [name for name in about if head.get(name) != json.loads(json.dumps(about[name]))]
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
-        raise BadInput(str(file), 'damaged', 'the results of a study') from None
+    kept, differ = dict[Key, Row](), list[str]()
+    if resumed:
+        try:
+            whole = file.read_text().rpartition('\n')[0]
+            head, *rows = map(json.loads, whole.splitlines())
+            kept = {(row['controller'], row['index']): row for row in rows}
+            differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+            raise BadInput(str(file), 'damaged', 'the results of a study') from None
     if differ:
         raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
+    file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))
     return kept
 
 
