@@ -25,7 +25,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer
 from orbimpc_ros.ros.topics import Topic
@@ -92,21 +91,13 @@ def point(vector: Any) -> Array:
     return np.array([vector.x, vector.y, vector.z])
 
 
-def attitude(q: Any) -> Array:
-    """Return a Quaternion as a rotation, shape (3, 3)."""
-    return from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)
-
-
 def fields(message: Any) -> dict[str, Any]:
     """Return the values of a DiagnosticArray's first status by key, decoded if they are JSON."""
-    return {pair.key: _value(pair.value) for pair in message.status[0].values}
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
+    found = {pair.key: pair.value for pair in message.status[0].values}
+    for name, text in found.items():
+        with suppress(ValueError):
+            found[name] = json.loads(text)
+    return found
 
 
 # --- reading
@@ -237,8 +228,7 @@ def _files(path: Path) -> list[Path]:
     if not files:
         raise BadInput.stating(str(path), 'no file of messages', NEEDED)
     for file in files:
-        with opened(file, LARGEST_FILE):
-            pass
+        opened(file, LARGEST_FILE).close()
     return files
 
 
@@ -295,14 +285,14 @@ class BagWriter:
         )
         self._writer.start(profile='ros2', library='orbimpc_ros')
         self._writer.add_metadata(NOTES, dict(notes))
-        self._channels = {topic.name: self._channel(topic) for topic in listed}
-
-    def _channel(self, topic: Topic) -> int:
-        text, _ = store().generate_msgdef(topic.type, ros_version=2)
-        schema = self._writer.register_schema(topic.type, 'ros2msg', text.encode())
-        profiles, types = json.dumps(_offered(topic)), store().hash_rihs01(topic.type)
-        about = {'offered_qos_profiles': profiles, 'topic_type_hash': types}
-        return self._writer.register_channel(topic.name, 'cdr', schema, about)
+        self._channels = dict[str, int]()
+        for topic in listed:
+            text, _ = store().generate_msgdef(topic.type, ros_version=2)
+            schema = self._writer.register_schema(topic.type, 'ros2msg', text.encode())
+            profiles, types = json.dumps(_offered(topic)), store().hash_rihs01(topic.type)
+            about = {'offered_qos_profiles': profiles, 'topic_type_hash': types}
+            channel = self._writer.register_channel(topic.name, 'cdr', schema, about)
+            self._channels[topic.name] = channel
 
     def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
         """Append a serialised message.

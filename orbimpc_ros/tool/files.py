@@ -7,8 +7,7 @@ import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -30,8 +29,7 @@ def why(error: OSError) -> str:
     return words[:1].lower() + words[1:]
 
 
-@contextmanager
-def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
+def opened(path: Path, largest: int) -> BinaryIO:
     """Open a regular file for reading; refuse FIFOs and devices, which could block forever.
 
     Args:
@@ -48,11 +46,9 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
             raise BadInput.stating(str(path), problem, 'a regular file is needed')
         if size > largest:
             raise BadInput.stating(str(path), f'{size} bytes', f'at most {largest} bytes are read')
-        stream = path.open('rb')
+        return path.open('rb')
     except OSError as error:
         raise BadInput.stating(str(path), why(error), 'a readable file is needed') from None
-    with stream:
-        yield stream
 
 
 # --- documents

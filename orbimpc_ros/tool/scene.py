@@ -19,9 +19,10 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import Frames, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import Message, attitude, fields, point, seconds, stamp_of
+from orbimpc_ros.tool.bags import Message, fields, point, seconds, stamp_of
 from orbimpc_ros.tool.plot import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 
+TOPICS = ('odom', 'goal', 'plan', 'plan_markers', 'tick', 'captured')  # that are drawn
 TIMELINE = 'ros_time'
 WORLD, THRUST, TICK, CHARTS = 'world', 'thrust', 'tick', 'charts'
 SHOWN = {
@@ -66,20 +67,7 @@ class Scene:
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # tick's stamp [s], directions
         self._shares: tuple[float, Array] = self._pointing
-        self._takers = {
-            'odom': self._take_odometry,
-            'goal': self._take_goal,
-            'plan': self._take_plan,
-            'plan_markers': self._take_markers,
-            'tick': self._take_tick,
-            'captured': self._take_captured,
-        }
         self.configure(values)
-
-    @property
-    def topics(self) -> Sequence[str]:
-        """Return the topics that are drawn, named without a namespace."""
-        return tuple(self._takers)
 
     def configure(self, values: settings.Values) -> None:
         """Draw hull, floor and obstacles of the parameters; invalid ones give a default problem."""
@@ -112,16 +100,16 @@ class Scene:
 
     def take(self, topic: str, message: Any) -> None:
         """Draw a message unless the planner would refuse it; ``topic`` has no namespace."""
-        if topic not in self._takers:
+        if topic not in TOPICS:
             return
         if stamp_of(message) is not None:
             now = seconds(message)
             kind = 'timestamp' if now > WALL_CLOCK else 'duration'
             self._to.set_time(TIMELINE, **{kind: now})
         with suppress(BadInput):
-            self._takers[topic](message)
+            getattr(self, f'_take_{topic}')(message)
 
-    def _take_odometry(self, message: Any) -> None:
+    def _take_odom(self, message: Any) -> None:
         _, odometry = read_odometry(message, 3, self._frames)
         place, turned = odometry.position, odometry.attitude
         self._way.append(place)
@@ -159,11 +147,11 @@ class Scene:
         places = read_itinerary(message, 3, Frames())[1].positions
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
         self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
-        own = [attitude(stamped.pose.orientation) for stamped in message.poses]
-        self._pointing = seconds(message), self._frames.turned(np.array(own))[:, :, 0]
+        turned = [read_sighting(each, 3, self._frames)[1].attitude for each in message.poses]
+        self._pointing = seconds(message), np.array(turned)[:, :, 0]
         self._draw_thrust()
 
-    def _take_markers(self, message: Any) -> None:
+    def _take_plan_markers(self, message: Any) -> None:
         """Draw the obstacles that a plan avoids."""
         bodies = [each for each in message.markers if each.ns == 'hazards']
         places = [(point(m.pose.position), 0.5 * point(m.scale)) for m in bodies]

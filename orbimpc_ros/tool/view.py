@@ -68,7 +68,8 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
     recording.set_log_time_enabled(False)
     with interruptions() as received, served(port) as (page, data, server):
         print(f'page          {page} (Ctrl-C ends it)', flush=True)
-        if browser and _has_screen():
+        # Without a screen, a text browser would occupy the terminal.
+        if browser and (sys.platform == 'darwin' or any(map(os.environ.get, SCREENS))):
             webbrowser.open(page)
 
         def going() -> bool:
@@ -93,11 +94,6 @@ def installed() -> bool:
     return all(find_spec(name) is not None for name in ('rerun', 'rerun_cli'))
 
 
-def _has_screen() -> bool:
-    """Return whether a browser can open a window; a text browser would occupy the terminal."""
-    return sys.platform == 'darwin' or any(os.environ.get(name) for name in SCREENS)
-
-
 # --- running nodes
 
 
@@ -105,9 +101,11 @@ def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
     """Draw the running vehicle in a namespace, such as ``/uav1``, while ``going()``."""
     os.environ.setdefault(RANGE, 'LOCALHOST')
     latest = qos(DEPTH, LATEST.reliability)
+    from orbimpc_ros.tool.scene import TOPICS  # needs rerun
+
     with attached('viewer', namespace=namespace or '/') as (node, executor):
         for topic in VEHICLE:
-            if topic.name in scene.topics:
+            if topic.name in TOPICS:
                 # Late subscribers get latched messages only with reliable QoS.
                 profile = LATCHED if topic.latched else latest
                 take: Any = partial(scene.take, topic.name)
