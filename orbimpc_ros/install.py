@@ -74,11 +74,9 @@ def command_for_extra(extra: str) -> str:
         and each.marker.evaluate({'extra': extra})
         and not each.marker.evaluate({'extra': ''})
     ]
-    return command(*(f'{each.name}{_extras(each.extras)}{each.specifier}' for each in wanted))
-
-
-def _extras(names: set[str]) -> str:
-    return f'[{",".join(sorted(names))}]' if names else ''
+    for each in wanted:
+        each.marker = None
+    return command(*map(str, wanted))
 
 
 def shared(name: str) -> Path | None:

@@ -6,16 +6,15 @@ A run has two processes for each vehicle, in its namespace, and a recorder of al
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
-from rclpy.client import Client
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 
@@ -183,29 +182,31 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {shown(folder)}')
-    planners, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
+    names, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
     with interruptions() as received:
         with Processes() as started:
-            nodes: dict[str, dict[str, Child]] = {'planner': {}, 'sim': {}}
-            for namespace, node in itertools.product(namespaces, nodes):
+
+            def begun(node: str, namespace: str) -> Child:
                 log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
-                known = PACKAGES[node], parameters, log
-                nodes[node][namespace] = started.start(*known, namespace=namespace)
-            bag = Recorder(folder / 'bag', topics_of(namespaces), notes, planners)
-            with closing(bag) as recorder:
-                _watch(nodes, recorder, received, values)
+                return started.start(PACKAGES[node], parameters, log, namespace=namespace)
+
+            planners, sims = (
+                {each: begun(node, each) for each in namespaces} for node in ('planner', 'sim')
+            )
+            with closing(Recorder(folder / 'bag', topics_of(namespaces), notes, names)) as recorder:
+                _watch(planners, sims, recorder, received, values)
         if received:
             raise KeyboardInterrupt
 
 
 def _watch(
-    nodes: Mapping[str, Mapping[str, Child]],
+    planners: Mapping[str, Child],
+    sims: Mapping[str, Child],
     recorder: Recorder,
     received: Sequence[int],
     values: Values,
 ) -> None:
     """Record until the simulators are done or a signal arrives."""
-    planners, sims = nodes['planner'], nodes['sim']
     progress, pacer = ProgressLine(values['max_ticks']), None
     if values['clock'] == 'shared':
         pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
@@ -219,8 +220,8 @@ def _watch(
         for planner in planners.values():
             planner.require_health()
         ticks = max(recorder.counts[f'{namespace}/tick'] for namespace in planners)
-        done = f', {len(sims) - len(flying)} of {len(sims)} done' if len(sims) > 1 else ''
-        progress.show(ticks, _flown(ticks, values) + done if ticks else _starting(planners))
+        done = f', {len(sims) - len(flying)} of {len(sims)} done' if ticks and len(sims) > 1 else ''
+        progress.show(ticks, _progress(ticks, values, planners) + done)
     progress.close()
     recorder.drain(QUIET, LAST_WORDS)
     for namespace, sim in sims.items():
@@ -229,13 +230,11 @@ def _watch(
             sim.require_health()
 
 
-def _flown(ticks: int, values: Values) -> str:
-    time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
-    return f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
-
-
-def _starting(planners: Mapping[str, Child]) -> str:
-    """Return the progress of compilation that planners reported last, before any answer."""
+def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:
+    """Return the progress of a flight; before any answer, of the planners' compilation."""
+    if ticks:
+        time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
+        return f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
     printed = (each.output.splitlines() for each in planners.values())
     lines = [line for each in printed for line in each if COMPILING in line]
     return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'starting nodes'
@@ -320,13 +319,12 @@ class Recorder:
         for topic in topics:
             if topic not in self._held:
                 self._listen(topic)
-        self._unmet = {name: self._client(name) for name in planners}
+        self._unmet = {
+            name: self._node.create_client(GetParameters, f'{name}/get_parameters')
+            for name in planners
+        }
         self._clock: Any = None
         self._called = dict.fromkeys(planners, -math.inf)  # when, on the steady clock [s]
-
-    def _client(self, planner: str) -> Client:
-        """Return a client of a service that every node has."""
-        return self._node.create_client(GetParameters, f'{planner}/get_parameters')
 
     def _meet(self) -> None:
         """Call planners that have not answered yet; when all have, subscribe to odometry, too.
@@ -344,18 +342,15 @@ class Recorder:
 
     def _listen(self, topic: Topic) -> None:
         profile = qos(DEPTH, durability=(LATCHED if topic.latched else LATEST).durability)
-        take: Any = self._taking(topic)  # rclpy also passes the message's info
+        take: Any = partial(self._take, topic)  # rclpy also passes the message's info
         self._node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
-    def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
-        def take(data: bytes, about: dict[str, Any]) -> None:
-            own = stamp_of(deserialize_message(data, topic.message))
-            self.latest[topic.name] = own or 0
-            self._now = self._now if own is None else own
-            if self._now is not None:
-                self._bag.write(topic.name, self._now, data, about['source_timestamp'])
-
-        return take
+    def _take(self, topic: Topic, data: bytes, about: dict[str, Any]) -> None:
+        own = stamp_of(deserialize_message(data, topic.message))
+        self.latest[topic.name] = own or 0
+        self._now = self._now if own is None else own
+        if self._now is not None:
+            self._bag.write(topic.name, self._now, data, about['source_timestamp'])
 
     def publish_clock(self, seconds: float) -> None:
         """Publish a time on /clock, for fleets, whose simulators do not."""

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
-T = TypeVar('T')
 Ticks = tuple[tuple[float, dict[str, Any]], ...]
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth', *POSE_TWIST)
 WIDTH, NAMES = 80, 14  # characters
@@ -82,12 +81,6 @@ class History:
         """Return the lower and the upper corner of every box obstacle, shape (M, 2, n) [m]."""
         values = settings.of_sim(self.values)
         return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
-
-    @property
-    def missed(self) -> tuple[float, float]:
-        """Return the vehicle's final distance from the goal [m] and its final speed [m/s]."""
-        apart = self.positions[-1] - self.ropes[-1]
-        return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
 
     def encounters(self, steps: Sequence[float] | Array) -> list[Encounter]:
         """Return encounters at fractional indices of odometry, by linear interpolation."""
@@ -143,18 +136,12 @@ class History:
             points[-1] = self.capture.vehicle
         return points
 
-    def series(self, name: str, wanted: str = '') -> tuple[Array, Array]:
-        """Return times [s] and values of a field, of the ticks where it is a finite number.
-
-        Args:
-            name: of the field.
-            wanted: another field; ticks where it is empty are left out.
-        """
+    def series(self, name: str) -> tuple[Array, Array]:
+        """Return times [s] and values of a field, of the ticks where it is a finite number."""
         found = [
             (time - self.times[0], float(fields[name]))
             for time, fields in self.ticks
             if isinstance(fields.get(name), (int, float)) and math.isfinite(fields[name])
-            if not wanted or fields.get(wanted)
         ]
         times, values = np.reshape(found, (-1, 2)).T
         return times, values
@@ -180,21 +167,16 @@ def of_bag(path: Path, namespace: str = '') -> History:
     if not measured or not sighted:
         wrong = 'goal' if measured else 'odom'
         raise BadInput.stating(str(path), f'no valid {wrong}', 'odometry and a goal are needed')
-    attitudes = np.array([each.attitude for each in measured])
-    times = np.array([each.time for each in measured])
+    times, attitudes = measured['time'], measured['attitude']
     plans = [(seconds(m), [point(stamped.pose.position) for stamped in m.poses])
              for m in found['plan'] if m.poses]  # fmt: skip
     return History(
         times=times,
-        positions=np.array([each.position for each in measured]),
+        positions=measured['position'],
         attitudes=attitudes,
-        velocities=np.einsum('kij,kj->ki', attitudes, [each.body_velocity for each in measured]),
-        rates=np.array([each.body_rate for each in measured]),
-        ropes=_interpolated(
-            times,
-            np.array([each.time for each in sighted]),
-            np.array([each.position for each in sighted]),
-        ),
+        velocities=np.einsum('kij,kj->ki', attitudes, measured['body_velocity']),
+        rates=measured['body_rate'],
+        ropes=_interpolated(times, sighted['time'], sighted['position']),
         plans=tuple((time, np.array(points)) for time, points in plans),
         forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
         ticks=tuple(
@@ -207,19 +189,20 @@ def of_bag(path: Path, namespace: str = '') -> History:
 
 
 def _valid(
-    read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any], frames: Frames
-) -> list[T]:
-    """Return the values of the messages that the planner would accept, in order of time.
+    read: Callable[..., tuple[Stamp, Any]], messages: Iterable[Any], frames: Frames
+) -> dict[str, Array]:
+    """Return the values of the messages that the planner would accept, by name, in order of time.
 
     Runs with faults have invalid messages. In lock-step the simulator repeats its messages if an
     answer is late: the last message of each stamp counts.
     """
-    found: dict[int, T] = {}
+    found: dict[int, dict[str, Any]] = {}
     for message in messages:
         with suppress(BadInput):
             stamp, value = read(message, 3, frames)
-            found[stamp.nanoseconds] = value
-    return [found[at] for at in sorted(found)]
+            found[stamp.nanoseconds] = vars(value)
+    rows = [found[at] for at in sorted(found)]
+    return {name: np.array([row[name] for row in rows]) for row in rows[:1] for name in row}
 
 
 def _interpolated(at: Any, known: Any, rows: Array) -> Array:
@@ -277,21 +260,20 @@ def _job(history: History) -> str:
 
 def _end(history: History, yes: str = 'yes') -> str:
     capture, begun = history.capture, history.times[0]
+    no = 'no' if yes == 'yes' else f'not {yes}'
     if history.arrives:
-        missed, speed = map(_length, history.missed)
-        done, when = yes if history.captured else _not(yes), history.times[-1] - begun
-        return f'{done}, {missed} from the goal at {speed}/s, t = {when:.0f} s'
+        apart, velocity = history.positions[-1] - history.ropes[-1], history.velocities[-1]
+        done, when = yes if history.captured else no, history.times[-1] - begun
+        return f'{done}, {_length(apart)} from the goal at {_length(velocity)}/s, t = {when:.0f} s'
     if capture is None:
-        return _not(yes)
-    return f't = {capture.time - begun:.2f} s, {_length(capture.distance)} from the rope'
+        return no
+    apart = capture.vehicle - capture.rope
+    return f't = {capture.time - begun:.2f} s, {_length(apart)} from the rope'
 
 
-def _not(yes: str) -> str:
-    return 'no' if yes == 'yes' else f'not {yes}'
-
-
-def _length(metres: float) -> str:
-    """Return a length as text, in m or mm."""
+def _length(vector: Array) -> str:
+    """Return the length of a vector as text, in m or mm."""
+    metres = float(np.linalg.norm(vector))
     if metres < 1e-3:
         return 'less than 1 mm'
     return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'

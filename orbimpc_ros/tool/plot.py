@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -80,10 +81,11 @@ def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> in
 # --- looks
 
 
-def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
-    """Return matplotlib's settings for a colour cycle, page colour and grid colour."""
+def look(dark: bool = False) -> AbstractContextManager:
+    """Return a context in which figures are drawn and written for print, or for dark pages."""
+    colors, page, grid = (DARK, PAGE, '#21262D') if dark else (PRINT, 'white', '#E6E6E6')
     inked = ('text.color', 'axes.edgecolor', 'axes.labelcolor', 'xtick.color', 'ytick.color')
-    return {
+    style: Any = {
         **dict.fromkeys(inked, colors[0]),
         **dict.fromkeys((f'axes3d.{axis}axis.panecolor' for axis in 'xyz'), page),
         'font.size': 9.0,
@@ -98,19 +100,13 @@ def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
         'axes.grid': True,
         'axes.axisbelow': True,
         'grid.color': grid,
+        'figure.titlesize': 12.0,
+        'figure.titleweight': 'bold',
         'legend.facecolor': page,
         'legend.edgecolor': 'none',
         'legend.fontsize': 8.5,
     }
-
-
-STYLE = _style(PRINT, 'white', '#E6E6E6')
-DARK_STYLE = _style(DARK, PAGE, '#21262D')
-
-
-def look(dark: bool = False) -> AbstractContextManager:
-    """Return a context in which figures are drawn and written for print, or for dark pages."""
-    return mpl.rc_context(DARK_STYLE if dark else STYLE)
+    return mpl.rc_context(style)
 
 
 def in_both_looks(draw: Callable[[], Figure], file: Path) -> None:
@@ -134,11 +130,6 @@ def paper() -> str:
 def halo() -> list[withStroke]:
     """Return a path effect that sets text off from its background."""
     return [withStroke(linewidth=2.5, foreground=paper())]
-
-
-def headline(figure: Figure, text: str) -> None:
-    """Set the title of the whole figure."""
-    figure.suptitle(text, x=0.01, ha='left', fontsize=12.0, fontweight='bold')
 
 
 def of_runs(flown: Flights) -> dict[str, Figure]:
@@ -200,7 +191,7 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
     above = figure.add_subplot(grid[1, 0] if wide else grid[0, 1])
     draw_panel(above, separation(flown) if several else distance(flown))
     draw_panel(figure.add_subplot(grid[1, 1]), shares(flown))
-    headline(figure, story(flown))
+    figure.suptitle(story(flown), x=0.01, ha='left')
     return figure, axes
 
 
@@ -344,7 +335,7 @@ def data(history: History) -> Figure:
         draw_panel(axes, panel)
     for axes in places[len(panels) :]:
         axes.remove()
-    headline(figure, story({'': history}))
+    figure.suptitle(story({'': history}), x=0.01, ha='left')
     return figure
 
 
@@ -391,7 +382,8 @@ def planning(history: History) -> list[Panel]:
     line = history.series
     tolerance = history.values['gap_tolerance']
     below = {f'optimal below {tolerance:g}': tolerance}
-    spent = {'planned': line('solve_time_ms'), 'fell back': line('solve_time_ms', 'fallback')}
+    fallen = replace(history, ticks=tuple(t for t in history.ticks if t[1].get('fallback')))
+    spent = {'planned': line('solve_time_ms'), 'fell back': fallen.series('solve_time_ms')}
     costs = {'plan': line('objective'), 'proved bound': line('lower_bound')}
     found = [
         Panel('Objective', '', costs, steps=True),
@@ -427,25 +419,10 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
 
 
 def write_gif(history: History, file: Path) -> None:
-    """Write a flight as an endlessly repeating animation."""
-    shown = [Image.fromarray(frame) for frame in _frames(history)]
-    # One palette for all frames: colours must not flicker.
-    palette = shown[len(shown) // 2].quantize(PALETTE, Image.Quantize.MAXCOVERAGE)
-    images = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in shown]
-    images[0].save(
-        file,
-        save_all=True,
-        append_images=images[1:],
-        duration=[FRAME] * (len(images) - 1) + [LAST],
-        loop=0,
-    )
-
-
-def _frames(history: History) -> Iterator[Array]:
-    """Yield frames, shape (height, width, 3), redrawing only the animated lines."""
+    """Write a flight as an endlessly repeating animation; redraw only the animated lines."""
     figure, axes = stage({'': history})
     figure.set_dpi(COARSE)
-    canvas, n = FigureCanvasAgg(figure), history.values['dimension']
+    canvas, n, shown = FigureCanvasAgg(figure), history.values['dimension'], []
     lines = {
         name: axes.plot(*[[]] * n, label=name, animated=True, zorder=5, **kind)[0]
         for name, kind in MOVING.items()
@@ -458,4 +435,14 @@ def _frames(history: History) -> Iterator[Array]:
         for name, points in instant.items():
             (lines[name].set_data_3d if n == 3 else lines[name].set_data)(*points.T[:n])
             axes.draw_artist(lines[name])
-        yield np.array(canvas.buffer_rgba())[:, :, :3]
+        shown.append(Image.fromarray(np.array(canvas.buffer_rgba())[:, :, :3]))
+    # One palette for all frames: colours must not flicker.
+    palette = shown[len(shown) // 2].quantize(PALETTE, Image.Quantize.MAXCOVERAGE)
+    images = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in shown]
+    images[0].save(
+        file,
+        save_all=True,
+        append_images=images[1:],
+        duration=[FRAME] * (len(images) - 1) + [LAST],
+        loop=0,
+    )

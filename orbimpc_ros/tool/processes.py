@@ -170,11 +170,9 @@ def claimed(domain: int) -> bool:
     """
     if not free(domain):
         return False
-    claim = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        claim.bind(('127.0.0.1', 7400 + 250 * domain))
+        claim = socket.create_server(('127.0.0.1', 7400 + 250 * domain))
     except OSError:
-        claim.close()
         return False
     if len(_CLAIMS) == _CLAIMS.maxlen:
         _CLAIMS.popleft().close()

@@ -62,9 +62,15 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    found, given = dict(values), dict(map(_change, changes))
-    for name in given:  # a value for both nodes replaces the simulator's own
-        found.pop(f'{OF_SIM}{name}', None)
+    found, given = dict(values), Values()
+    for change in changes:
+        name, equals, word = change.partition('=')
+        if not equals:
+            raise BadInput('--set', change, 'name=value')
+        if name not in ROWS:
+            raise BadInput.unknown('parameter', name, ROWS, '--set')
+        given[name] = _typed(ROWS[name], files.parse(word, f'--set {name}'))
+        found.pop(f'{OF_SIM}{name}', None)  # a value for both nodes replaces the simulator's own
     found |= given
     planner_settings(found)
     sim_settings(of_sim(found))
@@ -167,15 +173,6 @@ def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
             yield from _flat(value, f'{prefix}{name}.')
         else:
             yield f'{prefix}{name}', value
-
-
-def _change(given: str) -> tuple[str, Any]:
-    name, equals, word = given.partition('=')
-    if not equals:
-        raise BadInput('--set', given, 'name=value')
-    if name not in ROWS:
-        raise BadInput.unknown('parameter', name, ROWS, '--set')
-    return name, _typed(ROWS[name], files.parse(word, f'--set {name}'))
 
 
 def _typed(row: ParameterSpec, value: Any) -> Any:

@@ -100,13 +100,14 @@ def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
     """Return a plan as text: its quality, the command, and a line for each step."""
     problem, bound, command = case.problem, found['lower_bound'], found['command']
     least = 'unknown' if bound is None else f'{bound:.6g}'
+    gap = 'unknown' if bound is None else f'{100.0 * plan.gap:.2g} %' if plan.gap >= 1e-6 else '0 %'
     turn = ', '.join(f'{math.degrees(each):.1f}' for each in command['body_rate'])
     full = 'speed' if problem.translation_order == 1 else 'thrust'
     axes = 'xyz'[: problem.dimension]
     headings = ['heading [deg]'] if problem.dimension == 2 else [f'forward {each}' for each in axes]
     heads = ['time [s]', *(f'{axis} [m]' for axis in axes), full, *headings]
     lines = [
-        f'status      {plan.status}, gap {_percent(found["gap"])}',
+        f'status      {plan.status}, gap {gap}',
         f'cost        {plan.objective:.6g}, at least {least}',
         f'solved in   {found["solve_time_ms"]:.1f} ms, {plan.nodes} nodes',
         f'command     {command["speed_fraction"]:.3f} of full {full}, turn at {turn} deg/s',
@@ -122,10 +123,6 @@ def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
         widths = (max(9, len(head) + 1) for head in heads)
         lines.append(''.join(f'{n:{w}.3f}' for n, w in zip(numbers, widths, strict=True)))
     return '\n'.join(lines)
-
-
-def _percent(gap: float | None) -> str:
-    return 'unknown' if gap is None else f'{100.0 * gap:.2g} %' if gap >= 1e-6 else '0 %'
 
 
 def _finite(value: float) -> float | None:

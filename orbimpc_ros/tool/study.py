@@ -181,8 +181,12 @@ class Draws:
 
     def of(self, seed: int, index: int) -> Values:
         """Return all parameters of a flight; each random one has its own random stream."""
-        streams = {name: _stream(seed, index, name) for name in self.rules}
-        return self.values | {name: _drawn(self.rules[name], rng) for name, rng in streams.items()}
+        values = dict(self.values)
+        for name, rule in self.rules.items():
+            key = (index, zlib.crc32(name.encode()))
+            stream = np.random.SeedSequence(seed, spawn_key=key)
+            values[name] = _drawn(rule, np.random.default_rng(stream))
+        return values
 
     @property
     def limit(self) -> float:
@@ -211,19 +215,15 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
     }
     title = Path(name).stem if name.endswith('.yaml') else name
     draws = Draws(title, content['about'], values, free, content.get('margin', 0.0))
-    _require_sound(draws, name)
-    return draws
-
-
-def _require_sound(draws: Draws, name: str) -> None:
-    for parameter in draws.rules:
+    for parameter in free:
         if parameter not in settings.ROWS:
             raise BadInput.unknown('parameter', parameter, settings.ROWS, f'{name}: draw')
     try:
         settings.changed(draws.of(0, 0), ())
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        rules = 'the rules of docs/recording.md'
-        raise BadInput(f'{name}: draw', f'{type(error).__name__}: {error}', rules) from None
+        known = 'the rules of docs/recording.md'
+        raise BadInput(f'{name}: draw', f'{type(error).__name__}: {error}', known) from None
+    return draws
 
 
 def _file(name: str) -> Path:
@@ -269,11 +269,6 @@ def _default_rules(values: Values) -> dict[str, Rule]:
     if not values['gravity']:
         rules['start.orientation'] = {'heading': TURN} if flat else {'turned': 'any'}
     return rules
-
-
-def _stream(seed: int, index: int, name: str) -> np.random.Generator:
-    key = (index, zlib.crc32(name.encode()))
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def _drawn(rule: Rule, rng: np.random.Generator) -> Any:
@@ -353,26 +348,22 @@ def _row(draws: Draws, name: str, rows: Rows) -> str:
     ticks = max(1, sum(row['ticks'] for row in flights))
     caught = stats.binomtest(sum(bool(row['caught']) for row in flights), len(flights))
     share = caught.proportion_ci(method='wilson')
+    beside = ''
+    if name != OURS and OURS in rows:
+        apart = times_of(draws, rows[OURS]) - times
+        beside = f'{np.mean(apart < 0.0):.0%} / {np.mean(apart > 0.0):.0%}'
     return _cells(
         f'`{name}`',
         f'{caught.statistic:.1%} ({share.low:.1%} to {share.high:.1%})',
         f'{np.mean([bool(row["touched"]) for row in flights]):.1%}',
         f'{np.median(times):.2f}' if caught.statistic > 0.5 else 'never',
         f'{times.mean():.2f}',
-        _beside_ours(draws, name, rows),
+        beside,
         f'{sum(row["optimal"] for row in flights) / ticks:.1%}',
         f'{sum(row["unplanned"] for row in flights) / ticks:.1%}',
         f'{np.median([row["p50_ms"] for row in flights]):.1f} / '
         f'{max(row["longest_ms"] for row in flights):.0f}',
     )
-
-
-def _beside_ours(draws: Draws, name: str, rows: Rows) -> str:
-    """Return the shares of flights in which our controller catches sooner and later."""
-    if name == OURS or OURS not in rows:
-        return ''
-    apart = times_of(draws, rows[OURS]) - times_of(draws, rows[name])
-    return f'{np.mean(apart < 0.0):.0%} / {np.mean(apart > 0.0):.0%}'
 
 
 def _missed(rows: Rows) -> Iterator[str]:
