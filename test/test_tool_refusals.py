@@ -43,7 +43,7 @@ REFUSED = {
     f'replay {RETRIEVAL} --params nowhere.yaml': 'nowhere.yaml',
     f'replay {RETRIEVAL} --namespace uav7': 'without /uav7/odom',
     'replay "a\x1b"': 'a?: missing',  # an escape sequence
-    'verify missing.json': 'No such file',
+    'verify missing.json': 'no such file',
     'study --runs 0': '--runs is 0',
     'study --seed -1': '--seed is -1',
     'study --workers 0': '--workers is 0',

@@ -12,6 +12,7 @@ from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import WORD, Unproved, certificate_of
 from orbimpc_ros.mpc.proof.tree import one
 from orbimpc_ros.tool import bags, recording
@@ -86,6 +87,16 @@ def test_what_is_no_certificate_is_bad_input(tool, tmp_path, text):
     code, out, error = tool('verify', file)
     assert (code, out) == (2, '')  # no header of an empty table
     assert error.count('\n') == 1
+
+
+def test_a_huge_file_is_refused_before_it_is_taken_apart(tool, tmp_path, monkeypatch):
+    file = tmp_path / 'huge.json'
+    with file.open('wb') as made:
+        made.truncate(1 << 30)  # sparse
+    monkeypatch.setattr(document, 'parsed', lambda text: pytest.fail('it was'))
+    code, _, error = tool('verify', file)
+    assert code == 2
+    assert 'bytes are read' in error
 
 
 def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, monkeypatch):

@@ -36,9 +36,6 @@ class Drawing:
     def send_blueprint(self, _layout):
         self.layouts += 1
 
-    def flush(self):
-        pass
-
     def numbers(self, entity, which, field, place=0):
         """Return a component of the ``which``-th log of an entity, as an array."""
         shown = self.drawn[entity][which][1][place]
@@ -57,7 +54,9 @@ def drawn():
     for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
         values, messages = settings.of_bag(GOLDEN / name), bags.of_vehicle(GOLDEN / name, '')
         found[name] = Drawing(), SimpleNamespace(values=values, messages=messages)
-        Scene(found[name][0], values).draw(messages)
+        scene = Scene(found[name][0], values)
+        for each in messages:
+            scene.take(each.topic, each.content)
     return found
 
 

@@ -315,17 +315,13 @@ class BagWriter:
             return
         self._writer.finish()
         self._stream.close()
-        content = {'rosbag2_bagfile_information': self._metadata()}
-        (self.folder / METADATA).write_text(json.dumps(content, indent=1))  # JSON is YAML, too
-
-    def _metadata(self) -> dict[str, Any]:
         file, begin = f'{self.folder.name}.mcap', min(self._first, self._last)
         span = {
             'starting_time': {'nanoseconds_since_epoch': begin},
             'duration': {'nanoseconds': self._last - begin},
             'message_count': sum(self.counts.values()),
         }
-        return {
+        about = {
             'version': METADATA_VERSION,
             'storage_identifier': 'mcap',
             **span,
@@ -348,6 +344,8 @@ class BagWriter:
             'files': [{'path': file, **span}],
             'ros_distro': 'jazzy',
         }
+        content = json.dumps({'rosbag2_bagfile_information': about}, indent=1)
+        (self.folder / METADATA).write_text(content)  # JSON is YAML, too
 
 
 def _offered(topic: Topic) -> list[dict[str, Any]]:

@@ -20,6 +20,7 @@ from orbimpc_ros.ros.entry import in_a_line
 from orbimpc_ros.tool.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
+CODES: dict[type[OrbimpcError], int] = {BadInput: BAD_INPUT, Infeasible: INFEASIBLE}
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible, 130 interrupted'
 
@@ -52,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except OrbimpcError as error:
         _complain(str(error))
-        return _code(error)
+        return CODES.get(type(error), FAILED)
     except ModuleNotFoundError as error:
         line = in_a_line(error)
         if not line:
@@ -119,12 +120,6 @@ def _module(command: str) -> ModuleType:
         known = os.environ.get('PYTHONPATH')  # for child processes
         os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
     return import_module(f'benchmarks.{command}')
-
-
-def _code(error: OrbimpcError) -> int:
-    if isinstance(error, BadInput):
-        return BAD_INPUT
-    return INFEASIBLE if isinstance(error, Infeasible) else FAILED
 
 
 def _complain(message: str) -> None:

@@ -8,6 +8,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Hashable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -111,7 +112,11 @@ def parse(text: str, name: str) -> Any:
         BadInput: malformed.
     """
     try:
-        content = _content(text)
+        content = None
+        if text.lstrip().startswith('{'):
+            with suppress(json.JSONDecodeError):  # not JSON, but YAML's flow style
+                content = json.loads(text, object_pairs_hook=_unique)
+        content = yaml.load(text, StrictLoader) if content is None else content
         _require_plain(content)
     except BadInput:
         raise
@@ -123,15 +128,6 @@ def parse(text: str, name: str) -> Any:
     except (RecursionError, ValueError, TypeError, LookupError, AttributeError) as error:
         raise BadInput.stating(name, f'malformed ({error})', ALLOWED) from None
     return content
-
-
-def _content(text: str) -> Any:
-    if text.lstrip().startswith('{'):
-        try:
-            return json.loads(text, object_pairs_hook=_unique)
-        except json.JSONDecodeError:
-            pass  # not JSON, but YAML's flow style
-    return yaml.load(text, StrictLoader)
 
 
 def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:

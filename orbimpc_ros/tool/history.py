@@ -220,7 +220,15 @@ def text(history: History) -> str:
         begun, misses = history.times[0], history.near_misses
         places = ', '.join(f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses)
         rows['near misses'] = f'{len(misses)}: {places}' if misses else '0'
-    return lines(rows | _contacts(history) | _ticks([history]))
+    # Collisions and stalls of a continuous-time vehicle, where they are possible.
+    truth, values = history.truth, settings.of_sim(history.values)
+    touched, least = truth.get('touched'), truth.get('least_airspeed')
+    if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
+        boxes = len(history.boxes)
+        rows['touched'] = touched_in_words(touched, boxes) or f'no {"box" if boxes else "ball"}'
+    if values['stall_speed'] and isinstance(least, (int, float)):
+        rows['airspeed'] = f'at least {least:.2f} m/s, {truth.get("stalls")} stalls'
+    return lines(rows | _ticks([history]))
 
 
 def of_fleet(flown: Mapping[str, History]) -> str:
@@ -277,19 +285,6 @@ def _length(vector: Array) -> str:
     if metres < 1e-3:
         return 'less than 1 mm'
     return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'
-
-
-def _contacts(history: History) -> dict[str, str]:
-    """Return collisions and stalls of a continuous-time vehicle, where they are possible."""
-    rows, truth, values = {}, history.truth, settings.of_sim(history.values)
-    touched = truth.get('touched')
-    if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
-        boxes = len(history.boxes)
-        rows['touched'] = touched_in_words(touched, boxes) or f'no {"box" if boxes else "ball"}'
-    least = truth.get('least_airspeed')
-    if values['stall_speed'] and isinstance(least, (int, float)):
-        rows['airspeed'] = f'at least {least:.2f} m/s, {truth.get("stalls")} stalls'
-    return rows
 
 
 def _ticks(flown: Sequence[History]) -> dict[str, str]:

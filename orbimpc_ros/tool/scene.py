@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import Frames, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import Message, fields, point, seconds, stamp_of
+from orbimpc_ros.tool.bags import fields, point, seconds, stamp_of
 from orbimpc_ros.tool.plot import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 
 TOPICS = ('odom', 'goal', 'plan', 'plan_markers', 'tick', 'captured')  # that are drawn
@@ -91,12 +91,6 @@ class Scene:
             fill_mode=rr.components.FillMode.Solid,
         )
         self._to.log(f'{WORLD}/obstacles', boxes, static=True)
-
-    def draw(self, messages: Iterable[Message]) -> None:
-        """Draw the messages of a bag, in the order of their stamps."""
-        for each in messages:
-            self.take(each.topic, each.content)
-        self._to.flush()
 
     def take(self, topic: str, message: Any) -> None:
         """Draw a message unless the planner would refuse it; ``topic`` has no namespace."""

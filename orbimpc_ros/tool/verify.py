@@ -30,9 +30,9 @@ from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.files import folder_at
 
 if TYPE_CHECKING:
-    from orbimpc_ros.loop.planner import Decision
     from orbimpc_ros.tool.recording import ReplayedTick
 
+LARGEST = 64 << 20  # [bytes] of a certificate's file
 COST, CATCH = 'cost', 'catch'
 HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
 
@@ -83,7 +83,8 @@ def run(
 
 def _file(path: Path, problem: str | None) -> TickVerdict:
     try:
-        known = document.read(path)
+        with files.opened(path, LARGEST) as stream:
+            known = document.parsed(stream.read())
         row = _verified(None, known)
     except document.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
@@ -153,23 +154,15 @@ def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
         return row
     if plan is None:
         return row.because(FAILS, f'the replay is {tick.status}')
-    if not _is_about(then.get('earliest_catch'), tick):
+    # Each time of catch is a separate problem, and a deadline can end the search for the earliest.
+    earliest, catch = then.get('earliest_catch'), tick.catch
+    if catch and earliest is not None and not np.isclose(catch.time, earliest, equal_nan=True):
         return row.because(NONE, 'it planned another catch, or none, at its deadline')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
         return row.because(FAILS, f'a trajectory costs {plan.objective!r}')
     posed, proof = tick.case, replace(plan.proof, lower_bound=claimed)
     assert posed is not None
     return _certified(row, out, lambda: certificate_of(*posed, proof))
-
-
-def _is_about(earliest: float | None, tick: Decision) -> bool:
-    """Return whether replay and recording plan the same catch, or none, as far as is known.
-
-    Each time of catch is a separate problem, and a deadline can end the search for the earliest.
-    """
-    if earliest is None or tick.catch is None:
-        return True
-    return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
 
 
 def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVerdict]:

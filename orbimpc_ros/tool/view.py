@@ -79,7 +79,9 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
         recording.connect_grpc(data)
         try:
             scene = Scene(recording, values)
-            scene.draw(messages)
+            for each in messages:
+                scene.take(each.topic, each.content)
+            recording.flush()
             if bag is None:
                 draw_live(scene, namespace, going)
             while going():

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,7 +46,6 @@ MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
 EACH, TERM = 100, 12  # [us] of work per number of a leaf, and per term of a Hessian
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
-LARGEST = 64 << 20  # bytes of a file
 WORD = 'not proved: claimed by the method only'
 OutOfTime = Callable[[], bool]
 Document = dict[str, Any]  # a certificate as the plain values of its format
@@ -430,29 +428,15 @@ def _tree(stated: Any) -> ProofTree:
     return ProofTree(**found, ordered='ordered' in stated)
 
 
-# --- JSON: unique names, finite numbers, files of a bounded size
-
-
-def read(path: str | Path) -> Any:
-    """Return the document in a file.
-
-    Raises:
-        Refused: it is too large, or is not JSON with unique names and finite numbers.
-    """
-    try:
-        with Path(path).open('rb') as file:
-            large = file.seek(0, 2) > LARGEST
-            file.seek(0)
-            text = b'' if large else file.read(LARGEST)
-    except OSError as error:
-        raise Refused(f'{path}: {error.strerror}') from None
-    if large:
-        raise Refused(f'{path}: larger than {LARGEST >> 20} MB')
-    return parsed(text)
+# --- JSON: unique names, finite numbers
 
 
 def parsed(text: bytes) -> Any:
-    """Return the document in a file's content, as :func:`read` does."""
+    """Return the document in a file's content.
+
+    Raises:
+        Refused: it is not JSON with unique names and finite numbers.
+    """
     try:
         return json.loads(text, object_pairs_hook=_without_doubles, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
