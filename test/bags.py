@@ -26,10 +26,16 @@ def check_pictures(folder, *names):
         assert min(width, height) >= 1000
 
 
+def read(path):
+    """Return the decoded messages of a bag."""
+    decoded = bags.store().deserialize_cdr
+    return [each._replace(content=decoded(each.data, each.type)) for each in bags.raw(path)]
+
+
 def messages_of(folder):
     """Return the messages of a bag by topic and stamp [ns]; the first one of each stamp."""
     found = defaultdict(dict)
-    for message in bags.read(folder / 'bag'):
+    for message in read(folder / 'bag'):
         found[message.topic[1:]].setdefault(message.stamp, message.content)
     return found
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.tool.processes import Child, claimed, free
+from orbimpc_ros.tool.processes import Child, claimed
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 240.0  # [s] timeout of every wait: enough even with ten processes per core
@@ -59,7 +59,7 @@ def new_domain() -> int:
         1 + own + workers * ((13 * os.getpid() + next(_numbers)) % count) for _ in range(count)
     ]
     # With many suites at a time all may be claimed, although most are unused.
-    return next(filter(claimed, drawn), None) or next(filter(free, drawn))
+    return next(filter(claimed, drawn), drawn[0])
 
 
 class LaunchedProcess(Child):

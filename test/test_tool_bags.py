@@ -6,7 +6,7 @@ from contextlib import closing
 
 import pytest
 import yaml
-from bags import GOLDEN, rewritten, ros2_bag
+from bags import GOLDEN, read, rewritten, ros2_bag
 from rosbags.rosbag2 import Reader
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -45,7 +45,7 @@ def small(tmp_path_factory):
 
 def content(path):
     """Return everything in a bag: its notes, and its messages, decoded and raw."""
-    return bags.notes(path), [repr(message) for message in bags.read(path)], bags.raw(path)
+    return bags.notes(path), [repr(message) for message in read(path)], bags.raw(path)
 
 
 def assert_refused(path, culprit=''):
@@ -61,7 +61,7 @@ def assert_refused(path, culprit=''):
 
 
 def test_what_is_written_is_read(folder):
-    found = list(bags.read(folder))
+    found = list(read(folder))
     assert [m.stamp for m in found] == [1_000_000_000 * (k + 1) for k in range(5)]
     assert [m.sent - m.stamp for m in found] == [7] * 5
     assert [m.content.data for m in found] == [False] * 4 + [True]
@@ -116,7 +116,7 @@ def test_unknown_topics_and_types_are_not_decoded(tmp_path):
     with closing(BagWriter(tmp_path / 'run', listed, {})) as writer:
         for topic in listed:
             writer.write(topic.name, 1, serialised(True))
-    assert [m.topic for m in bags.read(tmp_path / 'run')] == ['/uav1/captured']
+    assert [m.topic for m in read(tmp_path / 'run')] == ['/uav1/captured']
 
 
 # --- damaged
@@ -197,4 +197,5 @@ def test_a_message_that_does_not_decode_is_refused(tmp_path, data):
     goal = Topic('/goal', 'geometry_msgs/msg/PoseStamped')
     with closing(BagWriter(tmp_path / 'run', (goal,), {})) as writer:
         writer.write('/goal', 1, data)
-    assert_refused(tmp_path / 'run', 'unreadable')
+    with pytest.raises(BadInput, match='unreadable'):
+        bags.of_vehicle(tmp_path / 'run', '', needed=())

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from bags import check_pictures, messages_of
+from bags import check_pictures, messages_of, read
 from harness import TOOL, alive, children_of, orbimpc, python, run, wait_for
 from rosbags.rosbag2 import Reader
 
@@ -131,7 +131,7 @@ def test_who_does_not_arrive_or_touches_a_box_has_failed(name, changes, end, tmp
     assert 'Traceback' not in done.stderr
     assert (tmp_path / name / 'trajectory.png').is_file()
     (bag,) = tmp_path.rglob('bag')
-    assert len([m for m in bags.read(bag) if m.topic == '/tick']) > 2
+    assert len([m for m in read(bag) if m.topic == '/tick']) > 2
     assert list(bag.with_name('log').iterdir())
 
 
@@ -180,7 +180,7 @@ def test_frames_stamps_and_values_are_as_documented(flown):
         assert min(told['speed_fraction'][1:]) >= np.sqrt(0.3) - 1e-6
         assert set(told['margins']) == {'hull', 'floor'}
         assert min(told['margins'].values()) >= -1e-6
-    caught = [each.content.data for each in bags.read(folder / 'bag') if each.topic == '/caught']
+    caught = [each.content.data for each in read(folder / 'bag') if each.topic == '/caught']
     assert caught[-1:] == [True]  # earlier ones may be False
 
 
@@ -195,7 +195,7 @@ def test_an_interrupted_demo_leaves_a_readable_bag_and_no_process(tmp_path, numb
     _, err = child.communicate(timeout=20)
     assert child.returncode != 0
     assert b'Traceback' not in err
-    assert isinstance(list(bags.read(tmp_path / 'retrieval' / 'bag')), list)
+    assert isinstance(list(read(tmp_path / 'retrieval' / 'bag')), list)
     assert not [pid for pid in nodes if alive(pid)]
 
 
@@ -284,7 +284,7 @@ def test_one_bag_holds_every_vehicle_from_its_first_step_on(fleet):
 def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(fleet):
     """They share one /tf; planners take odometry in their vehicle's frame, and command in it."""
     found = {}
-    for topic, content in ((each.topic, each.content) for each in bags.read(fleet[1] / 'bag')):
+    for topic, content in ((each.topic, each.content) for each in read(fleet[1] / 'bag')):
         if topic.endswith(('/odom', '/cmd_vel')):
             frame = getattr(content, 'child_frame_id', content.header.frame_id)
             found.setdefault(topic, set()).add(frame)

@@ -10,6 +10,7 @@ import textwrap
 import time
 
 import pytest
+from bags import read
 from harness import PATIENCE, alive, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
@@ -130,7 +131,7 @@ def test_the_order_of_sending_is_kept(recorded, tmp_path):
     recorder, record = recorded
     record([Odometry(header=header(stamp * SECOND, 'odom')) for stamp in stamps])
     recorder.close()
-    found = sorted(bags.read(tmp_path / 'bag'), key=lambda message: message.sent)
+    found = sorted(read(tmp_path / 'bag'), key=lambda message: message.sent)
     assert [message.content.header.stamp.sec for message in found] == stamps
     assert [message.stamp // SECOND for message in found] == stamps
     assert all(begun <= message.sent <= time.time_ns() for message in found)

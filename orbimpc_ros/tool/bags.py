@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.exceptions import EndOfFile
@@ -109,23 +109,6 @@ def store() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
-    """Yield the messages of a bag (folder, .mcap or .db3) in the order of their stamps.
-
-    Args:
-        path: path of the bag.
-        names: of the topics to read, in every namespace; by default all known topics.
-
-    Raises:
-        BadInput: missing, damaged, too large, of another version, or not a bag.
-    """
-    for each in raw(path):
-        if not names or each.topic.rpartition('/')[2] in names:
-            with _reading(path):
-                content = store().deserialize_cdr(each.data, each.type)
-            yield each._replace(content=content)
-
-
 def of_vehicle(
     path: Path,
     namespace: str,
@@ -133,28 +116,29 @@ def of_vehicle(
     others: Collection[str] = (),
     needed: Sequence[Collection[str]] = FLOWN,
 ) -> list[Message]:
-    """Return one vehicle's messages in the order of stamps, topics named without its namespace.
+    """Return one vehicle's decoded messages by stamp, topics named without its namespace.
 
     If there is no odometry, it is joined from pose and twist messages.
 
     Args:
-        path: path of the bag.
+        path: path of the bag: its folder, .mcap or .db3 file.
         namespace: of the vehicle, such as ``/uav1``.
         names: of the topics to read; by default all known topics.
         others: further topics to read, of other vehicles or none, by their full names.
         needed: groups of topics; the bag must have at least one topic of each group.
 
     Raises:
-        BadInput: no bag, or one without a needed topic.
+        BadInput: no bag, damaged, too large, of another version, or without a needed topic.
     """
-    wanted = (*names, *(other.rpartition('/')[2] for other in others)) if names else ()
-    found, own = list(read(path, wanted)), list[Message]()
+    found, own = raw(path), list[Message]()
     for each in found:
         before, _, name = each.topic.rpartition('/')
-        if each.topic in others:
-            own.append(each)
-        elif before == namespace:
-            own.append(each._replace(topic=name))
+        is_own = before == namespace and (not names or name in names)
+        if is_own or each.topic in others:
+            with _reading(path):
+                content = store().deserialize_cdr(each.data, each.type)
+            topic = each.topic if each.topic in others else name
+            own.append(each._replace(topic=topic, content=content))
     if not any(each.topic == 'odom' for each in own):
         own += _joined(each for each in own if each.topic in POSE_TWIST)
         own.sort(key=lambda each: each.stamp)
@@ -255,8 +239,7 @@ def _of_mcap(files: Sequence[Path]) -> Iterator[Message]:
 
 
 def _mcap(stream: BinaryIO) -> NonSeekingReader:
-    content = cast(IO[bytes], stream)
-    return NonSeekingReader(content, validate_crcs=True, record_size_limit=LARGEST_RECORD)
+    return NonSeekingReader(stream, validate_crcs=True, record_size_limit=LARGEST_RECORD)
 
 
 # --- writing

@@ -149,7 +149,7 @@ def isolate(folder: Path) -> int:
             place: no home folder is needed.
     """
     candidates = random.sample(DOMAINS, len(DOMAINS))
-    domain = next((d for d in candidates if claimed(d)), candidates[0])
+    domain = next(filter(claimed, candidates), candidates[0])
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     profile = folder / 'fastdds.xml'
@@ -164,30 +164,22 @@ def isolate(folder: Path) -> int:
 def claimed(domain: int) -> bool:
     """Return whether a domain is free; if so, reserve it against other processes of this package.
 
-    Between the choice of a domain and its first participant, another process might choose it, too.
-    Therefore the TCP port with the number of the domain's UDP port, which DDS does not use, is held
-    until this process ends or has claimed several more.
+    It is free if no participant here has its discovery ports (RTPS 9.6.2.3). Between the choice of
+    a domain and its first participant, another process might choose it, too. Therefore the TCP port
+    with the number of the domain's UDP port, which DDS does not use, is held until this process
+    ends or has claimed several more.
     """
-    if not free(domain):
-        return False
+    port = 7400 + 250 * domain
     try:
-        claim = socket.create_server(('127.0.0.1', 7400 + 250 * domain))
+        for offset in (0, 10):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind(('', port + offset))
+        claim = socket.create_server(('127.0.0.1', port))
     except OSError:
         return False
     if len(_CLAIMS) == _CLAIMS.maxlen:
         _CLAIMS.popleft().close()
     _CLAIMS.append(claim)
-    return True
-
-
-def free(domain: int) -> bool:
-    """Return whether a domain has no participant here (RTPS 9.6.2.3: its discovery ports)."""
-    for offset in (0, 10):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', 7400 + 250 * domain + offset))
-            except OSError:
-                return False
     return True
 
 

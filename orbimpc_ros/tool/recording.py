@@ -104,11 +104,6 @@ class Recording:
     inputs: tuple[Message, ...]  # with their own stamps, in the order of sending
     answers: tuple[RecordedTick, ...]  # in the order of sending
 
-    @property
-    def received(self) -> int:
-        """Return the number of messages sent to the planner, without those of /clock."""
-        return sum(each.topic != CLOCK for each in self.inputs)
-
 
 def recording_of(
     path: Path, namespace: str = '', params: str | None = None, changes: Sequence[str] = ()

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.tool import history
-from orbimpc_ros.tool.recording import Answer, ReplayedTick, recording_of, replayed
+from orbimpc_ros.tool.recording import CLOCK, Answer, ReplayedTick, recording_of, replayed
 
 LINES = 20  # differences printed individually
 # Solver versions, with and without numba, agree on an optimum within these tolerances. The
@@ -49,7 +49,8 @@ def run(
         found = [each for each in found if each.tick == tick]
         _show(answers[-1], found)
     else:
-        inputs = f'{recording.received}, {sum(len(each.refusals) for each in answers)} refused'
+        received = sum(each.topic != CLOCK for each in recording.inputs)
+        inputs = f'{received}, {sum(len(each.refusals) for each in answers)} refused'
         took = f'in {time.perf_counter() - begun:.2f} s'
         _sum_up(f'{len(answers)} ticks of {path} {took}', inputs, found)
     return int(any(each.differs for each in found))

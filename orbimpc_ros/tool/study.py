@@ -227,12 +227,10 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
 
 
 def _file(name: str) -> Path:
-    if Path(name).is_file():
-        return Path(name)
     studies = config('studies/fixed_wing.yaml').parent
-    for folder in (studies, studies.parent):
-        if (folder / f'{name}.yaml').is_file():
-            return folder / f'{name}.yaml'
+    for file in (Path(name), studies / f'{name}.yaml', studies.parent / f'{name}.yaml'):
+        if file.is_file():
+            return file
     known = ', '.join(sorted(file.stem for file in studies.glob('*.yaml')))
     raise BadInput('FILE', name, f'a parameter file, or one of {known}')
 

@@ -118,26 +118,25 @@ def _bag(
     from orbimpc_ros.tool import recording  # needs ROS, unlike a certificate file
 
     if tick is None:
-        yield from _published(path, namespace)
+        for each in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
+            yield _published(bytes(each.content.data))
     known = recording.recording_of(path, namespace, params)
-    for number, each in enumerate(recording.replayed(known)):
+    for number, answer in enumerate(recording.replayed(known)):
         if number == 0:
             gc.freeze()  # else each full collection scans all imported objects
         if tick in (None, number):
-            yield _tick(number, each, out)
-            yield from _catch(number, each, out)
+            yield _tick(number, answer, out)
+            yield from _catch(number, answer, out)
         if tick == number:
             return
 
 
-def _published(path: Path, namespace: str) -> Iterator[TickVerdict]:
-    """Verify the certificates that a planner published, without solving again."""
-    for each in bags.read(path, {'certificate'}):
-        if each.topic == f'{namespace}/certificate':
-            try:
-                yield _verified(None, document.parsed(bytes(each.content.data)))
-            except document.Refused as error:
-                yield TickVerdict(None, COST).because(FAILS, str(error))
+def _published(text: bytes) -> TickVerdict:
+    """Verify a certificate that a planner published, without solving again."""
+    try:
+        return _verified(None, document.parsed(text))
+    except document.Refused as error:
+        return TickVerdict(None, COST).because(FAILS, str(error))
 
 
 def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
