@@ -33,8 +33,7 @@ from orbimpc_ros.tool.offline import OfflinePlanner, resolving
 CLOCK = '/clock'
 TREE = tuple(topic.name for topic in topics.TREE)
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
-OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
-COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
+COMPARED = tuple(topic.name for topic in topics.OUTPUTS if not topic.name.startswith('plan'))
 NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
 NUMBER = (int, float)
 KINDS: dict[str, type | tuple[type, ...]] = {
