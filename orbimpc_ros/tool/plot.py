@@ -349,32 +349,24 @@ def motion(history: History) -> list[Panel]:
         return {'xyz'[k]: (times, vectors[:, k]) for k in range(first, count)}
 
     what, unit = ('Thrust', 'N') if thrust else ('Speed', 'm/s')
-    begun, pushed = applied(history)
+    line = times, np.linalg.norm(history.velocities, axis=1)
+    if thrust:  # it takes effect at the end of the step in which it is commanded
+        step, begun, last = values['step'], history.times[0], history.times[-1]
+        pushed = {begun: full * values['start.speed_fraction']}
+        pushed |= {time + step: force for time, force in history.forces if time + step <= last}
+        line = np.array([*pushed]) - begun, np.array([*pushed.values()])
     limits = {f'full {what.lower()}': full} | _floor(values, full)
     found = [
         Panel('Position', 'm', along(history.positions)),
         Panel('Velocity', 'm/s', along(history.velocities)),
         Panel('Body rates', 'rad/s', along(history.rates, 0 if n == 3 else 2, 3)),
-        Panel(what, unit, {'_': (begun, full * pushed)}, limits, steps=True),
+        Panel(what, unit, {'_': line}, limits, steps=True),
     ]
     if values['gravity']:
         angles = np.degrees(np.arccos(np.clip(history.attitudes[:, 2, 0], -1.0, 1.0)))
         limits = {'largest': math.degrees(values['tilt'])} if values['tilt'] else {}
         found.append(Panel('Tilt from the vertical', 'deg', {'_': (times, angles)}, limits))
     return found
-
-
-def applied(history: History) -> Line:
-    """Return times [s] and the share of full thrust or speed applied from each of them on."""
-    values, begun, last = history.values, history.times[0], history.times[-1]
-    if values['translation_order'] == 1:
-        speeds = np.linalg.norm(history.velocities, axis=1)
-        return history.times - begun, speeds / values['forward']
-    full, step = values['mass'] * values['forward'], values['step']
-    found = {begun: values['start.speed_fraction']}
-    # A thrust takes effect at the end of the step in which it is commanded.
-    found |= {time + step: force / full for time, force in history.forces if time + step <= last}
-    return np.array(list(found)) - begun, np.array(list(found.values()))
 
 
 def planning(history: History) -> list[Panel]:
