@@ -161,10 +161,8 @@ class Scene:
 
     def _take_tick(self, message: Any) -> None:
         values = fields(message)
-        shares = values.pop('speed_fraction', None)
-        self._shares = seconds(message), _numbers(shares)
-        words = _table(values | {'speed_fraction': shares})
-        self._to.log(TICK, rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN))
+        self._shares = seconds(message), _numbers(values.get('speed_fraction'))
+        self._to.log(TICK, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
         charted = values | dict(zip(('start', 'speed'), self._shares[1][:2].tolist(), strict=False))
         if self._problem.floor.exists:
             charted['floor'] = self._problem.floor.fraction
