@@ -34,7 +34,7 @@ from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.sim.fleet import vehicles
 
 RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # topics whose recording starts a flight
-AUTO = 'auto'
+AUTO, SWITCH = 'auto', ('true', 'false')
 SEVERAL = ('crossing', 'fleet')  # parameter files for several vehicles
 Values = Mapping[str, object]
 
@@ -49,7 +49,7 @@ def flight(scenario: str = 'retrieval') -> LaunchDescription:
         _argument(
             'clock', 'lockstep', 'simulated time as fast as possible, or real', ('lockstep', 'wall')
         ),
-        _argument('use_sim_time', AUTO, timed, (AUTO, 'true', 'false', 'True', 'False')),
+        _argument('use_sim_time', AUTO, timed, (AUTO, *SWITCH, 'True', 'False')),
     )
 
 
@@ -73,7 +73,7 @@ def vehicle() -> LaunchDescription:
         _argument('autopilot', None, 'vehicle or autopilot', TOPICS),
         _argument('params_file', '', "by default the autopilot's"),
         _argument('namespace', '', 'of the planner'),
-        _switch('dry_run', 'false', 'plan and report, but send no commands'),
+        _argument('dry_run', 'false', 'plan and report, but send no commands', SWITCH),
     )
 
 
@@ -175,13 +175,9 @@ def _common(file: str, whose: str) -> list[DeclareLaunchArgument]:
     return [
         _argument('params_file', '', f'of all nodes; by default {file}'),
         _argument('namespace', '', f'of {whose}'),
-        _switch('exit_when_done', 'true', 'exit after the flight, or wait for a reset'),
-        _switch('record', 'false', 'record all topics with ros2 bag into this folder'),
+        _argument('exit_when_done', 'true', 'exit after the flight, or wait for a reset', SWITCH),
+        _argument('record', 'false', 'record all topics with ros2 bag into this folder', SWITCH),
     ]
-
-
-def _switch(name: str, default: str, description: str) -> DeclareLaunchArgument:
-    return _argument(name, default, description, ('true', 'false'))
 
 
 def _argument(
