@@ -8,9 +8,8 @@ Mathematics: docs/mathematics.md, 4.8.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,44 +33,41 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
     """Return a Clarabel solver for compiled data; its A, b and q may be updated in place.
 
     Args:
-        data: P, c (which is q), A, b and the sizes of the cones, ``dims``.
+        data: the upper triangle of P; q, A, b and the ``cones``.
         tolerance: on feasibility and on the gap.
     """
-    if data['dims'].psd:  # Clarabel would import it at the first solve: 60 ms, in a tick
-        import_module('scipy.linalg')
+    if clarabel.PSDTriangleConeT in map(type, data['cones']):
+        import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
     return clarabel.DefaultSolver(
-        sparse.csc_matrix(sparse.triu(data['P'])),
-        data['c'],
-        data['A'],
-        data['b'],
-        _cones(data['dims']),
-        _settings(tolerance),
+        data['P'], data['q'], data['A'], data['b'], data['cones'], _settings(tolerance)
     )
 
 
 def extended(
     data: dict[str, Any], rows: Array, offsets: Array, *, equal: bool = False
 ) -> dict[str, Any]:
-    """Return compiled data with additional rows A'x <= b' or A'x = b'.
+    """Return compiled data with additional rows A'x <= b' or A'x = b' after the others.
 
     Args:
-        data: compiled, with rows ordered by cone.
+        data: compiled.
         rows: A', shape (m, columns).
         offsets: b', shape (m,).
         equal: whether the additional rows are equalities.
     """
-    dims, a, m = data['dims'], data['A'].tocoo(), len(offsets)
-    kind, end = ('zero', dims.zero) if equal else ('nonneg', dims.zero + dims.nonneg)
-    lines, columns = np.nonzero(rows)
-    entries = np.concatenate([a.data, rows[lines, columns]])
-    places = np.concatenate([np.where(a.row < end, a.row, a.row + m), end + lines])
-    shape = a.shape[0] + m, a.shape[1]
-    across = np.concatenate([a.col, columns])
+    a, count = data['A'], len(offsets)
+    columns, lines = np.nonzero(rows.T)
+    more = np.bincount(columns, minlength=a.shape[1])
+    at = np.repeat(a.indptr[1:], more)  # behind the other entries of each column
+    entries = np.insert(a.data, at, rows[lines, columns])
+    places = np.insert(a.indices, at, a.shape[0] + lines)
+    ends = a.indptr + np.append(0, np.cumsum(more))
+    shape = a.shape[0] + count, a.shape[1]
+    cone = clarabel.ZeroConeT(count) if equal else clarabel.NonnegativeConeT(count)
     return {
         **data,
-        'A': sparse.csc_matrix((entries, (places, across)), shape=shape),
-        'b': np.concatenate([data['b'][:end], offsets, data['b'][end:]]),
-        'dims': SimpleNamespace(**{**vars(dims), kind: getattr(dims, kind) + m}),
+        'A': sparse.csc_matrix((entries, places, ends), shape=shape),
+        'b': np.concatenate([data['b'], offsets]),
+        'cones': [*data['cones'], cone],
     }
 
 
@@ -93,15 +89,15 @@ def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) 
         return None
 
 
-def _cones(dims: Any) -> list:
-    """Return the cones of the rows in their order."""
+def cones_of(zero: int, nonneg: int, soc: Sequence[int], psd: Sequence[int]) -> list:
+    """Return the cones of rows in this order: zero, non-negative, second-order, semidefinite."""
     cones: list = []
-    if dims.zero:
-        cones.append(clarabel.ZeroConeT(dims.zero))
-    if dims.nonneg:
-        cones.append(clarabel.NonnegativeConeT(dims.nonneg))
-    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
-    cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
+    if zero:
+        cones.append(clarabel.ZeroConeT(zero))
+    if nonneg:
+        cones.append(clarabel.NonnegativeConeT(nonneg))
+    cones += [clarabel.SecondOrderConeT(size) for size in soc]
+    cones += [clarabel.PSDTriangleConeT(size) for size in psd]
     return cones
 
 

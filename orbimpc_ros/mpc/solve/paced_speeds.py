@@ -136,7 +136,7 @@ class PacedSpeeds:
             wide = half >= NARROW
             (held if wide else rays).extend(_cone(k, units, half * wide))
         data = extended(program.stated(request), *self._limits(state, units))
-        data |= {'P': data['P'] / unit, 'c': data['c'] / unit}  # for small costs near the goal
+        data |= {'P': data['P'] / unit, 'q': data['q'] / unit}  # for small costs near the goal
         data = program.cut(program.cut(data, held, equal=False), rays, equal=True)
         answer = run(solver_for(data, ACCURATE), None)
         if answer is None or str(answer.status) not in SOLVED:

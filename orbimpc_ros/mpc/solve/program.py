@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
@@ -92,10 +91,10 @@ class Program:
         usual = FAR * (1.0 + 2.0 * self._heaviest * reach)
         scale = max(1.0, float(np.abs(pull).max()) / usual)
         if scale != self._scale:
-            self._solver.update(P=sparse.csc_matrix(sparse.triu(self._p)).data / scale)
+            self._solver.update(P=self._p.data / scale)
             self._scale = scale
         statement = self.statement
-        self._q: Array = self._data['c'] / scale
+        self._q: Array = self._data['q'] / scale
         self._q[statement.moved] += pull / scale
         self._q[statement.last] += braking[: len(statement.last)] / scale
 
@@ -110,7 +109,7 @@ class Program:
         matrix = self._data['A'].copy()
         matrix.data = a
         q = self._q * (self._scale / scale)
-        return {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
+        return {**self._data, 'P': self._p / scale, 'q': q, 'A': matrix, 'b': b}
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -194,12 +193,10 @@ class Program:
         return Relaxation(x, bound)
 
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
-        x, z = np.asarray(answer.x), scale * np.asarray(answer.z)
-        end = int(self._data['dims'].zero + self._data['dims'].nonneg)
-        on_top = slice(end, end + len(z) - len(self._b))
+        x, z, count = np.asarray(answer.x), scale * np.asarray(answer.z), len(self._b)
         assert self._request is not None
-        sizes = np.maximum(z[on_top], 0.0)
-        return self.statement.multipliers(x, np.delete(z, on_top), sizes, self._request.state)
+        sizes = np.maximum(z[count:], 0.0)
+        return self.statement.multipliers(x, z[:count], sizes, self._request.state)
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:

@@ -18,7 +18,6 @@ Mathematics: docs/mathematics.md, 4.8.
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,6 +37,7 @@ from orbimpc_ros.mpc.model.dynamics import (
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides
+from orbimpc_ros.mpc.solve.conic import cones_of
 from orbimpc_ros.mpc.solve.relaxation import Multipliers
 
 ORDER = 4  # of the matrices S(R)
@@ -232,10 +232,10 @@ class ConicStatement:
             counts.append(rows.count - before)
         a, b = rows.matrix(self.columns)
         psd = [ORDER] * (counts[3] // (ORDER * (ORDER + 1) // 2))
-        dims = SimpleNamespace(zero=counts[0], nonneg=counts[1], soc=self._round, psd=psd)
         self._locate(a)
         quadratic, linear = self._cost()
-        return {'P': quadratic, 'c': linear, 'A': a, 'b': b, 'dims': dims}
+        cones = cones_of(counts[0], counts[1], self._round, psd)
+        return {'P': quadratic, 'q': linear, 'A': a, 'b': b, 'cones': cones}
 
     def _locate(self, a: sparse.csc_matrix) -> None:
         """Locate the entries of A that depend on the state."""
@@ -366,7 +366,7 @@ class ConicStatement:
         rows.add(offsets, (each.row, free.ravel()[each.col], each.data))
 
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
-        """Return P (of distances, inputs and the last rotation) and c (of lengths)."""
+        """Return half of P (of distances, inputs and the last rotation), and q (of lengths)."""
         problem = self.problem
         diagonal, linear = np.zeros(self.columns), np.zeros(self.columns)
         diagonal[self.moved] = 2.0 * position_weights(problem)[:, None]
@@ -378,7 +378,7 @@ class ConicStatement:
         turning = 2.0 * input_weight(problem) * (differences.T @ differences)
         rest = sparse.csc_matrix((self.columns - self._x.size,) * 2)
         inputs = sparse.block_diag([sparse.kron(turning, sparse.eye(self.width)), rest])
-        return sparse.csc_matrix(inputs + sparse.diags(diagonal)), linear
+        return sparse.csc_matrix(sparse.triu(inputs + sparse.diags(diagonal))), linear
 
 
 def _entries(a: sparse.csc_matrix, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
