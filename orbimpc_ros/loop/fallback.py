@@ -39,7 +39,7 @@ CIRCLE_STEPS = 16  # steps in which a loitering vehicle completes its circle
 
 def is_clear(task: Task, plan: Plan) -> bool:
     """Return True if the first steps of a checked plan, steered, stay clear of hazards."""
-    if not cuts_turns(task.problem):
+    if not _cuts_turns(task.problem):
         return True
     return _suffices(task.problem, _room(task, plan, SURE_STEPS))
 
@@ -130,13 +130,13 @@ def _room(task: Task, plan: Plan, steps: int) -> float:
     """Return the distance of the first steps of a plan, when steered, from hazards [m]."""
     steps, (problem, state, goals) = min(steps, plan.horizon), task.known
     part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
-    if cuts_turns(problem):
+    if _cuts_turns(problem):
         x = followed(problem, state, x)
     begun = assemble(part, state, goals[:steps], x, projection=plan.projection, proof=UNPROVED)
     return min(clearances(part, state, begun).values())
 
 
-def cuts_turns(problem: Problem) -> bool:
+def _cuts_turns(problem: Problem) -> bool:
     """Return True if commands in the plane may turn less than the plans of a problem."""
     planar = problem.dimension == 2 and problem.rotation_order == 1
     return planar and problem.max_rate > 0.0 and not problem.turns_are_angles

@@ -20,7 +20,6 @@ from orbimpc_ros.loop.fallback import (
     cheapest_clear,
     clear_instead,
     clearest,
-    cuts_turns,
     entry_of_safety,
     is_clear,
     leaving,
@@ -35,13 +34,11 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, number, seale
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, assemble, command_of
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, command_of
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
-from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.solver import Solver
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
@@ -216,7 +213,6 @@ class Planner:
         # Lengths of shortened steps do not recur: few solvers are kept.
         self._solver = lru_cache(maxsize=2 * problem.horizon + 2)(self._made)
         self._solver(problem.horizon, problem.step)
-        self._scout: Scout | None = None
         self._interception: Interception | None = None
         self._approach = approach or Approach()
         if number(capture_radius, 'capture_radius', 0.0) > 0.0:
@@ -269,8 +265,6 @@ class Planner:
     def expect_hazards(self) -> None:
         """Compile in advance the code of the first plan among hazards, which takes a second."""
         self._solver(self.problem.horizon, self.problem.step).expect_hazards()
-        if self._scout is None and cuts_turns(self.problem):
-            self._scout = Scout(self.problem, steered=True)
 
     def prepare(self) -> None:
         """Build the solver for a decision a step later, which a shrinking horizon takes each time.
@@ -482,15 +476,15 @@ class Planner:
     def _clear(self, task: Task, wary: Task, answer: Answer) -> Answer:
         """Return an answer whose plan, steered, is clear of hazards, as far as there is one.
 
-        The cheapest clear plan replaces it, of the given, the previous and the scouted one: first
-        of those that keep the reserve of the ``wary`` task.
+        The cheaper clear plan replaces it, of the given and the previous one: first of those that
+        keep the reserve of the ``wary`` task.
         """
         plan, status, words = answer
         if status is Status.INFEASIBLE or (plan is not None and is_clear(wary, plan)):
             return answer
         guess = None if plan is None else task.rest
         found = (
-            cheapest_clear(each, filter(None, (plan, guess, self._scouted(each))))
+            cheapest_clear(each, filter(None, (plan, guess)))
             for each in ((wary,) if wary is task else (wary, task))
         )
         instead = next(filter(None, found), None)
@@ -503,16 +497,6 @@ class Planner:
         instead = replace(instead, proof=plan.proof)
         less = 'a plan that turns in time is followed instead of a cheaper one'
         return instead, instead.status, joined(words, less)
-
-    def _scouted(self, task: Task) -> Plan | None:
-        """Return a path among hazards along which the vehicle can turn, if one is found."""
-        traffic = traffic_of(task.problem, task.state)
-        if self._scout is None or traffic is None or task.problem != self.problem:
-            return None
-        headings = self._scout.way(task.state, task.goals, traffic, task.late)
-        if headings is None:
-            return None
-        return assemble(*task.known, headings, projection=task.projection, proof=UNPROVED)
 
     def _caught(
         self, task: Task, interception: Interception, motion: GoalMotion | None, pause: float

@@ -14,7 +14,7 @@ Mathematics: docs/mathematics.md, 4.9 and 5.3.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,6 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.problem.obstacle import Traffic
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
@@ -35,7 +34,6 @@ from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
 from orbimpc_ros.mpc.solve.regions import Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
-from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
@@ -79,7 +77,6 @@ class BranchAndBound:
         self._regions = Regions(problem, self._inverse, self.turns, ordered=ordered)
         self.program = _program(problem, coasting, beside=among or bool(problem.obstacles))
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
-        self.scout = Scout(problem) if among else None
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -97,7 +94,7 @@ class BranchAndBound:
             return self._relaxed(request)
         run = self._run(request, guided=traffic is not None)
         planar = [] if self._plane is None else [self._plane.way(request)]
-        return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
+        return run.run(planar, () if traffic is None else self._ways(request, planar))
 
     def exceeding(self, request: Request, cost: float) -> ProofTree | None:
         """Return a proof that every trajectory costs more than a value; None if none was found.
@@ -143,20 +140,10 @@ class BranchAndBound:
             root.leaf = leaves.solved(found, (), 0, empty=empty)
         return leaves.tree([root])
 
-    def _ways(self, request: Request, traffic: Traffic, planar: list[Array]) -> Iterator[Array]:
-        """Yield guide paths as headings R_1 e1..R_N e1, shape (N, n).
-
-        They are those of the guess, of the planar trajectories ``planar``, and of the scout.
-        """
-        if request.guess is not None:
-            yield request.guess.x[:, : self.problem.dimension]
-        for x in planar:
-            yield x[:, : self.problem.dimension]
-        if self.scout is None or request.late:
-            return
-        scouted = self.scout.way(request.state, request.goals, traffic, request.out_of_time)
-        if scouted is not None:
-            yield scouted
+    def _ways(self, request: Request, planar: list[Array]) -> list[Array]:
+        """Return guide paths, shape (N, n): headings of the guess and of planar trajectories."""
+        guess = [] if request.guess is None else [request.guess.x]
+        return [x[:, : self.problem.dimension] for x in (*guess, *planar)]
 
 
 def _program(problem: Problem, coasting: bool, *, beside: bool) -> Relaxed:
@@ -211,7 +198,7 @@ class _Run:
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, known: Sequence[Array] = (), ways: Iterable[Array] = ()) -> Found:
+    def run(self, known: Sequence[Array] = (), ways: Sequence[Array] = ()) -> Found:
         """Run the search, with first incumbents from candidates and along guide paths.
 
         Args:
