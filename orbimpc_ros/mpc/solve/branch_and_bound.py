@@ -39,7 +39,6 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
-FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 WORST_CONDITION = 1e12
@@ -92,9 +91,9 @@ class BranchAndBound:
         traffic = traffic_of(self.problem, request.state)
         if traffic is None and not self._chooses:
             return self._relaxed(request)
-        run = self._run(request, guided=traffic is not None)
         planar = [] if self._plane is None else [self._plane.way(request)]
-        return run.run(planar, () if traffic is None else self._ways(request, planar))
+        guess = [] if request.guess is None else [request.guess.x]
+        return self._run(request).run(planar, () if traffic is None else (*guess, *planar))
 
     def exceeding(self, request: Request, cost: float) -> ProofTree | None:
         """Return a proof that every trajectory costs more than a value; None if none was found.
@@ -103,16 +102,16 @@ class BranchAndBound:
             request: state and goals.
             cost: the value; infinity for a proof that there is no trajectory.
         """
-        return self._run(request, guided=True).exceeding(cost)
+        return self._run(request).exceeding(cost)
 
-    def _run(self, request: Request, *, guided: bool) -> _Run:
+    def _run(self, request: Request) -> _Run:
         regions = self._regions
         regions.bind(request)
         posed = NodeProgram(self.problem, self.program, self.turns, request, regions)
         leaves = ProofWriter(
             self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins
         )
-        return _Run(posed, leaves, self.tolerance, guided=guided)
+        return _Run(posed, leaves, self.tolerance)
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of a problem without disjunctions, which one relaxation solves."""
@@ -139,11 +138,6 @@ class BranchAndBound:
         if found is not None:
             root.leaf = leaves.solved(found, (), 0, empty=empty)
         return leaves.tree([root])
-
-    def _ways(self, request: Request, planar: list[Array]) -> list[Array]:
-        """Return guide paths, shape (N, n): headings of the guess and of planar trajectories."""
-        guess = [] if request.guess is None else [request.guess.x]
-        return [x[:, : self.problem.dimension] for x in (*guess, *planar)]
 
 
 def _program(problem: Problem, coasting: bool, *, beside: bool) -> Relaxed:
@@ -183,54 +177,40 @@ class _Run:
         posed: the request with its regions and relaxation.
         leaves: writer of the proof.
         tolerance: relative gap at which the search stops.
-        guided: whether guide paths are followed before the first dive.
     """
 
-    def __init__(
-        self, posed: NodeProgram, leaves: ProofWriter, tolerance: float, *, guided: bool
-    ) -> None:
+    def __init__(self, posed: NodeProgram, leaves: ProofWriter, tolerance: float) -> None:
         self._posed, self._regions, self._leaves = posed, posed.regions, leaves
-        self._tolerance, self._guided = tolerance, guided
-        self._dives = Dives(posed, tolerance, passing=guided)
+        self._tolerance, self._dives = tolerance, Dives(posed, tolerance)
         self._root = -np.inf  # bound of the root
         self._closed = np.inf
-        self._stood_in = False
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
         self._open = [self._nodes[0]]
 
     def run(self, known: Sequence[Array] = (), ways: Sequence[Array] = ()) -> Found:
-        """Run the search, with first incumbents from candidates and along guide paths.
+        """Run the search, with first incumbents from candidates and beside paths.
 
         Args:
             known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
-            ways: guide paths: headings R_1 e1..R_N e1, shape (N, n) each.
+            ways: of paths to follow from the root.
         """
         posed, best, root = self._posed, self._dives, self._nodes[0]
         if root.known is None:
             raise Infeasible(NOTHING)
-        self._offer(known)
-        if self._guided:  # the root first: its bound is valid even if no path leads to a plan
-            self._expand(heapq.heappop(self._open))
-            for way in ways:
-                self._dives.follow(way, self._rows(root))
-            self._guided = False
+        for x in known:
+            best.offer(x)
         while self._open and self._open[0].bound < self._limit:
             if posed.solved >= MAX_NODES or (posed.solved and posed.request.late):
                 break
-            if posed.solved >= FRUITLESS and best.x is None and not self._stood_in:
-                self._stood_in = True
-                best.stand_in()
             self._expand(heapq.heappop(self._open))
+            if len(ways) and self._open:
+                for x in ways:
+                    best.follow(posed.headings(x), self._rows(root))
+                ways = ()
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
         return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
-
-    def _offer(self, known: Sequence[Array]) -> None:
-        """Take the best of those candidates that are feasible as the incumbent."""
-        for x in known:
-            if not self._posed.missed(self._posed.headings(x)):
-                self._dives.offer(x, self._posed.flown(x))
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
@@ -305,8 +285,8 @@ class _Run:
         if not missed:
             self._settle(node, relaxed, headings)
             return
-        if (self._dives.x is None and not self._guided) or self._is_nearly_round(missed):
-            self._dives.dive(rows, headings)
+        if self._dives.x is None or self._is_nearly_round(missed):
+            self._dives.dive(headings, rows)
         # Branching may take as long as a solve. Without a cut, an imposed face is violated: the
         # solve was not accurate enough.
         cut = None if posed.request.late else self._cut(self._known(node), missed)
@@ -319,11 +299,9 @@ class _Run:
         """Close a node whose solution meets all choices, and offer it as the incumbent."""
         self._close(node.bound)
         assert relaxed.x is not None
-        self._dives.offer(relaxed.x, self._posed.flown(relaxed.x))
-        if not relaxed.is_accurate:
-            self._dives.dive(self._rows(node), headings)
-        elif not self._posed.turns_in_time(headings):
-            self._dives.turn(self._rows(node), headings)
+        self._dives.offer(relaxed.x)
+        if not (relaxed.is_accurate and self._posed.turns_in_time(headings)):
+            self._dives.dive(headings, self._rows(node))
 
     def _rows(self, node: Node) -> dict[int, Held]:
         """Return the half-spaces of a node, by choice."""

@@ -83,7 +83,7 @@ class Regions:
         first: index of the first heading that is not fixed by the state.
         bodies: number of bodies.
         origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
-        round_floors: choices of headings with a round floor.
+        floors: choices of headings with a floor.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class Regions:
         limits = self._statement.limits(state, request.goals)
         stated = self._stated = self._statement.of(state, request.goals, limits)
         self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
-        self.round_floors = list(range(self.first, count)) if problem.floor.radius else []
+        self.floors = list(range(self.first, count)) if problem.floor.exists else []
         flags = stated.sets.cones[:, problem.dimension + 3] == 1.0  # patches cover the tilt's cap
         self._upright = set(stated.sets.cone_step[flags].tolist())
         known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])

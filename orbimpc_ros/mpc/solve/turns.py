@@ -2,9 +2,10 @@
 """Turn limits as angles, for a search whose relaxations bound only chords.
 
 With a floor, the chord of a turn by the widest angle a depends on the speeds before and after it; a
-relaxation allows the longest chord. To find a trajectory, headings are confined to cells, in which
-their speeds are at least r_k, and the chord between consecutive headings to the distance between
-two points at the radii r_k and r_{k+1} with the angle a between them: then no turn is too wide.
+relaxation allows the longest chord. To find a trajectory, headings are confined to *cells*, beyond
+tangents or faces of the floor, in which their speeds are at least r_k, and the chord between
+consecutive headings to the distance between two points at the radii r_k and r_{k+1} with the angle
+a between them: then no turn is too wide.
 
 Mathematics: docs/mathematics.md, 3.6.
 """
@@ -12,7 +13,7 @@ Mathematics: docs/mathematics.md, 3.6.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,19 +27,6 @@ ACCURATE = 5e-7  # [rad] half the tolerance of the check
 KEPT = 0.9  # share of its speed that a heading keeps in the next solve
 
 
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """A half-space normal . v >= offset.
-
-    Attributes:
-        normal: unit vector, shape (n,).
-        offset: smallest value of normal . v.
-    """
-
-    normal: Array
-    offset: float
-
-
 class Turns:
     """The turns of a problem with a floor and a ``max_rate``.
 
@@ -49,6 +37,7 @@ class Turns:
     def __init__(self, problem: Problem) -> None:
         self._problem, floor, n = problem, problem.floor, problem.dimension
         self._widest, self._least = WITHIN * problem.widest_turn, problem.least_speed
+        self._shares = np.eye(problem.horizon)
         # A speed allowed in every heading, and a turn with no longer a chord than at least speed.
         self._speed = floor.circling(n)
         half = self._least * math.sin(0.5 * self._widest) / self._speed
@@ -75,11 +64,11 @@ class Turns:
             state: initial state of plans.
             narrow: whether the half-space of the first turn has to imply its angle limit.
         """
-        axis, units, found = state.attitude[:, 0], np.eye(self._problem.horizon), list[Row]()
+        axis, found = state.attitude[:, 0], list[Row]()
         for k in self._steps:
             share = math.cos(k * self._problem.widest_turn)
             least = self._narrow if narrow and k == 1 else min(share, self._least * share)
-            found.append(Row(k - 1, units[k - 1], axis, least))
+            found.append(Row(k - 1, self._shares[k - 1], axis, least))
         return tuple(found)
 
     @property
@@ -88,7 +77,7 @@ class Turns:
         share = math.cos(self._widest)
         return max(share, self._least * share)
 
-    def reached(self, state: State, headings: Array) -> list[Cell]:
+    def reached(self, state: State, headings: Array) -> tuple[Row, ...]:
         """Return a cell for each step around headings that follow given ones as turns allow.
 
         Args:
@@ -102,19 +91,23 @@ class Turns:
             wanted = heading / size if size > HEADING_UNDEFINED else unit
             given = k == 1 and self._problem.rotation_order == 2
             unit = wanted if given else turned_within(unit, wanted, widest)
-            cells.append(self._cell(unit))
-        return cells
+            cells.append(self._cell(k - 1, unit))
+        return tuple(cells)
 
-    def kept(self, headings: Array) -> list[Cell]:
-        """Return the cells of headings R_1 e1..R_N e1, raised to nearly their speeds."""
+    def kept(self, headings: Array) -> tuple[Row, ...]:
+        """Return the cells of headings R_1 e1..R_N e1, raised to nearly their speeds.
+
+        Args:
+            headings: R_0 e1..R_N e1, shape (N + 1, n).
+        """
         cells = []
-        for heading in headings[1:]:
-            cell = self._cell(heading / max(float(np.linalg.norm(heading)), HEADING_UNDEFINED))
+        for k, heading in enumerate(headings[1:]):
+            cell = self._cell(k, heading / max(float(np.linalg.norm(heading)), HEADING_UNDEFINED))
             fast = KEPT * float(cell.normal @ heading)
-            cells.append(Cell(cell.normal, max(cell.offset, fast)))
-        return cells
+            cells.append(cell._replace(offset=max(cell.offset, fast)))
+        return tuple(cells)
 
-    def close(self, cells: list[Cell]) -> Array:
+    def close(self, cells: Sequence[Row]) -> Array:
         """Return limits on chords that imply the angle limit for headings in these cells."""
         speeds = np.array([cell.offset for cell in cells])
         slow, fast = np.minimum(speeds[1:], speeds[:-1]), np.maximum(speeds[1:], speeds[:-1])
@@ -128,6 +121,6 @@ class Turns:
             return self._turn
         return min(self._turn, math.acos(max(-1.0, min(1.0, self._narrow / self._speed))))
 
-    def _cell(self, unit: Array) -> Cell:
+    def _cell(self, k: int, unit: Array) -> Row:
         """Return the tangent of a round floor, or the face nearest to a direction, (n,)."""
-        return Cell(self._problem.floor.tangent(unit), self._least)
+        return Row(k, self._shares[k], self._problem.floor.tangent(unit), self._least)
