@@ -27,8 +27,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import planner_of
-from orbimpc_ros.sim.engine_vehicle import class_of
 from orbimpc_ros.sim.engines import Engine, Motion, Start, about
+from orbimpc_ros.sim.vehicle import class_of
 from orbimpc_ros.tool.files import read
 
 WINDS = (0.0, 0.3, 0.6, 0.9, 1.2)  # of the airspeed

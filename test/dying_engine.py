@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 from orbimpc_ros.ros.entry import sim
-from orbimpc_ros.sim import engine_vehicle as engines
+from orbimpc_ros.sim import vehicle as engines
 from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion
 
 

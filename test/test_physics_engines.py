@@ -15,10 +15,10 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros import messages
-from orbimpc_ros.sim import engine_vehicle as engines
-from orbimpc_ros.sim.engine_vehicle import Kind, class_of
+from orbimpc_ros.sim import vehicle as engines
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.vehicle import Kind, class_of
 from orbimpc_ros.sim.world import departure, outcome
 from orbimpc_ros.tool import flights as study
 from orbimpc_ros.tool.study import draws_of

@@ -14,9 +14,8 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import planner_settings
-from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.parameters import SIM, sim_settings
-from orbimpc_ros.sim.vehicle import Plant
+from orbimpc_ros.sim.vehicle import EnginePlant, Plant
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.offline import OfflinePlanner

@@ -82,7 +82,7 @@ def no_module(_name):
 MISSING = {
     'faults': ('benchmarks.faults.find_spec', lambda _name: None, 'ros-jazzy-rclpy'),
     f'view {DUBINS}': ('orbimpc_ros.tool.view.installed', lambda: False, 'rerun-sdk'),
-    'demo cessna': ('orbimpc_ros.sim.engine_vehicle.import_module', no_module, 'jsbsim>=1.2'),
+    'demo cessna': ('orbimpc_ros.sim.vehicle.import_module', no_module, 'jsbsim>=1.2'),
 }
 
 

@@ -139,7 +139,7 @@ def test_an_engine_is_studied_beside_its_own_guidance():
 
 
 def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.sim.engine_vehicle.class_of', lambda _: FAILURES['Stopping'])
+    monkeypatch.setattr('orbimpc_ros.sim.vehicle.class_of', lambda _: FAILURES['Stopping'])
     row = flown(*job('cessna', 'lead', 0, seed=700))
     assert row['failed'] == 'broken: stopped at t = 2.000 s'
     assert row['caught'] is False

@@ -10,7 +10,7 @@ from scenarios import retrieval, retrieval3d
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
-from orbimpc_ros.sim.faults import View
+from orbimpc_ros.sim.outputs import View
 from orbimpc_ros.sim.parameters import Faults, SimSettings
 from orbimpc_ros.sim.vehicle import between, measured
 from orbimpc_ros.sim.world import departure

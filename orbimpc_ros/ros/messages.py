@@ -19,6 +19,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -219,32 +220,20 @@ def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Ag
     return at, AgentTrajectory(at.nanoseconds / SECOND, itinerary.times, itinerary.positions)
 
 
-def read_speed_and_rate(
-    message: TwistStamped, dimension: int, frames: Frames
-) -> tuple[int, float, Array]:
-    """Return the stamp [ns], forward speed [m/s] and body rate [rad/s] of a commanded twist.
+def read_command(message: TwistStamped | WrenchStamped, frames: Frames) -> tuple[int, float, Array]:
+    """Return the stamp [ns] of a command, its part along the thrust axis, and that about the axes.
 
-    The rate has shape (1,) in the plane and (3,) in space.
-
-    Raises:
-        BadInput: a stamp or a number is not acceptable.
-    """
-    at = _stamp(message.header, '')
-    linear = frames.turned(_triple(message.twist.linear, 'twist.linear'))
-    angular = frames.turned(_triple(message.twist.angular, 'twist.angular'))
-    return at.nanoseconds, float(linear[0]), angular[2 if dimension == 2 else 0 :]
-
-
-def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
-    """Return the stamp [ns] and the force along the thrust axis [N] of a commanded wrench.
+    The latter has shape (3,). They are speed and body rate [m/s, rad/s], or force and torque [N,
+    N m].
 
     Raises:
         BadInput: a stamp or a number is not acceptable.
     """
-    at = _stamp(message.header, '')
-    force = _triple(message.wrench.force, 'wrench.force')
-    _triple(message.wrench.torque, 'wrench.torque')
-    return at.nanoseconds, float(frames.turned(force)[0])
+    at, parts = _stamp(message.header, ''), ('twist.linear', 'twist.angular')
+    if isinstance(message, WrenchStamped):
+        parts = 'wrench.force', 'wrench.torque'
+    along, about = (frames.turned(_triple(attrgetter(part)(message), part)) for part in parts)
+    return at.nanoseconds, float(along[0]), about
 
 
 def read_transform(message: Transform, name: str) -> tuple[Array, Array]:

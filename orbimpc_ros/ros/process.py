@@ -38,13 +38,7 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState
 from rclpy.lifecycle import TransitionCallbackReturn as Ended
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_default_context, remove_ros_args
 
@@ -232,9 +226,7 @@ class Managed(LifecycleNodeMixin, Node):
         self.on_deactivate(state)
         return self.on_cleanup(state)
 
-    def on_error(self, state: LifecycleState) -> Ended:
-        """Deactivate and clean up after a failed transition."""
-        return self.on_shutdown(state)
+    on_error = on_shutdown  # of a failed transition
 
     def flush(self) -> None:
         """Wait until the last messages have arrived, but not for long: a subscriber may hang."""
@@ -355,27 +347,20 @@ SECURITY = 'ROS_SECURITY_ENABLE'
 KNOWN_WORDS = 'arguments of ROS, such as --params-file FILE, -p NAME:=VALUE, -r FROM:=TO'
 
 
-def qos(
-    depth: int = 1,
-    reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
-    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
-    lease: float = 0.0,
-) -> QoSProfile:
-    """Return a quality of service that keeps the last ``depth`` messages.
+def qos(depth: int = 1, lease: float = 0.0, **policies: Any) -> QoSProfile:
+    """Return a quality of service that keeps the last ``depth`` messages, by default reliably.
 
     With a ``lease`` [s], DDS offers or requires liveliness of the process at this interval.
     """
     return QoSProfile(
         depth=depth,
-        history=HistoryPolicy.KEEP_LAST,
-        reliability=reliability,
-        durability=durability,
         liveliness=LivelinessPolicy.AUTOMATIC,
         liveliness_lease_duration=Duration(nanoseconds=round(1e9 * lease)),
+        **policies,
     )
 
 
-LATEST = qos(1, ReliabilityPolicy.BEST_EFFORT)
+LATEST = qos(reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

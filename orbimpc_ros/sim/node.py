@@ -18,7 +18,7 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
-from orbimpc_ros.sim.faults import Seen
+from orbimpc_ros.sim.outputs import Seen
 from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
@@ -82,21 +82,18 @@ class LockStep(FlightSimulation):
         if self.finished:
             return
         if not self._met:
-            self._begin_or_wait()
+            absent = self.awaited(planner=True)
+            if not absent:
+                self._met = True
+                self._ask_when_due()
+            elif self.waited > self._patience:
+                self._give_up(absent, self.waited)
         elif self._held_back:
             if self.node.steady_now() - self._asked_at >= 0.5 * LOOK:
                 self.deliver(self.now, self._held_back)
                 self._held_back = []
         elif self._asking:
             self._keep_asking()
-
-    def _begin_or_wait(self) -> None:
-        absent = self.awaited(planner=True)
-        if not absent:
-            self._met = True
-            self._ask_when_due()
-        elif self.waited > self._patience:
-            self._give_up(absent, self.waited)
 
     def _keep_asking(self) -> None:
         now, patience = self.node.steady_now(), self._patience

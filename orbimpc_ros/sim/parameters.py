@@ -27,8 +27,7 @@ from orbimpc_ros.ros.parameters.spec import (
     specs_of,
     vector,
 )
-from orbimpc_ros.sim.engine_vehicle import ENGINES, PLAIN, EnginePlant
-from orbimpc_ros.sim.vehicle import Model, Plant, Rope, Vehicle
+from orbimpc_ros.sim.vehicle import ENGINES, PLAIN, EnginePlant, Model, Plant, Rope, Vehicle
 
 ALONG_AXES = (0.0, 0.0, 0.0)
 # Parameters that do not apply, by vehicle without an engine.
@@ -178,8 +177,20 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def wait_for(self) -> dict[str, int]:
-        """Return the number of readers to wait for, by topic, besides planner and simulator."""
-        return wanted_readers(self.given_wait_for)
+        """Return the number of readers to wait for, by topic, besides planner and simulator.
+
+        Raises:
+            BadInput: the text is not a list such as ``tick, odom 2``.
+        """
+        wanted: dict[str, int] = {}
+        for entry in filter(None, (each.strip() for each in self.given_wait_for.split(','))):
+            topic, _, given = entry.partition(' ')
+            count = int(given or 1) if (given or '1').strip().isdecimal() else 0
+            if not is_topic(topic) or topic in wanted or not 0 < count <= 100:
+                allowed = 'topics, each with the number of its readers: odom 2'
+                raise BadInput('wait_for', self.given_wait_for, allowed)
+            wanted[topic] = count
+        return wanted
 
     @property
     def begin(self) -> float:
@@ -287,23 +298,6 @@ def sim_settings(values: Values) -> SimSettings:
     for made in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings
-
-
-def wanted_readers(text: str) -> dict[str, int]:
-    """Return the number of readers that a list such as ``tick, odom 2`` requires, by topic.
-
-    Raises:
-        BadInput: the text is not such a list.
-    """
-    wanted: dict[str, int] = {}
-    for entry in filter(None, (each.strip() for each in text.split(','))):
-        topic, _, given = entry.partition(' ')
-        count = int(given or 1) if (given or '1').strip().isdecimal() else 0
-        if not is_topic(topic) or topic in wanted or not 0 < count <= 100:
-            allowed = 'topics, each with the number of its readers: odom 2'
-            raise BadInput('wait_for', text, allowed)
-        wanted[topic] = count
-    return wanted
 
 
 def _orientation(numbers: tuple[float, ...], dimension: int) -> Array:

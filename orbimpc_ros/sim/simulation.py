@@ -18,12 +18,12 @@ from std_msgs.msg import Bool
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Stamp, read_force, read_speed_and_rate
+from orbimpc_ros.ros.messages import SECOND, Stamp, read_command
 from orbimpc_ros.ros.process import DONE, FAILED, LATCHED, Managed, full_name, qos
 from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.engines import EngineFailure
-from orbimpc_ros.sim.faults import Seen, View
+from orbimpc_ros.sim.outputs import Seen, View
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure, outcome
@@ -50,7 +50,9 @@ class FlightSimulation(ABC):
     """
 
     def __init__(self, node: Managed, settings: SimSettings) -> None:
-        body = own_frame(settings.child_frame_id, node.get_namespace())
+        prefix, body = node.get_namespace().strip('/'), settings.child_frame_id
+        if prefix and not body.startswith(f'{prefix}/'):  # unique among vehicles that share /tf
+            body = f'{prefix}/{body}'
         self.node, self.settings = node, replace(settings, child_frame_id=body)
         self._orders = Orders(self.settings)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
@@ -262,12 +264,6 @@ def published(settings: SimSettings) -> list[str]:
     return [*always, *(topic for topic, wanted in optional.items() if wanted)]
 
 
-def own_frame(body: str, namespace: str) -> str:
-    """Return the frame of a body, prefixed to be unique among vehicles that share /tf."""
-    prefix = namespace.strip('/')
-    return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
-
-
 # --- commands: a twist, and a thrust at translation order 2
 
 
@@ -302,16 +298,15 @@ class Orders:
         """
         settings, frames = self._settings, self._settings.frames
         turns, thrusts = topic == 'cmd_vel', settings.translation_order == 2
-        if turns:
-            stamp, push, body_rate = read_speed_and_rate(message, settings.dimension, frames)
-            full, culprit, unit = settings.forward, 'twist.linear', 'm/s'
-        else:
-            stamp, push = read_force(message, frames)
+        stamp, push, turn = read_command(message, frames)
+        full, culprit, unit = settings.forward, 'twist.linear', 'm/s'
+        if not turns:
             full, culprit, unit = settings.mass * settings.forward, 'wrench.force', 'N'
         if stamp > now + AHEAD * SECOND:
             ahead = (stamp - now) / SECOND
             raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
         if turns:
+            body_rate = turn[-settings.model.rates :]
             fastest = math.pi / settings.model.step  # a faster one would look slower in steps
             if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
                 allowed = f'at most pi / step = {fastest:.6g} rad/s'

@@ -1,24 +1,28 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The true motion of a vehicle on SO(n), turned by body rates and driven along its x axis.
 
-It follows the discrete model, or a continuous-time plant with lags and limits in gusty air. The
-goal's own motion is that of a rope.
+It follows the discrete model, or a continuous-time plant with lags and limits in gusty air, or it
+is moved by an engine: the physics of another library inside this simulator. The goal's own motion
+is that of a rope.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
-from orbimpc_ros.sim.engines import Engine
+from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion, Start
 
 SUBSTEP = 0.02  # [s] longest integration step
 SAMPLE = 0.02  # [s] between samples of gusts, interpolated linearly
@@ -39,6 +43,7 @@ class Model:
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
 
     lags = False  # whether it responds to commands with lags, the failsafe's included
+    gain = 1.0  # actual speed or thrust as a share of the command
 
     @property
     def length_unit(self) -> float:
@@ -108,7 +113,8 @@ class Model:
 
     def _pushed(self, vehicle: Vehicle) -> Array:
         """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
-        return np.asarray(self.forward * vehicle.fraction * vehicle.attitude[:, 0])  # z sigma Q e1
+        # z sigma Q e1, and the gain
+        return np.asarray(self.gain * self.forward * vehicle.fraction * vehicle.attitude[:, 0])
 
 
 @dataclass(frozen=True)
@@ -241,7 +247,10 @@ class Plant(Model):
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
     ) -> tuple[Vehicle, ...]:
         """Return the vehicle after each integration step; see :meth:`Model.flown`."""
-        wanted = float(np.clip(fraction, 0.0, 1.0)), self._limited(body_rate)
+        size = float(np.linalg.norm(body_rate))
+        if self.max_rate and size > self.max_rate:
+            body_rate = body_rate * (self.max_rate / size)
+        wanted = float(np.clip(fraction, 0.0, 1.0)), body_rate
         count = max(1, math.ceil(span / SUBSTEP - 1e-9))
         trail = []
         for _ in range(count):
@@ -253,12 +262,6 @@ class Plant(Model):
         if not self.gust:
             return self.blown
         return self.blown + self.gust * gusts(time, self.dimension, self.gust_time, self.seed)
-
-    def _limited(self, body_rate: Array) -> Array:
-        size = float(np.linalg.norm(body_rate))
-        if self.max_rate and size > self.max_rate:
-            return body_rate * (self.max_rate / size)
-        return np.array(body_rate, dtype=float)
 
     def _moved(self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
         """Return the vehicle after a short time ``dt`` [s], by the Runge-Kutta method.
@@ -301,9 +304,6 @@ class Plant(Model):
             fraction=lagged(now.fraction, fraction, self.speed_lag, dt, limit),
         )
 
-    def _pushed(self, vehicle: Vehicle) -> Array:
-        return np.asarray(self.gain * self.forward * vehicle.fraction * vehicle.attitude[:, 0])
-
 
 def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:
     """Return a first-order lag's exact response to ``wanted`` after ``dt`` [s].
@@ -319,3 +319,117 @@ def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = ma
         if not dt:
             return value
     return wanted - apart * math.exp(-dt / lag) if lag else wanted
+
+
+# --- in an engine
+
+
+class Kind(NamedTuple):
+    """Properties of an engine vehicle; its class is in the module of ``engines`` with its name."""
+
+    dimension: int  # of its flight
+    translation_order: int  # 1: commanded by speed; 2: by thrust
+    lacks: tuple[str, ...]  # parameters that do not apply, or that the engine sets
+    extra: str = 'physics'  # of this package, which installs the libraries
+
+
+PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # of plants without engine
+ROPE = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # of goals moved without engine
+ENGINES = {
+    'cessna': Kind(2, 1, PLAIN),
+    'hummingbird': Kind(2, 1, (*PLAIN, *ROPE)),
+    'servicer': Kind(3, 2, (*PLAIN, 'gust', 'stall_speed'), extra='basilisk'),
+}
+
+
+@dataclass(frozen=True)
+class EnginePlant(Model):
+    """A vehicle moved by an engine with its own inner loop; in the plane, flight at one altitude.
+
+    Its wind is the steady wind of the model plus turbulence.
+    """
+
+    engine: str = 'cessna'  # a key of :data:`ENGINES`
+    gust: float = 0.0  # standard deviation of the turbulence along each axis [m/s]
+    seed: int = 0  # of the turbulence and all other random draws of the engine
+    rope: Rope = field(kw_only=True)  # the goal, for engines that simulate its motion
+
+    lags = True
+
+    def __post_init__(self) -> None:
+        for name in ('dimension', 'translation_order'):
+            needed = getattr(ENGINES[self.engine], name)
+            if getattr(self, name) != needed:
+                raise BadInput(name, getattr(self, name), f'{needed} with vehicle: {self.engine}')
+
+    def begun(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle in its initial state, with a new engine.
+
+        Raises:
+            BadInput: the engine is not installed, or cannot start from this state.
+        """
+        start = Start(
+            *(vehicle.position, vehicle.velocity, vehicle.attitude, vehicle.body_rate),
+            self.forward * vehicle.fraction,
+            *(self.blown, self.gust, self.seed),
+            *(self.rope.center, self.rope.at(0.0)),
+        )
+        try:
+            engine = class_of(self.engine)(start)
+        except EngineFailure as error:
+            raise BadInput('vehicle', self.engine, f'a possible start ({error})') from None
+        return self._read(engine, engine.motion())
+
+    def flown(
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
+    ) -> tuple[Vehicle, ...]:
+        """Return the vehicle at the output times of its engine; see :meth:`Model.flown`.
+
+        Raises:
+            EngineFailure: the engine has failed.
+        """
+        assert vehicle.engine is not None
+        push, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
+        return tuple(self._read(engine, each) for each in engine.run(span, push, body_rate))
+
+    def _read(self, engine: Engine, motion: Motion) -> Vehicle:
+        """Return a motion as a vehicle state."""
+        n, height, climb = self.dimension, 0.0, 0.0
+        attitude, rate = motion.attitude, motion.body_rate
+        if n == 2:
+            yaw = math.atan2(attitude[1, 0], attitude[0, 0])
+            attitude = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+            height, rate = float(motion.position[2]), np.array([motion.facts['turn']])
+            climb = float((motion.velocity - motion.air)[2])
+        return Vehicle(
+            time=motion.time,
+            position=motion.position[:n],
+            velocity=motion.velocity[:n],
+            attitude=attitude,
+            body_rate=rate,
+            fraction=min(max(motion.push / self.forward, 0.0), 1.0),
+            wind=motion.air[:n],
+            height=height,
+            climb=climb,
+            facts={'height': height, **motion.facts},
+            goal=None if motion.goal is None else motion.goal[:n],
+            caught=motion.caught,
+            lost=motion.lost,
+            engine=engine,
+        )
+
+
+def class_of(name: str) -> Callable[..., Engine]:
+    """Return the engine class of a vehicle named in :data:`ENGINES`.
+
+    Raises:
+        BadInput: a library that it needs is not installed.
+    """
+    try:
+        module = import_module(f'orbimpc_ros.sim.engines.{name}')
+    except ModuleNotFoundError as error:
+        library = str(error.name).partition('.')[0]
+        hint = command_for_extra(ENGINES[name].extra)
+        raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
+    made: Callable[..., Engine] = getattr(module, name.capitalize())
+    return made

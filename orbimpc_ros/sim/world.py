@@ -120,7 +120,8 @@ class Flight:
     def _along(self, trail: Sequence[Vehicle]) -> Flight:
         """Return the flight after a step along a trail, with the goal moving on."""
         miss, missed_at, headed = np.inf, np.nan, False
-        before = self
+        before, bodies = self, self.settings.bodies
+        grazed = TOLERANCE * self.settings.model.length_unit  # penetration allowed in plans
         for vehicle in trail:
             now = replace(before, vehicle=vehicle)
             goals = np.append(before.goal, 0.0), np.append(now.goal, 0.0)
@@ -128,11 +129,13 @@ class Flight:
             if near < miss and not (before.vehicle.caught or before.vehicle.lost):
                 begun = before.vehicle.time
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
-                ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
-                headed = is_headed(self.settings.approach, ends, share)
+                headings = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
+                headed = is_headed(self.settings.approach, headings, share)
+            ends = before.vehicle.position, vehicle.position
+            times = before.vehicle.time, vehicle.time
             before = replace(
                 now,
-                touched=now.touched | before._touched(now),
+                touched=now.touched | touched(bodies, ends, times, grazed),
                 least_airspeed=min(before.least_airspeed, vehicle.airspeed),
                 stalls=before.stalls + (now.stalled and not before.stalled),
             )
@@ -144,12 +147,6 @@ class Flight:
             headed=headed,
             trail=tuple(trail),
         )
-
-    def _touched(self, now: Flight) -> frozenset[int]:
-        before, after = self.vehicle, now.vehicle
-        ends, times = (before.position, after.position), (before.time, after.time)
-        grazed = TOLERANCE * self.settings.model.length_unit  # penetration allowed in plans
-        return touched(self.settings.bodies, ends, times, grazed)
 
 
 def departure(settings: SimSettings) -> Flight:

@@ -23,9 +23,9 @@ from orbimpc_ros.ros.entry import COMPILING, PACKAGES
 from orbimpc_ros.ros.messages import SECOND, time_message
 from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
 from orbimpc_ros.ros.topics import Topic, topics_of
-from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
 from orbimpc_ros.sim.fleet import FLEETS, separations, vehicles
 from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.sim.vehicle import ENGINES, class_of
 from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.bags import BagWriter, stamp_of
 from orbimpc_ros.tool.files import new_folder, shown

@@ -19,8 +19,7 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
-from orbimpc_ros.sim.faults import View
-from orbimpc_ros.sim.outputs import future, sensed, traffic_markers
+from orbimpc_ros.sim.outputs import View, future, sensed, traffic_markers
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.world import Flight, departure
 

@@ -102,7 +102,7 @@ def installed() -> bool:
 def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
     """Draw the running vehicle in a namespace, such as ``/uav1``, while ``going()``."""
     os.environ.setdefault(RANGE, 'LOCALHOST')
-    latest = qos(DEPTH, LATEST.reliability)
+    latest = qos(DEPTH, reliability=LATEST.reliability)
     from orbimpc_ros.tool.scene import TOPICS  # needs rerun
 
     with attached('viewer', namespace=namespace or '/') as (node, executor):
