@@ -39,7 +39,6 @@ from rclpy.lifecycle import TransitionCallbackReturn as Ended
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_default_context, remove_ros_args
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -381,8 +380,7 @@ def initialised(
         context: to initialise; by default a new one, so that several can coexist.
     """
     context = context or Context()
-    signals = SignalHandlerOptions.NO
-    rclpy.init(args=list(words), context=context, domain_id=domain, signal_handler_options=signals)
+    context.init(list(words), domain_id=domain)  # unlike rclpy.init, it handles no signals
     try:
         yield context
     finally:

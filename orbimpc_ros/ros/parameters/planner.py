@@ -236,7 +236,6 @@ class PlannerSettings(VehicleParameters):
     def approach(self) -> Approach:
         """Return the cone of headings in which a catch counts; no cone without interception."""
         known = self.approach_of_a_catch()
-        known.validate(self.dimension)
         return known if self.objective == 'intercept' else Approach()
 
     @cached_property

@@ -282,12 +282,12 @@ class VehicleParameters(ProcessParameters):
         Raises:
             BadInput: a direction of another dimension, or of length 0.
         """
-        if not self.approach_direction:
-            return Approach(self.approach_cone)
-        direction = vector(self.approach_direction, 'approach.direction', self.dimension)
-        if not direction.any():
-            raise BadInput('approach.direction', direction.tolist(), 'empty, or not all 0')
-        return Approach(self.approach_cone, tuple(direction.tolist()))
+        direction = self.approach_direction
+        if direction:
+            direction = tuple(vector(direction, 'approach.direction', self.dimension).tolist())
+        known = Approach(self.approach_cone, direction)
+        known.validate(self.dimension)
+        return known
 
 
 PROCESS = specs_of(ProcessParameters)

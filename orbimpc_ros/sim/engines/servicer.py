@@ -126,6 +126,7 @@ class Servicer(Engine):
         attitude = MRP2C(now.sigma_BN).T
         pulse = min(self._firing.onTimeOutMsg.read().OnTimeRequest[0], PULSE)
         speeds = self._wheels.rwSpeedOutMsg.read().wheelSpeeds[:3]
+        off = C2MRP(attitude.T @ self._setpoint.attitude)
         return Motion(
             self._simulation.CurrentNanos / SECOND,
             self._rest + np.subtract(now.r_BN_N, client.r_BN_N),
@@ -135,7 +136,7 @@ class Servicer(Engine):
             np.zeros(3),
             FORCE * pulse / PULSE / MASS,
             {
-                'pointing': _angle(attitude.T @ self._setpoint.attitude),
+                'pointing': 4.0 * math.atan(float(np.linalg.norm(off))),
                 'wheel': float(np.abs(speeds).max()),
             },
         )
@@ -153,10 +154,6 @@ class _Setpoint(NamedTuple):
         gain = np.clip((rate - self.rate) / span, -SHARPEST, SHARPEST)
         turned = span * (self.rate + 0.5 * span * gain)
         return _Setpoint(self.attitude @ PRV2C(turned).T, self.rate + span * gain, gain)
-
-
-def _angle(rotation: Array) -> float:
-    return 4.0 * math.atan(float(np.linalg.norm(C2MRP(rotation))))
 
 
 def _orbiting(
