@@ -59,6 +59,10 @@ class Odometry(ByContent):
     body_velocity: Array
     body_rate: Array
 
+    def __post_init__(self) -> None:
+        for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
+            array.setflags(write=False)
+
 
 @dataclass(frozen=True, eq=False)
 class WindReport(ByContent):
@@ -67,6 +71,9 @@ class WindReport(ByContent):
     time: float  # stamp [s]
     velocity: Array  # shape (n,) [m/s]
     variance: float = math.nan  # along each axis [m^2/s^2]; NaN if unknown
+
+    def __post_init__(self) -> None:
+        sealed(self.velocity)
 
 
 def along_the_air(odometry: Odometry) -> Odometry:
@@ -362,7 +369,9 @@ class Compensator:
     @property
     def disturbance(self) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
-        return sealed(self._given + self._estimate[-1])
+        found: Array = self._given + self._estimate[-1]
+        found.setflags(write=False)
+        return found
 
     def start(
         self,

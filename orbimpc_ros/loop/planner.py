@@ -30,11 +30,11 @@ from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.task import Answer, Late, Task
 from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
-from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, number, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, command_of
+from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, command_of, interpolated
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
@@ -419,7 +419,8 @@ class Planner:
         motion = None if isinstance(given, np.ndarray) else given
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
-        goals = sealed(np.array(given if motion is None else motion.at(ends), dtype=float))
+        goals = np.array(given if motion is None else motion.at(ends), dtype=float)
+        goals.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, goals)
         solver = self._solver(len(knots), memory.pace)
         before = memory.previous, self._projection

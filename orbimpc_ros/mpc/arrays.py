@@ -38,14 +38,6 @@ def sealed(array: Array) -> Array:
     return array
 
 
-def interpolated(at: Array, knots: Array, values: Array) -> Array:
-    """Return values, shape (M, d), interpolated linearly at points, (K,), shape (K, d).
-
-    They are held before the first and after the last of the increasing knots, shape (M,).
-    """
-    return np.column_stack([np.interp(at, knots, column) for column in values.T])
-
-
 def number(
     value: object,
     culprit: str,
@@ -116,12 +108,7 @@ def numbers_of(value: Any, culprit: str) -> Any:
 
 
 class ByContent:
-    """Frozen dataclasses with arrays: these are sealed, and compared and hashed by content."""
-
-    def __post_init__(self) -> None:
-        for each in vars(self).values():
-            if isinstance(each, np.ndarray):
-                sealed(each)
+    """Equality and hash by content for frozen dataclasses with arrays, which support neither."""
 
     def _content(self) -> tuple[object, ...]:
         values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]

@@ -154,10 +154,9 @@ def _limits(
     problem: Problem, state: State, goals: Array, plan: Plan
 ) -> dict[str, tuple[float, float]]:
     """Return the least margin to each limit, and its tolerance."""
+    steps = step_margins(problem, state, goals, plan.rotations[:, :, 0], plan.positions[1:])
     found = {'hull': float(margin(plan.rotations[1:]).min())}
-    flown = plan.rotations[:, :, 0], plan.positions[1:]
-    for name, each in step_margins(problem, state, goals, *flown).items():
-        found[name] = float(each.min())
+    found |= {name: float(each.min()) for name, each in steps.items()}
     if problem.boxes:
         found['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, project_all
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
@@ -77,6 +77,11 @@ class Plan(ByContent):
     inputs: Array
     projected: Array
 
+    def __post_init__(self) -> None:
+        moved = self.positions, self.velocities, self.rotations, self.inputs
+        for array in (*moved, self.projected):
+            array.setflags(write=False)
+
     @cached_property
     def horizon(self) -> int:
         """Return N."""
@@ -122,7 +127,9 @@ class Plan(ByContent):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
+        sizes: Array = np.linalg.norm(self.rotations[:, :, 0], axis=1)
+        sizes.setflags(write=False)
+        return sizes
 
     @property
     def projection_distance(self) -> Array:
@@ -155,6 +162,14 @@ def assemble(
         inputs=flown.inputs,
         projected=projected,
     )
+
+
+def interpolated(at: Array, knots: Array, values: Array) -> Array:
+    """Return values, shape (M, d), interpolated linearly at points, (K,), shape (K, d).
+
+    They are held before the first and after the last of the increasing knots, shape (M,).
+    """
+    return np.column_stack([np.interp(at, knots, column) for column in values.T])
 
 
 def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = None) -> Array | None:
@@ -225,6 +240,10 @@ class Command(ByContent):
     speed_fraction: float
     body_rate: Array
     rotation: Array
+
+    def __post_init__(self) -> None:
+        self.body_rate.setflags(write=False)
+        self.rotation.setflags(write=False)
 
 
 def stop(rotation: Array) -> Command:

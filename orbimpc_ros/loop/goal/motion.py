@@ -20,20 +20,24 @@ from typing import Protocol
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, interpolated, sealed
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.plan import interpolated
 
 FINE = 0.25  # [s] of flight between samples of the direction of the path
 SHARP = 1.2  # ratio of the mean turn rate over a step to its limit, above which it is reported
 
 
-@dataclass(frozen=True, eq=False)
-class GoalObservation(ByContent):
+@dataclass(frozen=True)
+class GoalObservation:
     """An observed position of the goal."""
 
     time: float  # stamp [s]
     position: Array  # in the world frame, shape (n,) [m]
     attitude: Array | None = None  # shape (n, n); None if undefined in the plane
+
+    def __post_init__(self) -> None:
+        self.position.setflags(write=False)
 
 
 class GoalMotion(Protocol):
@@ -50,8 +54,8 @@ class Forecast(GoalMotion, Protocol):
         """Take in a sighting; sightings come in order of time."""
 
 
-@dataclass(frozen=True, eq=False)
-class GoalTrajectory(ByContent):
+@dataclass(frozen=True)
+class GoalTrajectory:
     """An external forecast: stamped future positions, interpolated in between."""
 
     times: Array  # increasing stamps, shape (M,) [s]
@@ -61,7 +65,8 @@ class GoalTrajectory(ByContent):
     def __post_init__(self) -> None:
         if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):
             raise BadInput('goal_path stamps', self.times.tolist(), 'one or more, increasing')
-        super().__post_init__()
+        sealed(self.times)
+        sealed(self.positions)
 
     def at(self, times: Array) -> Array:
         """Return the positions at ``times``, shape (N, n); both end points are held."""
