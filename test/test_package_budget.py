@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 32_456,
-    'orbimpc_ros/mpc': 16_768,
-    'orbimpc_ros/loop': 3_673,
+    'orbimpc_ros': 32_480,
+    'orbimpc_ros/mpc': 16_773,
+    'orbimpc_ros/loop': 3_692,
     'orbimpc_ros/ros': 4_646,
     'orbimpc_ros/sim': 2_615,
     'orbimpc_ros/tool': 4_574,
