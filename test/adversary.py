@@ -42,7 +42,7 @@ from orbimpc_ros.mpc.proof.flight import STEP, control_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
 from orbimpc_ros.mpc.proof.stated import Body, Statement
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
-from orbimpc_ros.mpc.proof.verify import in_fractions, region_of
+from orbimpc_ros.mpc.proof.verify import region_of, tree_in_fractions
 
 HAIR = 1e-7  # smallest relative margin of a flight to a limit
 FINE = 2.0**-30  # resolution of headings
@@ -529,7 +529,7 @@ class Part:
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return the bound that a leaf proves on the part, and True if it is sound."""
         set_hessian(self.stated, leaf, self.work.squares)
-        known = self.stated, self.region, self.depth, in_fractions(leaf), 0, empty, self.work
+        known = self.stated, self.region, self.depth, tree_in_fractions(leaf), 0, empty, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
 

@@ -35,7 +35,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point, vectorised
 from orbimpc_ros.mpc.kernels.linear import copy_to, solve_spd
 from orbimpc_ros.mpc.kernels.penalty_terms import (
-    multipliers,
+    Multipliers,
     project,
     refuted,
     set_columns,
@@ -199,7 +199,7 @@ def _begin(terms, start, held, force, x, work):
     copy_to(x, start - x)
     least += value_of(terms, x, held, work.small[0])
     if least < 0.0:
-        _keep(multipliers(len(x), len(held.rows)), held)
+        held.orbitopes[:], held.lengths[:], held.rows[:] = 0.0, 0.0, 0.0
         copy_to(x, start)
         force[:], least = 0.0, 0.0
     _note(work, x, force, held)
@@ -213,10 +213,6 @@ def _note(work, lowest, forces, held):
     copy_to(work.forces, forces)
     copy_to(work.pushes, held.lengths)
     copy_to(work.rows[: len(held.rows)], held.rows)
-    for k in range(len(lowest)):
-        work.tops[k] = 0.0
-        for i in range(4):
-            work.tops[k] += held.orbitopes[k, i, i]
 
 
 @compiled
@@ -320,7 +316,9 @@ def minimise(terms, start, held, limits, work, progress, budget):
     largest, (x, held_force, numbers, counts) = limits[4], progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
-    new = multipliers(len(start), len(held.rows))
+    new = Multipliers(
+        np.zeros_like(held.orbitopes), np.zeros_like(held.lengths), np.zeros_like(held.rows)
+    )
     if counts[STEPS] == 0:
         numbers[BEST] = _begin(terms, start, held, held_force, x, work)
         if numbers[BEST] > 0.0:

@@ -7,7 +7,6 @@ This uses numba's internals, so that ``setup.py`` limits its versions.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from fcntl import LOCK_EX, LOCK_UN, lockf
@@ -19,28 +18,21 @@ from types import SimpleNamespace
 from typing import Any
 from zlib import crc32
 
-from llvmlite import ir
 from llvmlite.binding import add_symbol, parse_assembly
 from numba import njit, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba.core.cgutils import alloca_once_value
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
-from numba.core.datamodel import default_manager
-from numba.core.datamodel.models import TupleModel
 from numba.core.lowering import Lower
 from numba.core.runtime._nrt_python import c_helpers
-from numba.core.runtime.context import NRTContext
 from numba.core.typed_passes import NativeLowering
 
 STAMP = 'orbimpc_ros.sha256'  # hash of the sources of the machine code next to it
 SHARED = 'kernels/*.py', 'proof/tree.py'  # sources that machine code of other folders uses
 LOCKS = 'orbimpc_ros.lock'
 WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
-MAKES = 'NRT_MemInfo_alloc', 'NRT_Allocate'  # those that create arrays,
-COUNTS = {'NRT_incref': 1, 'NRT_decref': -1}  # those that count references to them,
-GIVES_UP = 'NRT_MemInfo_call_dtor'  # and that which frees them
+RUNTIME = 'NRT_'  # and those that create, count and free arrays
 ARITHMETIC = 'binop', 'inplace_binop', 'unary', 'arrayexpr'
 UNNEEDED = (
     *('WithLifting', 'InlineClosureLikes', 'RewriteDynamicRaises', 'MakeFunctionToJitFunction'),
@@ -112,69 +104,23 @@ class _Part(JITCodeLibrary):
         return SimpleNamespace(set_env=lambda name, environment: None)
 
 
-class _Pointed(TupleModel):
-    """A named tuple of this package, which functions take by its address.
-
-    numba would take each apart into all numbers and addresses in it, hundreds for a problem,
-    and put these together again in the function.
-    """
-
-    def get_argument_type(self) -> Any:
-        """Return the type of an argument."""
-        return self.get_value_type().as_pointer()
-
-    def as_argument(self, builder: Any, value: Any) -> Any:
-        """Return the argument that stands for a value."""
-        return alloca_once_value(builder, value)
-
-    def from_argument(self, builder: Any, value: Any) -> Any:
-        """Return the value that an argument stands for."""
-        return builder.load(value)
-
-
-def _model_of(manager: Any, kind: Any) -> TupleModel:
-    """Return how a named tuple is stored and passed; those of other packages as before."""
-    own = kind.instance_class.__module__.startswith('orbimpc_ros.')
-    return (_Pointed if own else TupleModel)(manager, kind)
-
-
-default_manager.register(types.NamedTuple, _model_of)
-
-
-class _Uncounted(NRTContext):
-    """References to arrays, not counted."""
-
-    def incref(self, builder: Any, typ: Any, value: Any) -> None:
-        """Do nothing."""
-
-    def decref(self, builder: Any, typ: Any, value: Any) -> None:
-        """Do nothing."""
-
-
 class _Lowering(Lower):
     """Translation of a function, which counts references only if it owns arrays.
 
     Without arrays that it creates or returns, it would count each reference up and down again:
-    a quarter of the time of compiling. What numba compiles on its behalf has to count.
+    a quarter of the time of compiling.
     """
 
     def __init__(self, context: Any, library: Any, known: Any, *rest: Any, **more: Any) -> None:
         super().__init__(context, library, known, *rest, **more)
-        self._counting, models = self.context, context.data_model_manager
+        models = context.data_model_manager
         made = (
             signature.return_type
             for each, signature in known.calltypes.items()
             if signature is not None and _creates(getattr(each, 'op', ''), signature)
         )
         if not any(models[each].contains_nrt_meminfo() for each in (known.restype, *made)):
-            self.context = self.context.subtarget()
-            self.context.nrt = _Uncounted(self.context, True)
-            self.context._compile_subroutine_no_cache = context._compile_subroutine_no_cache
-
-    def create_cpython_wrapper(self, *options: Any, **more: Any) -> None:
-        """Add the wrapper for Python, which gives back the arrays that it was handed."""
-        self.context = self._counting
-        super().create_cpython_wrapper(*options, **more)
+            self.context = self.context.subtarget(enable_nrt=False)
 
 
 def _creates(operation: str, signature: Any) -> bool:
@@ -214,42 +160,28 @@ class _PartCompiler(_LeanCompiler):
 
 
 class _Whole(JITCodeLibrary):
-    """The code of a function that Python calls, with all its callees.
-
-    It runs while Python holds its lock and the arrays of the arguments. So code that creates no
-    arrays counts no references, and other code counts by plain additions: numba's atomic ones
-    took half of its time.
-    """
+    """The code of a function that Python calls, with all its callees."""
 
     def add_ir_module(self, added: Any) -> None:
         """Link a function and all its callees; or its wrapper for Python."""
         super().add_ir_module(added)
-        module = self._final_module
         if any(each.name.startswith(WRAPPER) for each in added.functions):
-            self._own(_counting(), 'handed')
             return
         _link_parts(self)
         entries = {each.name for each in added.functions if not each.is_declaration}
         # So that what has a single caller is inlined, and no other code calls it by its name:
         # the optimiser may have changed its arguments.
-        for each in module.functions:
-            if not each.is_declaration and each.name not in entries:
+        for each in self._final_module.functions:
+            if not (each.is_declaration or each.name in entries or each.name.startswith(RUNTIME)):
                 each.linkage = 'internal'
-        makes_arrays = any(each.name.startswith(MAKES) for each in module.functions)
-        self._own(_counting() if makes_arrays else _idle(*COUNTS), 'own')
-
-    def _own(self, counting: ir.Module, kind: str) -> None:
-        """Link functions that count references, under names that no other code calls."""
-        self._final_module.link_in(parse_assembly(str(counting)))
-        for name in COUNTS:
-            own = self._final_module.get_function(name)
-            own.name, own.linkage = f'{kind}_{name}', 'internal'
 
     def serialize_using_object_code(self) -> tuple:
         """Return the data to cache: the code, and only the names of functions to link."""
         name, what, (code, _) = super().serialize_using_object_code()
-        names = _idle(*(each.name for each in self.get_defined_functions()))
-        return name, what, (code, parse_assembly(str(names)).as_bitcode())
+        names = (
+            f'define void @"{each.name}"() {{ ret void }}' for each in self.get_defined_functions()
+        )
+        return name, what, (code, parse_assembly('\n'.join(names)).as_bitcode())
 
 
 class _WholeCompiler(_LeanCompiler):
@@ -265,7 +197,7 @@ class _WholeCompiler(_LeanCompiler):
 def _name_runtime() -> None:
     """Make numba's runtime functions known by their names to the code that is loaded."""
     for name, address in c_helpers.items():
-        add_symbol(name if name.startswith('_') else f'NRT_{name}', address)
+        add_symbol(name if name.startswith('_') else RUNTIME + name, address)
 
 
 def _link_parts(library: JITCodeLibrary) -> None:
@@ -273,42 +205,6 @@ def _link_parts(library: JITCodeLibrary) -> None:
     for part in dict.fromkeys(library._linking_libraries):
         library._final_module.link_in(part._get_module_for_linking(), preserve=True)
     library._linking_libraries.clear()
-
-
-POINTER, WORD = ir.IntType(8).as_pointer(), ir.IntType(sys.maxsize.bit_length() + 1)
-ON_POINTER = ir.FunctionType(ir.VoidType(), [POINTER])
-
-
-def _counting() -> ir.Module:
-    """Return functions that count references to arrays, and free arrays without any."""
-    module = ir.Module()
-    give_up = ir.Function(module, ON_POINTER, GIVES_UP)
-    for name, more in COUNTS.items():
-        builder = _begun(module, name)
-        (array,) = builder.function.args
-        with builder.if_then(builder.icmp_unsigned('!=', array, POINTER(None))):
-            at = builder.bitcast(array, WORD.as_pointer())
-            count = builder.add(builder.load(at), WORD(more))
-            builder.store(count, at)
-            if more < 0:
-                with builder.if_then(builder.icmp_unsigned('==', count, WORD(0))):
-                    builder.call(give_up, [array])
-        builder.ret_void()
-    return module
-
-
-def _idle(*names: str) -> ir.Module:
-    """Return functions that do nothing."""
-    module = ir.Module()
-    for name in names:
-        _begun(module, name).ret_void()
-    return module
-
-
-def _begun(module: ir.Module, name: str) -> ir.IRBuilder:
-    """Return a builder of a new function with a pointer argument."""
-    made = ir.Function(module, ON_POINTER, name)
-    return ir.IRBuilder(made.append_basic_block())
 
 
 # --- the cache

@@ -40,6 +40,24 @@ def add_product(matrix, x, share, out):
             out[j, c] += share * total
 
 
+@compiled
+def set_tangents(by):
+    """Complete the unit vector in the first row to an orthonormal basis, shape (n, n)."""
+    if len(by) == 2:
+        by[1, 0], by[1, 1] = -by[0, 1], by[0, 0]
+        return
+    i = 0
+    for c in range(1, 3):
+        if abs(by[0, c]) < abs(by[0, i]):
+            i = c
+    j, k = (i + 1) % 3, (i + 2) % 3
+    size = np.sqrt(by[0, j] ** 2 + by[0, k] ** 2)
+    by[1, i], by[1, j], by[1, k] = 0.0, -by[0, k] / size, by[0, j] / size
+    for c in range(3):
+        d, e = (c + 1) % 3, (c + 2) % 3
+        by[2, c] = by[0, d] * by[1, e] - by[0, e] * by[1, d]
+
+
 @vectorised
 def _factorise(matrix, count, least):
     """Factorise the lower triangle by Cholesky, with inverted diagonal; return False if singular.

@@ -21,8 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, diagonalise, extend_factor
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.linear import (
+    SINGULAR,
+    copy_to,
+    diagonalise,
+    extend_factor,
+    set_tangents,
+)
 
 NEGLIGIBLE = 1e-12  # share of sigma below which a part of the Hessian is left out
 REFUTED = 1e-9  # least value of a proof of infeasibility, relative to the terms that cancel
@@ -86,7 +92,6 @@ class Scratch(NamedTuple):
         lowest: the minimiser of the Lagrangian that gives the greatest bound, shape (n, 9).
         forces: those of the multipliers of that bound, shape (n, 9).
         pushes: multipliers of the lengths, shape (n, 3).
-        tops: traces of the multipliers of the orbitopes, shape (n,).
         rows: multipliers of the rows; or those that prove infeasibility.
     """
 
@@ -103,12 +108,10 @@ class Scratch(NamedTuple):
     lowest: Array
     forces: Array
     pushes: Array
-    tops: Array
     rows: Array
 
 
-@entry_point
-def multipliers(n, m):
+def multipliers(n: int, m: int) -> Multipliers:
     """Return multipliers of zero.
 
     Args:
@@ -126,23 +129,12 @@ def scratch(n: int, m: int) -> Scratch:
         m: largest number of rows.
     """
     room = ROOM * n + m
-    return Scratch(
-        np.empty((n, 4, 4)),
-        np.empty((n, 4)),
-        np.empty(n),
-        np.empty(room, np.int64),
-        np.empty((room, 9)),
-        np.empty(room),
-        np.empty(room),
-        np.empty(room),
-        np.empty((room, room)),
-        np.empty((3, 4, 4)),
-        np.empty((n, 9)),
-        np.empty((n, 9)),
-        np.empty((n, 3)),
-        np.empty(n),
-        np.empty(m),
+    shapes = (
+        *((n, 4, 4), (n, 4), (n,), (room,), (room, 9), (room,), (room,), (room,), (room, room)),
+        *((3, 4, 4), (n, 9), (n, 9), (n, 3), (m,)),
     )
+    made = Scratch._make(np.empty(each) for each in shapes)
+    return made._replace(step=np.empty(room, np.int64))
 
 
 @compiled
@@ -457,36 +449,20 @@ def _orbitope_columns(first, bases, values, sigma, step, column, weight):
 
 
 @compiled
-def _reflect(i, pole, d, column):
-    """Set a column to axis i, reflected so that the axis ``pole`` maps to d (Householder)."""
-    sign = 1.0 if d[pole] >= 0.0 else -1.0
-    for c in range(9):
-        column[c] = 1.0 if c == i else 0.0
-    for c in range(3):
-        along = d[c] + sign if c == pole else d[c]
-        column[c] -= d[i] * along / (1.0 + abs(d[pole]))
-
-
-@compiled
 def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
-    """Add the Hessian of the lengths' envelopes: c/|v| (I - d d') where |v| > c, v = w + sigma z.
-
-    Vectors across d are reflections of axes (:func:`_reflect`), d itself that of the ``pole``.
-    """
-    d = np.zeros(3)
+    """Add the Hessian of the lengths' envelopes: c/|v| (I - d d') if |v| > c, v = w + sigma z."""
+    by = np.zeros((3, 3))
     for k in range(len(x)):
         if limits[k] == 0.0:
             continue
         outside = sizes[k] > limits[k]
-        pole = 0
-        for c in range(3):
-            d[c] = (held[k, c] + sigma * x[k, c]) / sizes[k] if outside else 0.0
-            if abs(d[c]) > abs(d[pole]):
-                pole = c
-        for i in range(3):
-            if outside and i == pole:
-                continue
-            _reflect(i, pole, d, column[count])
+        by[0, 0], by[0, 1], by[0, 2] = 1.0, 0.0, 0.0
+        for c in range(3 if outside else 0):
+            by[0, c] = (held[k, c] + sigma * x[k, c]) / sizes[k]
+        set_tangents(by)
+        for i in range(1 if outside else 0, 3):
+            column[count] = 0.0
+            copy_to(column[count, :3], by[i])
             step[count] = k
             weight[count] = sigma * limits[k] / sizes[k] if outside else sigma
             count += 1

@@ -125,6 +125,13 @@ direction = by_type(_cosine_and_sine, _direction)  # cosine and sine of an angle
 coarse = by_type(_same, _coarse)  # fewer digits, with an error far below the slack
 
 
+def as_fractions(array: np.ndarray) -> np.ndarray:
+    """Return an array of floats as one of fractions."""
+    made = np.empty(array.shape, object)
+    made.ravel()[:] = [Fraction(each) for each in array.ravel().tolist()]
+    return made
+
+
 def roots(x: np.ndarray) -> np.ndarray:
     """Return the square root of each element."""
     return np.sqrt(x) if x.dtype == float else np.frompyfunc(root, 1, 1)(x)

@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.proof.flight import (
     set_arrival,
 )
 from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
-from orbimpc_ros.mpc.proof.sets import over_orbitope, over_speeds, over_stage, size_of
+from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import (
     CHILD,
     CHILDREN,
@@ -56,10 +56,8 @@ class Work(NamedTuple):
         slopes: shape (N, d).
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
-        squares: the Hessian of the cost, its remainder, and the rows of an arrival,
-            shape (2 N + 2, N).
-        gone: whether an arrival has eliminated a step, shape (N,).
-        edges: the latest angle at each end of a step's sector, and its direction, shape (N, 2, 3).
+        squares: the Hessian of the cost, its remainder, the rows of an arrival, and one more,
+            shape (2 N + 3, N).
     """
 
     flown: Any
@@ -67,8 +65,6 @@ class Work(NamedTuple):
     vectors: Any
     matrix: Any
     squares: Any
-    gone: np.ndarray
-    edges: Any
 
 
 @generic
@@ -226,7 +222,7 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     point, shor, slopes, n = tree.point[leaf], tree.shor[leaf], work.slopes, stated.n
     count, zero, sets = len(point), 0 * stated.sets.full, stated.sets
     span, corners = region.span[depth], region.corners[depth]
-    known = region.part[depth], span, count, work.edges
+    known = region.part[depth], span, count
     value, size = _at_point(stated, tree, leaf, empty, work)
     more, terms, held = _held(stated, region, depth, tree, leaf, work)
     if not held:
@@ -378,7 +374,7 @@ def depths_of(nodes, walk):
 
 @generic
 def set_hessian(stated, tree, squares):
-    """Set the Hessian of the cost in z_1..z_N along an axis, in the first rows of (2 N + 2, N).
+    """Set the Hessian of the cost in z_1..z_N along an axis, in the first rows of (2 N + 3, N).
 
     It is not needed if no leaf assigns curvature to its steps.
     """
@@ -417,8 +413,8 @@ def is_bent(shor):
 def _lost(motion, ends, shor, point, work):
     """Return whether the cost less a leaf's curvature is convex, and the error of its tangent.
 
-    If plans must arrive, convex on the null space of the arrival's rows, by which variables are
-    eliminated. The tangent has an error if its point misses the arrival by rounding.
+    If plans must arrive, convex on the null space of the arrival's rows. The tangent has an error
+    if its point misses the arrival by rounding.
 
     Args:
         motion: of a step.
@@ -427,7 +423,7 @@ def _lost(motion, ends, shor, point, work):
         point: tangent point, shape (N, d).
         work: positions and velocities there, the Hessian, and work arrays.
     """
-    squares, gone = work.squares, work.gone
+    squares = work.squares
     count, n = squares.shape[1], work.flown.shape[2]
     m, zero = squares[count : 2 * count], 0 * ends.chord
     top, longest = zero, zero + 1
@@ -438,70 +434,57 @@ def _lost(motion, ends, shor, point, work):
             m[i, j] = squares[i, j] - (shor[i] if i == j else zero)
             m[j, i] = m[i, j]
             top = max(top, abs(m[i, j]))
-    gone[:] = False
-    off = _arrived(motion, ends, m, work) if ends.arrives > 0 else zero
+    off = _arrived(motion, ends, m, top, work) if ends.arrives > 0 else zero
     for k in range(count):
         for c in range(n):
             longest = max(longest, abs(point[k, c]))
     taken = top * count * off * (2 * n * count * (1 + longest) + off)
-    return _is_convex(m, gone, slack(top) * 4 * count), taken
+    return _is_convex(m, slack(top) * 4 * count), taken
 
 
 @generic
-def _arrived(motion, ends, m, work):
-    """Eliminate a variable for each row of an arrival; return how far the point misses these."""
-    flown, gone, arrival = work.flown, work.gone, work.squares[2 * len(m) :]
-    count, n, off, ratio = len(m), flown.shape[2], 0 * ends.chord, 0 * ends.chord
+def _arrived(motion, ends, m, top, work):
+    """Make a matrix steep across the rows of an arrival, and leave it as it is along them.
+
+    With a a row, orthogonal to the one before, and P the projection onto its null space, M becomes
+    P M P + top a a' / a'a.
+
+    Returns:
+        How far the point misses the arrival.
+    """
+    flown, arrival, count = work.flown, work.squares[2 * len(m) :], len(m)
+    u, off, ratio = arrival[2], 0 * ends.chord, 0 * ends.chord
     set_arrival(motion, arrival)
     for r in range(ends.arrives):
-        a, pivot = arrival[r], -1
-        for j in range(count):
-            if not gone[j] and (pivot < 0 or abs(a[j]) > abs(a[pivot])):
-                pivot = j
-        if pivot < 0 or a[pivot] == 0:
+        a, largest, square = arrival[r], 0 * off, 0 * off
+        for i in range(count):
+            a[i] = a[i] - ratio * arrival[0, i]
+            largest, square = max(largest, abs(a[i])), square + a[i] * a[i]
+        if largest == 0:
             continue
-        for c in range(n):
+        for c in range(flown.shape[2]):
             missed = flown[0, count, c] - ends.goals[count - 1, c]
             if r == 1:
                 missed = flown[1, count, c] - ratio * missed
-            off = off + 4 * abs(missed / a[pivot])
-        ratio = arrival[1, pivot] / a[pivot]
-        _eliminate(m, arrival, r, pivot, gone)
-        gone[pivot] = True
+            off = off + 4 * abs(missed / largest)
+        for i in range(count):
+            u[i] = coarse(dot(m[i], a, count) / square)
+        bent = (dot(a, u, count) + top) / square
+        for i in range(count):
+            for j in range(count):
+                m[i, j] = coarse(m[i, j] - u[i] * a[j] - a[i] * u[j] + bent * a[i] * a[j])
+        ratio = dot(arrival[1], a, count) / square
     return off
 
 
 @generic
-def _eliminate(m, arrival, r, pivot, gone):
-    """Eliminate a variable from a quadratic, and from the next row of an arrival, by row r."""
-    a, count = arrival[r], len(m)
-    for i in range(count):
-        share = a[i] / a[pivot]
-        if i == pivot or gone[i]:
-            continue
-        for j in range(count):
-            if j != pivot and not gone[j]:
-                other = a[j] / a[pivot]
-                both = share * m[pivot, j] + other * m[i, pivot] - share * other * m[pivot, pivot]
-                m[i, j] = m[i, j] - both
-    if r == 0:
-        lead = arrival[1, pivot] / a[pivot]
-        for i in range(count):
-            if i != pivot and not gone[i]:
-                arrival[1, i] = arrival[1, i] - a[i] * lead
-
-
-@generic
-def _is_convex(m, gone, margin):
-    """Return whether a matrix without rows ``gone`` is positive definite, by Cholesky's method."""
+def _is_convex(m, margin):
+    """Return whether a matrix is positive definite, by Cholesky's method."""
     for i in range(len(m)):
-        for j in range(0 if gone[i] else i + 1):
-            if gone[j]:
-                continue
+        for j in range(i + 1):
             entry = m[i, j] - (margin if i == j else 0 * margin)
             for k in range(j):
-                if not gone[k]:
-                    entry = entry - m[i, k] * m[j, k] * m[k, k]
+                entry = entry - m[i, k] * m[j, k] * m[k, k]
             if i == j and not entry > 0:
                 return False
             m[i, j] = coarse(entry if i == j else entry / m[j, j])
@@ -512,8 +495,6 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     """Return the work arrays for the bounds of leaves."""
     count, n = problem.horizon, problem.dimension
     flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
-    squares = np.zeros((2 * count + 2, count), kind)
+    squares = np.zeros((2 * count + 3, count), kind)
     vectors, matrix = np.zeros((2, width), kind), np.zeros((4, 4), kind)
-    edges = np.zeros((count, 2, 3), kind)
-    edges[:, :, 1] = 1  # the direction of angle 0
-    return Work(flown, slopes, vectors, matrix, squares, np.zeros(count, np.bool_), edges)
+    return Work(flown, slopes, vectors, matrix, squares)

@@ -9,9 +9,9 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, root, slack
+from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
 from orbimpc_ros.mpc.proof.flight import control_of
-from orbimpc_ros.mpc.proof.sets import cross, size_of
+from orbimpc_ros.mpc.proof.sets import cone_of, cross, dot, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
 from orbimpc_ros.mpc.proof.tree import POINTS
 
@@ -22,12 +22,7 @@ def _around(low, high, sets, normal):
     zero = 0 * sets.full
     if 2 * (high - low) >= sets.full - 2 * sets.narrow:
         return zero, zero
-    normal[0], normal[1] = direction((low + high) / 2)
-    least, aside = zero + 1, zero
-    for angle in (low, high):
-        x, y = direction(angle)
-        least = min(least, normal[0] * x + normal[1] * y)
-        aside = max(aside, abs(normal[0] * y - normal[1] * x))
+    normal[0], normal[1], least, aside = cone_of(low, high)
     return least, aside
 
 
@@ -37,28 +32,22 @@ def about(corners, normal):
 
     The middle has the same angle to all three corners, whose lengths do not matter.
     """
-    a, b, c = corners[0], corners[1], corners[2]
-    bc, ca, ab = (
-        size_of(b, 3) * size_of(c, 3),
-        size_of(c, 3) * size_of(a, 3),
-        size_of(a, 3) * size_of(b, 3),
-    )
-    for e in range(3):
-        normal[e] = cross(a, b, e) / ab + cross(b, c, e) / bc + cross(c, a, e) / ca
-    size, zero = size_of(normal, 3), 0 * ab
-    inward = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
+    a, zero = corners[0], 0 * corners[0, 0]
+    normal[:] = zero
+    for i in range(3):
+        b, c = corners[i], corners[(i + 1) % 3]
+        across, long = cross(b, c), size_of(b, 3) * size_of(c, 3)
+        for e in range(3):
+            normal[e] = normal[e] + across[e] / long
+    size, inward, least, aside = size_of(normal, 3), dot(normal, a, 3), zero + 1, zero
     if size <= 0:
         return zero, zero
-    least, aside = zero + 1, zero
     for e in range(3):
         normal[e] = coarse(normal[e] / size if inward > 0 else -normal[e] / size)
     for i in range(3):
-        corner = corners[i]
-        long = size_of(corner, 3)
-        x, y, z = cross(normal, corner, 0), cross(normal, corner, 1), cross(normal, corner, 2)
-        along = normal[0] * corner[0] + normal[1] * corner[1] + normal[2] * corner[2]
-        least = min(least, along / long)
-        aside = max(aside, root(x * x + y * y + z * z) / long)
+        long = size_of(corners[i], 3)
+        least = min(least, dot(normal, corners[i], 3) / long)
+        aside = max(aside, size_of(cross(normal, corners[i]), 3) / long)
     return least, aside
 
 

@@ -42,31 +42,53 @@ def size_of(g, n):
 
 
 @generic
-def edge(known, k, side):
-    """Return the unit vector at an end of a step's sector, from a memo if it is the latest."""
-    angle, latest = known[1][k, side], known[3][k, side]
-    if latest[0] != angle:
-        latest[1], latest[2] = direction(angle)
-        latest[0] = angle
-    return latest[1], latest[2]
+def dot(a, b, n):
+    """Return the inner product of the first n numbers."""
+    total = a[0] * b[0]
+    for c in range(1, n):
+        total = total + a[c] * b[c]
+    return total
 
 
 @generic
-def in_sector(g, known, k, sets):
-    """Return the least g . (cos, sin) over the directions of a step's sector."""
-    size, width = size_of(g, 2), known[1][k, 1] - known[1][k, 0]
-    if width >= sets.full - sets.narrow:
+def along_and_across(g, axis, n):
+    """Return the component of a slope along a unit vector, and the squared norm of the rest."""
+    along = dot(g, axis, n)
+    square = (g[0] - along * axis[0]) ** 2
+    for c in range(1, n):
+        square = square + (g[c] - along * axis[c]) ** 2
+    return along, square
+
+
+@generic
+def in_cone(g, cone, n):
+    """Return the least g . u over unit vectors u within an angle of an axis.
+
+    Args:
+        g: slope, shape (n,).
+        cone: its axis, a unit vector, and the angle's cosine and sine, n + 2 numbers or more.
+        n: dimension.
+    """
+    size, (along, square) = size_of(g, n), along_and_across(g, cone, n)
+    if along <= TOLERANCE * slack(size) - cone[n] * size:  # downhill is within it
         return -size
-    lx, ly = edge(known, k, 0)
-    ux, uy = edge(known, k, 1)
-    off = -TOLERANCE * slack(size)
-    after, before = ly * g[0] - lx * g[1] >= off, ux * g[1] - uy * g[0] >= off
-    inside = after and before
-    if 2 * width >= sets.full - sets.narrow:
-        inside = after or before
-    if inside:
-        return -size
-    return min(g[0] * lx + g[1] * ly, g[0] * ux + g[1] * uy)
+    return cone[n] * along - cone[n + 1] * root(square)
+
+
+@generic
+def cone_of(low, high):
+    """Return a sector as a cone: its middle, and the cosine and sine of half its width."""
+    x, y = direction((low + high) / 2)
+    cosine, sine = direction((high - low) / 2)
+    return x, y, cosine, sine
+
+
+@generic
+def in_sector(g, low, high, sets):
+    """Return the least g . (cos, sin) over the directions of a sector."""
+    if high - low >= sets.full - sets.narrow:
+        return -size_of(g, 2)
+    return in_cone(g, cone_of(low, high), 2)
 
 
 @generic
@@ -106,13 +128,9 @@ def over_polygon(g, along, known, k, fastest, sets):
         return best
     share = sets.full / sets.polygon
     first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
-    for i in range(first - 1, last + 2):
-        if first <= i <= last:
-            angle = (2 * i + 1) * share / 2  # of a corner
-            x, y = direction(angle)
-        else:
-            side = 0 if i < first else 1
-            angle, (x, y) = known[1][k, side], edge(known, k, side)
+    for i in range(first - 1, last + 2):  # the ends of the sector, and corners in it
+        angle = low if i < first else high if i > last else (2 * i + 1) * share / 2
+        x, y = direction(angle)
         downhill = g[0] * x + g[1] * y
         if downhill * sets.least < best:  # speeds there are at least that of the faces
             best = min(best, downhill * reach(angle, sets.least, sets))
@@ -120,36 +138,9 @@ def over_polygon(g, along, known, k, fastest, sets):
 
 
 @generic
-def in_cone(g, cone, n):
-    """Return the least g . u over unit vectors u within an angle of an axis.
-
-    Args:
-        g: slope, shape (n,).
-        cone: its axis, a unit vector, and the angle's cosine and sine, n + 2 numbers or more.
-        n: dimension.
-    """
-    size, along = size_of(g, n), g[0] * cone[0]
-    for c in range(1, n):
-        along = along + g[c] * cone[c]
-    if along <= TOLERANCE * slack(size) - cone[n] * size:  # downhill is within it
-        return -size
-    square = (g[0] - along * cone[0]) ** 2
-    for c in range(1, n):
-        square = square + (g[c] - along * cone[c]) ** 2
-    return cone[n] * along - cone[n + 1] * root(square)
-
-
-@generic
-def cross(a, b, i):
-    """Return coordinate i of a x b."""
-    j, k = (i + 1) % 3, (i + 2) % 3
-    return a[j] * b[k] - a[k] * b[j]
-
-
-@generic
-def triple(a, b, c):
-    """Return a x b . c."""
-    return cross(a, b, 0) * c[0] + cross(a, b, 1) * c[1] + cross(a, b, 2) * c[2]
+def cross(a, b):
+    """Return a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @generic
@@ -162,17 +153,15 @@ def on_arc(g, a, b, size):
         b: of any length.
         size: norm of g.
     """
-    ga = (g[0] * a[0] + g[1] * a[1] + g[2] * a[2]) / size_of(a, 3)
-    gb = (g[0] * b[0] + g[1] * b[1] + g[2] * b[2]) / size_of(b, 3)
-    e = cross(a, b, 0), cross(a, b, 1), cross(a, b, 2)
-    square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    ga, gb, e = dot(g, a, 3) / size_of(a, 3), dot(g, b, 3) / size_of(b, 3), cross(a, b)
+    square = dot(e, e, 3)
     if square <= 0:
         return min(ga, gb)
-    up = (g[0] * e[0] + g[1] * e[1] + g[2] * e[2]) / square
+    up = dot(g, e, 3) / square
     w = up * e[0] - g[0], up * e[1] - g[1], up * e[2] - g[2]  # downhill, in the arc's plane
     off = -TOLERANCE * slack(size * square)
-    if triple(a, w, e) >= off and triple(w, b, e) >= off:
-        return -root(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    if dot(cross(a, w), e, 3) >= off and dot(cross(w, b), e, 3) >= off:
+        return -size_of(w, 3)
     return min(ga, gb)
 
 
@@ -180,9 +169,10 @@ def on_arc(g, a, b, size):
 def in_patch(g, corners):
     """Return the least g . u over unit vectors u in the cone of three corners, shape (3, 3)."""
     size, a, b, c = size_of(g, 3), corners[0], corners[1], corners[2]
-    volume = triple(a, b, c)
+    ab, bc, ca = cross(a, b), cross(b, c), cross(c, a)
+    volume = dot(ab, c, 3)
     off = -TOLERANCE * slack(size * abs(volume) + size)
-    x, y, z = -triple(a, b, g), -triple(b, c, g), -triple(c, a, g)
+    x, y, z = -dot(ab, g, 3), -dot(bc, g, 3), -dot(ca, g, 3)
     if volume < 0:
         x, y, z = -x, -y, -z
     if x >= off and y >= off and z >= off:
@@ -193,27 +183,15 @@ def in_patch(g, corners):
 @generic
 def beyond_face(g, normal, least, fastest):
     """Return the least g . z over the part of a ball, of radius ``fastest``, beyond a face."""
-    share, size = least / fastest, size_of(g, 3)
-    if share >= 1:  # a single point, or the empty set
-        share = share / share
-    along = g[0] * normal[0] + g[1] * normal[1] + g[2] * normal[2]
-    if along <= TOLERANCE * slack(size) - share * size:
-        return -size * fastest
-    square = (g[0] - along * normal[0]) ** 2
-    for c in range(1, 3):
-        square = square + (g[c] - along * normal[c]) ** 2
-    return fastest * (share * along - root(max(0 * share, 1 - share * share)) * root(square))
+    share = min(least / fastest, 1)  # beyond it the set is empty
+    cone = normal[0], normal[1], normal[2], share, root(1 - share * share)
+    return fastest * in_cone(g, cone, 3)
 
 
 @generic
 def on_face(g, normal, least, fastest, length, n):
     """Return the least g . z + length |z| over a face within a disk, or a ball."""
-    along = g[0] * normal[0]
-    for c in range(1, n):
-        along = along + g[c] * normal[c]
-    square = (g[0] - along * normal[0]) ** 2
-    for c in range(1, n):
-        square = square + (g[c] - along * normal[c]) ** 2
+    along, square = along_and_across(g, normal, n)
     widest = max(0 * least, fastest * fastest - least * least)
     left = length * length - square
     if left > 0 and square * least * least <= widest * left:  # a stationary point within the disk
@@ -249,7 +227,7 @@ def steepest(sets, known, corners, k, g, n):
     best, part = -size_of(g, n), known[0][k]
     if part >= 0:
         if n == 2:
-            best = in_sector(g, known, k, sets)
+            best = in_sector(g, known[1][k, 0], known[1][k, 1], sets)
         elif len(sets.faces) == 0:
             best = in_patch(g, corners)
     for q in range(len(sets.cone_step)):
@@ -277,10 +255,7 @@ def in_both(g, cone, corners):
     Every t gives a bound, and these are concave in t. The search begins at the t for which the
     minimiser over all directions is on the rim of the cone, and halves its steps.
     """
-    size, along = size_of(g, 3), g[0] * cone[0] + g[1] * cone[1] + g[2] * cone[2]
-    square = 0 * size
-    for c in range(3):
-        square = square + (g[c] - along * cone[c]) ** 2
+    size, (along, square) = size_of(g, 3), along_and_across(g, cone, 3)
     t = along + root(square) * cone[3] / cone[4] if cone[4] > 0 else along
     if not t > 0:
         return -size
@@ -303,7 +278,7 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
 
     Args:
         sets: data of stage sets.
-        known: restrictions of all choices: parts, spans, N, and the memo of :func:`edge`.
+        known: restrictions of all choices: parts, spans, and N.
         corners: of the step's patch, if it has one.
         k: the step, from 0 on.
         g: shape (n,).

@@ -123,18 +123,19 @@ def _aimed(stated, part, span):
         low = max(span[k, 0], low + first * sets.full)
         high = min(span[k, 1], high + first * sets.full)
     part[k], span[k, 0], span[k, 1] = 0, low, high
-    return _carried(span, k, 0, count, root.turn)
+    return _carried(span, k, 0, count, -root.turn, root.turn)
 
 
 @generic
-def _carried(span, k, begin, end, most):
-    """Propagate a choice's span to those of other steps by the limit on changes per step.
+def _carried(span, k, begin, end, least, most):
+    """Propagate a choice's span to those of other steps by the limits on changes per step.
 
     Args:
         span: of all choices, shape (C, 2).
         k: choice with the new span.
         begin: first choice to narrow.
         end: one past the last choice to narrow.
+        least: least change per step.
         most: largest change per step; negative without a limit.
 
     Returns:
@@ -145,29 +146,15 @@ def _carried(span, k, begin, end, most):
     if most < 0:
         return True
     for i in range(1, end - begin):
-        for j, near in ((k + i, k + i - 1), (k - i, k - i + 1)):
+        for j, near, down, up in (
+            (k + i, k + i - 1, least, most),
+            (k - i, k - i + 1, -most, -least),
+        ):
             if begin <= j < end:
-                span[j, 0] = max(span[j, 0], span[near, 0] - most)
-                span[j, 1] = min(span[j, 1], span[near, 1] + most)
+                span[j, 0] = max(span[j, 0], span[near, 0] + down)
+                span[j, 1] = min(span[j, 1], span[near, 1] + up)
                 if span[j, 0] > span[j, 1]:
                     return False
-    return True
-
-
-@generic
-def _ordered(span, k, end):
-    """Propagate a direction to steps that are in order; return whether the region is not empty."""
-    if span[k, 0] > span[k, 1]:
-        return False
-    for j in range(k + 1, end):
-        span[j, 0] = max(span[j, 0], span[j - 1, 0])
-        if span[j, 0] > span[j, 1]:
-            return False
-    for i in range(k):
-        j = k - 1 - i
-        span[j, 1] = min(span[j, 1], span[j + 1, 1])
-        if span[j, 0] > span[j, 1]:
-            return False
     return True
 
 
@@ -245,11 +232,10 @@ def part_of(stated, order, node, at, i, depth, region):
         return WRONG
     for e in range(len(part)):
         part[e], span[e, 0], span[e, 1] = region.part[depth - 1, e], before[e, 0], before[e, 1]
-    if stated.n == 3:
-        for e in range(len(part)):
-            for a in range(3):
-                for b in range(3):
-                    region.corners[depth, e, a, b] = region.corners[depth - 1, e, a, b]
+    for e in range(region.corners.shape[1]):
+        for a in range(3):
+            for b in range(3):
+                region.corners[depth, e, a, b] = region.corners[depth - 1, e, a, b]
     made = region.corners[depth]
     return narrowed(stated, order, node, at, i, part, span, made)
 
@@ -288,10 +274,11 @@ def _followed(stated, order, c, part, span):
     """Propagate a cut of a heading or a speed; return whether the region is not empty."""
     root, count = stated.root, stated.root.span.shape[1]
     if c >= count:
-        return _carried(span, c, count, 2 * count, root.change)
+        return _carried(span, c, count, 2 * count, -root.change, root.change)
     if order.ordered and c < root.exchanged:
-        return _ordered(span, c, root.exchanged)
-    held = _carried(span, c, 0, count, root.turn)
+        full = stated.sets.full  # all begin at the same direction
+        return _carried(span, c, 0, root.exchanged, 0 * full, 2 * full)
+    held = _carried(span, c, 0, count, -root.turn, root.turn)
     return held and (part[count - 1] != 0 or _aimed(stated, part, span))
 
 
@@ -305,13 +292,6 @@ def _set_patch(patches, node, i, made):
                 made[j, e] = patches[first + i, j, e]
         return
     for e in range(3):
-        a, b, c = made[0, e], made[1, e], made[2, e]
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        if i == 0:
-            made[0, e], made[1, e], made[2, e] = a, ab, ca
-        elif i == 1:
-            made[0, e], made[1, e], made[2, e] = ab, b, bc
-        elif i == 2:
-            made[0, e], made[1, e], made[2, e] = ca, bc, c
-        else:
-            made[0, e], made[1, e], made[2, e] = ab, bc, ca
+        old = made[0, e], made[1, e], made[2, e]
+        for j in range(3):
+            made[j, e] = (old[j] + old[(j + 1) % 3 if i == 3 else i]) / 2

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -27,7 +26,7 @@ from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root, roots
+from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, as_fractions, direction, root, roots
 from orbimpc_ros.mpc.proof.flight import (
     DECIDED,
     END,
@@ -263,11 +262,7 @@ class Statement:
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
         array = np.array(values, float, order='C')  # a copy: numba wants it writable
-        if self._number is float:
-            return array
-        made = np.empty(array.shape, object)
-        made.ravel()[:] = [Fraction(each) for each in array.ravel().tolist()]
-        return made
+        return array if self._number is float else as_fractions(array)
 
     def _moved(self) -> Motion:
         problem, number, model = self.problem, self._number, self.problem.translation

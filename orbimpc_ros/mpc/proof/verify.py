@@ -20,7 +20,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.arithmetic import floats
+from orbimpc_ros.mpc.proof.arithmetic import as_fractions, floats
 from orbimpc_ros.mpc.proof.bound import (
     ENDED,
     PAUSED,
@@ -98,7 +98,7 @@ class Verifier:
         most, what = 1 + SLICE // problem.horizon, PAUSED
         seen: tuple[Any, int, int] = 0.0, 0, 0
         try:
-            known = stated, in_fractions(tree) if self._exact else tree, walk
+            known = stated, tree_in_fractions(tree) if self._exact else tree, walk
             while what == PAUSED and not (seen[-1] and late and late()):
                 *seen, what = self._bound(*known, self._region, self._work, *seen, most)
         except HOSTILE:
@@ -146,15 +146,11 @@ def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bo
     return True
 
 
-def in_fractions(tree: ProofTree) -> Any:
+def tree_in_fractions(tree: ProofTree) -> Any:
     """Return a tree with its floats as fractions."""
-    numbers: dict[str, Any] = {}
-    for name, value in tree._asdict().items():
-        if isinstance(value, np.ndarray) and value.dtype == float:
-            made = np.empty(value.shape, object)
-            made.ravel()[:] = [Fraction(each) for each in value.ravel().tolist()]
-            numbers[name] = made
-    return tree._replace(**numbers)
+    arrays = {name: each for name, each in tree._asdict().items() if isinstance(each, np.ndarray)}
+    numbers = {name: each for name, each in arrays.items() if each.dtype == float}
+    return tree._replace(**{name: as_fractions(each) for name, each in numbers.items()})
 
 
 def rounded_down(x: Any) -> float:

@@ -104,21 +104,11 @@ class Room(NamedTuple):
 @lru_cache(maxsize=SPACES)
 def room_for(thread: int, steps: int) -> Room:
     """Return working memory for N = ``steps`` headings, which is the same for all of a thread."""
-    size, integers = 2 * steps, np.int64
-    return Room(
-        np.zeros((steps, 2)),
-        np.zeros(steps, np.bool_),
-        np.zeros(steps, integers),
-        np.zeros((steps, 2)),
-        np.zeros((steps, 2)),
-        np.zeros((steps, 2)),
-        np.zeros(size, integers),
-        np.zeros((size, 2)),
-        np.zeros((size, size)),
-        np.zeros(size),
-        np.zeros(steps),
-        np.zeros(steps),
-    )
+    n, size = steps, 2 * steps
+    shapes = (n, 2), n, n, (n, 2), (n, 2), (n, 2), size, (size, 2), (size, size), size, n, n
+    made = Room._make(np.zeros(each) for each in shapes)
+    integers = {name: np.zeros_like(getattr(made, name), np.int64) for name in ('faces', 'steps')}
+    return made._replace(changed=np.zeros(n, np.bool_), **integers)
 
 
 @compiled
@@ -229,7 +219,7 @@ def _newton(posed, shapes, z, reached, room):
             trial[steps[i], 1] += share * room.right[i] * basis[i, 1]
         _pull_back(shapes, z, room)
         set_slope(posed.hessian, posed.q, trial, slope)
-        cost = cost_at(posed, trial, slope)
+        cost = tangent_bound(posed, shapes, trial, slope)[0]
         if cost < reached:
             copy_to(z, trial)
             return cost
@@ -251,18 +241,6 @@ def _pull_back(shapes, z, room):
             scale = shapes[k, OUTER] / np.sqrt(x * x + y * y)
             x, y = x * scale, y * scale
         trial[k, 0], trial[k, 1], _, _, _ = prox(shapes[k], 1.0, 0.0, -x, -y)
-
-
-@compiled
-def cost_at(posed, z, slope):
-    """Return the cost, without the constant, at a point with slope H z + q."""
-    cost = 0.0
-    for k in range(len(z)):
-        x, y = z[k, 0], z[k, 1]
-        cost += 0.5 * (x * (slope[k, 0] + posed.q[k, 0]) + y * (slope[k, 1] + posed.q[k, 1]))
-        if posed.lengths[k] > 0.0:
-            cost += posed.lengths[k] * np.sqrt(x * x + y * y)
-    return cost
 
 
 @compiled

@@ -17,7 +17,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import copy_to, solve_factored, solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, set_tangents, solve_factored, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
@@ -119,6 +119,17 @@ def land(posed, z):
 
 
 @compiled
+def _slope(posed, stiff, pull, z, k, c):
+    """Return the derivative in z_k along an axis of the cost without lengths, and the arrival's."""
+    slope = posed.q[k, c]
+    for j in range(len(z)):
+        slope += posed.hessian[k, j] * z[j, c]
+    if stiff > 0.0:
+        slope += posed.arrival[k] * (pull[c] + stiff * missed_by(posed, z, c))
+    return slope
+
+
+@compiled
 def _sweep(posed, stiff, pull, z):
     """Move each heading in turn to the minimiser of the cost over its shell."""
     (count, n), slope = z.shape, np.empty(z.shape[1])
@@ -128,11 +139,7 @@ def _sweep(posed, stiff, pull, z):
             a, square = posed.arrival[k], 0.0
             h = posed.hessian[k, k] + stiff * a * a
             for c in range(n):
-                slope[c] = posed.q[k, c] - h * z[k, c]
-                for j in range(count):
-                    slope[c] += posed.hessian[k, j] * z[j, c]
-                if stiff > 0.0:
-                    slope[c] += a * (pull[c] + stiff * missed_by(posed, z, c))
+                slope[c] = _slope(posed, stiff, pull, z, k, c) - h * z[k, c]
                 square += slope[c] * slope[c]
             size = np.sqrt(square)
             if size == 0.0:
@@ -154,35 +161,6 @@ def _rise(posed, stiff, pull, z, there):
         before, after = missed_by(posed, z, c), missed_by(posed, there, c)
         rise += (after - before) * (pull[c] + 0.5 * stiff * (after + before))
     return rise
-
-
-@compiled
-def set_tangents(by):
-    """Complete the unit vector in the first row to an orthonormal basis, shape (n, n)."""
-    if len(by) == 2:
-        by[1, 0], by[1, 1] = -by[0, 1], by[0, 0]
-        return
-    i = 0
-    for c in range(1, 3):
-        if abs(by[0, c]) < abs(by[0, i]):
-            i = c
-    j, k = (i + 1) % 3, (i + 2) % 3
-    size = np.sqrt(by[0, j] ** 2 + by[0, k] ** 2)
-    by[1, i], by[1, j], by[1, k] = 0.0, -by[0, k] / size, by[0, j] / size
-    for c in range(3):
-        d, e = (c + 1) % 3, (c + 2) % 3
-        by[2, c] = by[0, d] * by[1, e] - by[0, e] * by[1, d]
-
-
-@compiled
-def _slope(posed, stiff, pull, z, k, c):
-    """Return the derivative in z_k along an axis of the cost without lengths, and the arrival's."""
-    slope = posed.q[k, c]
-    for j in range(len(z)):
-        slope += posed.hessian[k, j] * z[j, c]
-    if stiff > 0.0:
-        slope += posed.arrival[k] * (pull[c] + stiff * missed_by(posed, z, c))
-    return slope
 
 
 @compiled

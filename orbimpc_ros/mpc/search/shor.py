@@ -35,11 +35,12 @@ from orbimpc_ros.mpc.kernels.linear import (
     copy_to,
     extend_factor,
     invert_spd,
+    set_tangents,
     solve_factored,
     solve_spd,
 )
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN
-from orbimpc_ros.mpc.search.shells import missed_by, set_tangents
+from orbimpc_ros.mpc.search.shells import missed_by
 from orbimpc_ros.mpc.search.tree import KEY, MU, TAKEN
 
 GOING, CLIMBED, PRUNED = range(3)  # outcomes of a climb
