@@ -17,6 +17,9 @@ BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
 
+# The nodes of tests and demos are hundreds of processes: each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 ifdef ROS_DISTRO
 VENV_FLAGS = --system-site-packages
 EXTRAS_DEMO = [fast]
