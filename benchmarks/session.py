@@ -48,9 +48,7 @@ class Session(Observer):
         name = f'{module.rpartition(".")[2]}-{len(self.processes) + 1}'
         file = self.folder / f'{name}.yaml'
         file.write_text(settings.text({**values, 'executor': self._nodes}))
-        return self.processes.start(
-            module, file, file.with_suffix('.log'), self.domain, namespace=namespace
-        )
+        return self.processes.start(module, file, file.with_suffix('.log'), namespace)
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:
         """Spin until ``done``.

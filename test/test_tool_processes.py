@@ -25,14 +25,15 @@ from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.demo import Recorder
 
 STARTER = """
-    import sys, time
+    import os, sys, time
     from pathlib import Path
     from orbimpc_ros.tool.processes import Processes
 
     folder = Path(sys.argv[1])
     file, log = folder / 'none.yaml', folder / 'node.log'
     file.write_text('/**: {ros__parameters: {}}')
-    node = Processes().start(sys.argv[2], file, log, int(sys.argv[3]))
+    os.environ['ROS_DOMAIN_ID'] = sys.argv[3]
+    node = Processes().start(sys.argv[2], file, log)
     print(node.pid, flush=True)
     time.sleep(600)
 """

@@ -188,7 +188,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
 
             def begun(node: str, namespace: str) -> Child:
                 log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
-                return started.start(PACKAGES[node], parameters, log, namespace=namespace)
+                return started.start(PACKAGES[node], parameters, log, namespace)
 
             planners, sims = (
                 {each: begun(node, each) for each in namespaces} for node in ('planner', 'sim')

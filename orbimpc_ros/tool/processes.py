@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from orbimpc_ros.install import shared
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.entry import SIGNALS
 
@@ -28,17 +29,7 @@ TETHER = ('setpriv', '--pdeathsig', 'TERM', '--')
 PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
 DOMAINS = range(1, 102)  # higher domains use ports in Linux's ephemeral range
-# Fast DDS announces a participant five times in half a second, then every three seconds: nodes
-# that start together miss each other and wait. This profile announces throughout the start.
-PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <participant profile_name="announced_often" is_default_profile="true">
-    <rtps><builtin><discovery_config><initialAnnouncements>
-      <count>100</count><period><sec>0</sec><nanosec>50000000</nanosec></period>
-    </initialAnnouncements></discovery_config></builtin></rtps>
-  </participant>
-</profiles>
-"""
+PROFILE = 'config/fastdds/announced_often.xml'  # without it, nodes wait for each other at the start
 WIDTH = 20
 LINES = 5  # of progress, where there is no terminal
 LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
@@ -115,26 +106,18 @@ class Processes(list[Child]):
         for process in self:
             process.stop()
 
-    def start(
-        self,
-        module: str,
-        parameters: Path,
-        log: Path,
-        domain: int | None = None,
-        namespace: str = '',
-    ) -> Child:
+    def start(self, module: str, parameters: Path, log: Path, namespace: str = '') -> Child:
         """Start a node.
 
         Args:
             module: to run, such as ``orbimpc_ros.sim``.
             parameters: file of ROS parameters.
             log: for the output of the process.
-            domain: of ROS; this process's by default.
             namespace: of the node, such as ``/uav1``.
         """
         words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
         remapped = ['-r', f'__ns:={namespace}'] if namespace else []
-        self.append(Child(module.rpartition('.')[2], [*words, *remapped], log, domain))
+        self.append(Child(module.rpartition('.')[2], [*words, *remapped], log))
         return self[-1]
 
 
@@ -145,16 +128,14 @@ def isolate(folder: Path) -> int:
     """Give this process and its children a ROS domain of their own and return its number.
 
     Args:
-        folder: for the DDS profile, and for ROS's logs unless the environment sets another
-            place: no home folder is needed.
+        folder: for ROS's logs unless the environment sets another place: no home folder is needed.
     """
     candidates = random.sample(DOMAINS, len(DOMAINS))
     domain = next(filter(claimed, candidates), candidates[0])
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    profile = folder / 'fastdds.xml'
-    profile.write_text(PROFILE)
-    for variable in PROFILE_VARIABLES:
+    profile = shared(PROFILE)
+    for variable in PROFILE_VARIABLES if profile else ():
         os.environ.setdefault(variable, str(profile))
     if not any(os.environ.get(variable) for variable in LOG_VARIABLES):
         os.environ[LOG_VARIABLES[0]] = str(folder / 'log')
