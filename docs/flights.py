@@ -56,7 +56,8 @@ def draw(name: str, place: Path) -> None:
 
         render(place / 'bag', pictures / 'rope.gif')
     else:
-        in_both_looks(lambda: of_runs(flown)[PATH], pictures / f'{name}.png')
+        for file in in_both_looks(pictures / f'{name}.png'):
+            of_runs(flown)[PATH].savefig(file)
     if name == 'retrieval':
         with look():
             write_gif(flown['retrieval'], DOCS / 'retrieval.gif')

@@ -271,7 +271,8 @@ def main(folder: Path = FOLDER) -> None:
     """Draw every picture in both looks."""
     folder.mkdir(exist_ok=True)
     for name, draw in PICTURES.items():
-        in_both_looks(draw, folder / f'{name}.png')
+        for file in in_both_looks(folder / f'{name}.png'):
+            draw().savefig(file)
 
 
 if __name__ == '__main__':

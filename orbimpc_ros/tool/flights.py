@@ -25,7 +25,6 @@ import numpy as np
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
@@ -144,22 +143,20 @@ def _of_ticks(ticks: Sequence[Decision]) -> Row:
     ``gap`` and ``projection`` loss; ``p50_ms`` and ``longest_ms``, the processor time of a tick.
     """
     plans = [decision.plan for decision in ticks if decision.plan is not None]
+    # From a projected rotation's thrust to the plan's, over full thrust.
+    lost = [
+        each.speed_fraction[1] * each.projected[1][:, 0] - each.rotations[1][:, 0] for each in plans
+    ]
     spent = [decision.solve_time_ms for decision in ticks] or [0.0]
     return {
         'ticks': len(ticks),
         'optimal': sum(decision.status is Status.OPTIMAL for decision in ticks),
         'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
         'gap': max((plan.gap for plan in plans), default=None),
-        'projection': max((_lost(plan) for plan in plans), default=None),
+        'projection': max((float(np.linalg.norm(each)) for each in lost), default=None),
         'p50_ms': float(np.median(spent)),
         'longest_ms': max(spent),
     }
-
-
-def _lost(plan: Plan) -> float:
-    """Return the distance from a projected rotation's thrust to the plan's, over full thrust."""
-    pushed = plan.speed_fraction[1] * plan.projected[1][:, 0]
-    return float(np.linalg.norm(pushed - plan.rotations[1][:, 0]))
 
 
 # --- the file of a study: its specification in the first line, a flight in each further one

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -109,11 +109,11 @@ def look(dark: bool = False) -> AbstractContextManager:
     return mpl.rc_context(style)
 
 
-def in_both_looks(draw: Callable[[], Figure], file: Path) -> None:
-    """Write a picture for print and, next to it, ``name-dark.png`` for dark pages."""
+def in_both_looks(file: Path) -> Iterator[Path]:
+    """Yield a picture's file, in the look for print, and ``name-dark.png``, in that for dark pages."""
     for dark in (False, True):
         with look(dark):
-            draw().savefig(file.with_stem(f'{file.stem}-dark') if dark else file)
+            yield file.with_stem(f'{file.stem}-dark') if dark else file
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -392,9 +392,7 @@ def draw(draws: Draws, rows: Rows, file: Path) -> None:
         shares = np.array([*range(len(times) + 1), len(times)]) / len(flights)
         lines[name] = np.array([0.0, *times, draws.limit]), shares
 
-    def drawn() -> Figure:
+    for each in in_both_looks(file):
         figure = Figure(figsize=(5.0, 3.8), layout='constrained')
         draw_panel(figure.subplots(), Panel(f'{draws.name}: share caught', '', lines, steps=True))
-        return figure
-
-    in_both_looks(drawn, file)
+        figure.savefig(each)
