@@ -110,7 +110,7 @@ def look(dark: bool = False) -> AbstractContextManager:
 
 
 def in_both_looks(file: Path) -> Iterator[Path]:
-    """Yield a picture's file, in the look for print, and ``name-dark.png``, in that for dark pages."""
+    """Yield a picture's file, in the look for print, and ``name-dark.png``, in the dark look."""
     for dark in (False, True):
         with look(dark):
             yield file.with_stem(f'{file.stem}-dark') if dark else file
