@@ -426,30 +426,28 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def run(make: Callable[[], Managed], argv: Sequence[str] | None = None) -> int:
+def run(make: Callable[[], Managed]) -> int:
     """Run a node until it is done or stopped, and return the exit code.
 
     A signal during the start ends the process at once: no command has been sent yet.
 
     Args:
         make: creates the node; BadInput from it ends the process with code 2 and one line.
-        argv: the command line; by default that of this process.
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
-    words = list(sys.argv if argv is None else argv)
     leave_at_signals()
     try:
-        _require_files(words)
+        _require_files()
         with ExitStack() as stack:
             try:
-                stack.enter_context(initialised(words, context=get_default_context()))
+                stack.enter_context(initialised(sys.argv, context=get_default_context()))
             except rclpy_implementation.UnknownROSArgsError as error:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'
                 raise BadInput.stating('command line', unknown, hint) from None
             except RuntimeError as error:  # malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
-            _require_ros_words(words)
+            _require_ros_words()
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup
             node = make()
@@ -481,16 +479,16 @@ def _ended(error: object, code: int) -> int:
     return code
 
 
-def _require_files(words: Sequence[str]) -> None:
+def _require_files() -> None:
     """Reject a missing parameter file in one line; rcl would log its parser's error, too."""
-    for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
+    for flag, word in pairwise(dropwhile('--ros-args'.__ne__, sys.argv)):
         if flag == '--params-file' and not Path(word).exists():
             raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
-def _require_ros_words(words: Sequence[str]) -> None:
+def _require_ros_words() -> None:
     """Reject arguments that would be ignored."""
-    _, *plain = remove_ros_args(args=list(words))
+    _, *plain = remove_ros_args(args=sys.argv)
     if plain:
         problem = f'{shlex.join(plain)} must follow --ros-args'
         hint = f'allowed: --ros-args, then {KNOWN_WORDS}'

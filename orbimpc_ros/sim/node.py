@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -83,11 +83,12 @@ class LockStep(FlightSimulation):
             return
         if not self._met:
             absent = self.awaited(planner=True)
+            waited = self.node.steady_now() - self.counted_from
             if not absent:
                 self._met = True
                 self._ask_when_due()
-            elif self.waited > self._patience:
-                self._give_up(absent, self.waited)
+            elif waited > self._patience:
+                self._give_up(absent, waited)
         elif self._held_back:
             if self.node.steady_now() - self._asked_at >= 0.5 * LOOK:
                 self.deliver(self.now, self._held_back)
@@ -283,6 +284,4 @@ class SimNode(Managed):
         return response
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the simulator; return the exit code."""
-    return run(SimNode, argv)
+main = partial(run, SimNode)

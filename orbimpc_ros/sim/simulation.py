@@ -46,6 +46,7 @@ class FlightSimulation(ABC):
         flight: its present state.
         view: the messages of it that reach a planner.
         finished: whether the flight has ended.
+        counted_from: begin of waiting, or last sight of a planner that is being configured [s].
         order: the last command.
     """
 
@@ -99,19 +100,14 @@ class FlightSimulation(ABC):
 
     def _wait(self) -> None:
         """Start waiting for planner and readers; changes of what is missing are logged."""
-        self._since = self._counted_from = self._met_after = self.node.steady_now()
+        self._since = self.counted_from = self._met_after = self.node.steady_now()
         self._announced = ''
-
-    @property
-    def waited(self) -> float:
-        """Return the waiting time, without the time in which a planner is configured [s]."""
-        return self.node.steady_now() - self._counted_from
 
     def awaited(self, *, planner: bool) -> str:
         """Describe missing readers and, if ``planner``, a missing planner; empty if complete."""
         now, coming = self.node.steady_now(), planner and self._planner_being_configured()
         if coming:  # its first start compiles machine code, without a time limit
-            self._counted_from = now
+            self.counted_from = now
             awaited = f'{coming} to be configured: it may be compiling machine code'
         else:
             awaited = self._readers_lacking() or (self.planner_lacking if planner else '')

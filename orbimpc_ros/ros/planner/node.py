@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -603,6 +603,4 @@ class PlannerNode(Managed):
         return response
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the planner; return the exit code."""
-    return run(PlannerNode, argv)
+main = partial(run, PlannerNode)
