@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.planner import Decision, Planner
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
@@ -40,6 +40,7 @@ PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
 GLANCE = 0.2  # [s] between checks for a signal
 OURS = 'orbitope'  # this package's controller
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
+_planner_of = lru_cache(maxsize=1)(planner_of)  # whose construction is slow
 
 
 def flown(
@@ -93,15 +94,9 @@ def _pilot(study: str, controller: str, given: PlannerSettings) -> Any:
     """Return the controller of a flight, reset."""
     if controller != OURS:
         return baselines().baseline_named(controller, given, study)
-    known = _ours(given)
+    _, known = _planner_of(given)
     known.reset()
     return known
-
-
-@lru_cache(maxsize=1)
-def _ours(given: PlannerSettings) -> Planner:
-    """Return this package's controller, cached because its construction is slow."""
-    return planner_of(given)[1]
 
 
 def baselines() -> Any:
