@@ -114,10 +114,10 @@ def sensed(stamp: Stamp, content: Seen) -> tuple[str, Any]:
     return 'goal', messages.goal_message(stamp, content.position)
 
 
-def future(stamp: Stamp, flight: Flight, steps: int) -> Path:
-    """Return the path of the goal over a number of steps from now."""
+def future(stamp: Stamp, flight: Flight) -> Path:
+    """Return the path of the goal over ``goal_path_steps`` from now."""
     step, rope = flight.settings.model.step, flight.settings.rope
-    times = flight.vehicle.time + step * np.arange(steps + 1)
+    times = flight.vehicle.time + step * np.arange(flight.settings.goal_path_steps + 1)
     return messages.path_message(stamp, step, map(messages.pose, [rope.at(time) for time in times]))
 
 

@@ -186,15 +186,14 @@ class FlightSimulation(ABC):
 
     def show(self, seen: Sequence[Seen]) -> None:
         """Publish the present state of the flight: clock, markers, goals, odometry."""
-        at, flight = self.now, self.flight
+        at, flight, out = self.now, self.flight, self._out
         stamp = Stamp(at, self.settings.frames)
-        out, steps = self._out, self.settings.goal_path_steps
         if '/clock' in out:
             out['/clock'].publish(Clock(clock=messages.time_message(at)))
         if 'obstacles' in out:
             out['obstacles'].publish(outputs.traffic_markers(stamp, flight))
         if 'goal_path' in out:
-            out['goal_path'].publish(outputs.future(stamp, flight, steps))
+            out['goal_path'].publish(outputs.future(stamp, flight))
         out['world_markers'].publish(outputs.world_markers(stamp, flight))
         if 'truth' in out:
             name = f'{self.node.get_fully_qualified_name()}: truth'

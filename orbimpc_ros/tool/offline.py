@@ -161,8 +161,7 @@ def closed_loop(
         if settings.traffic:
             planner.hear('obstacles', traffic_markers(planner.at(shown), flight, margin), shown)
         if settings.goal_path_steps:
-            path = future(planner.at(shown), flight, settings.goal_path_steps)
-            planner.hear('goal_path', path, shown)
+            planner.hear('goal_path', future(planner.at(shown), flight), shown)
         for seen in view.of(flight):
             planner.sense(shown, seen, seen.time + shown - now)
         if planner.stamp != answered:

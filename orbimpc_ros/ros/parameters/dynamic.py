@@ -91,22 +91,19 @@ class DynamicParameters(Generic[S]):
         return changes
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
+        values, known = self._values(), self._node.get_parameter('use_sim_time').value
         try:
-            self._pending = self._prepare(self._settings_of(self._merged(changes)))
+            for change in changes:
+                if change.name == 'use_sim_time' and change.value != known:
+                    raise BadInput('use_sim_time', change.value, 'set at the start only')
+                if change.name in values:
+                    values[change.name] = change.value
+            self._pending = self._prepare(self._settings_of(values))
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:  # an exception would let remote callers end the node
             return SetParametersResult(successful=False, reason=f'{type(error).__name__}: {error}')
         return SetParametersResult(successful=True)
-
-    def _merged(self, changes: list[Parameter]) -> dict[str, Any]:
-        values, known = self._values(), self._node.get_parameter('use_sim_time').value
-        for change in changes:
-            if change.name == 'use_sim_time' and change.value != known:
-                raise BadInput('use_sim_time', change.value, 'set at the start only')
-            if change.name in values:
-                values[change.name] = change.value
-        return values
 
     def _on_changed(self, _changes: list[Parameter]) -> None:
         if self._pending is not None:
