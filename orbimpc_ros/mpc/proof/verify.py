@@ -148,9 +148,11 @@ def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bo
 
 def tree_in_fractions(tree: ProofTree) -> Any:
     """Return a tree with its floats as fractions."""
-    arrays = {name: each for name, each in tree._asdict().items() if isinstance(each, np.ndarray)}
-    numbers = {name: each for name, each in arrays.items() if each.dtype == float}
-    return tree._replace(**{name: as_fractions(each) for name, each in numbers.items()})
+    known: dict[str, Any] = tree._asdict()
+    for name, value in known.items():
+        if isinstance(value, np.ndarray) and value.dtype == float:
+            known[name] = as_fractions(value)
+    return tree._replace(**known)
 
 
 def rounded_down(x: Any) -> float:

@@ -107,8 +107,8 @@ def room_for(thread: int, steps: int) -> Room:
     n, size = steps, 2 * steps
     shapes = (n, 2), n, n, (n, 2), (n, 2), (n, 2), size, (size, 2), (size, size), size, n, n
     made = Room._make(np.zeros(each) for each in shapes)
-    integers = {name: np.zeros_like(getattr(made, name), np.int64) for name in ('faces', 'steps')}
-    return made._replace(changed=np.zeros(n, np.bool_), **integers)
+    faces, indices = np.zeros(n, np.int64), np.zeros(size, np.int64)
+    return made._replace(changed=np.zeros(n, np.bool_), faces=faces, steps=indices)
 
 
 @compiled
