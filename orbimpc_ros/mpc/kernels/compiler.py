@@ -34,11 +34,6 @@ LOCKS = 'orbimpc_ros.lock'
 WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 RUNTIME = 'NRT_'  # and those that create, count and free arrays
 ARITHMETIC = 'binop', 'inplace_binop', 'unary', 'arrayexpr'
-UNNEEDED = (
-    *('WithLifting', 'InlineClosureLikes', 'RewriteDynamicRaises', 'MakeFunctionToJitFunction'),
-    *('InlineInlinables', 'FindLiterallyCalls', 'LiteralUnroll', 'InlineOverloads'),
-    *('LiteralPropagationSubPipelinePass', 'AnnotateTypes', 'DumpParforDiagnostics'),
-)
 BARE: dict[Callable, Callable] = {}  # by entry point
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
@@ -138,21 +133,19 @@ class _NativeLowering(NativeLowering):
         return _Lowering
 
 
-class _LeanCompiler(Compiler):
-    """numba's compiler without passes that change nothing in this package's functions."""
+class _Compiler(Compiler):
+    """numba's compiler with another translation of functions."""
 
     def define_pipelines(self) -> list:
         """Return the passes of compiling."""
         (pipeline,) = super().define_pipelines()
-        pipeline.passes[:] = [
-            (_NativeLowering if each is NativeLowering else each, what)
-            for each, what in pipeline.passes
-            if each.__name__ not in UNNEEDED
-        ]
+        for i, (each, what) in enumerate(pipeline.passes):
+            if each is NativeLowering:
+                pipeline.passes[i] = _NativeLowering, what
         return [pipeline]
 
 
-class _PartCompiler(_LeanCompiler):
+class _PartCompiler(_Compiler):
     """Compiler of functions that are linked into their callers."""
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
@@ -184,7 +177,7 @@ class _Whole(JITCodeLibrary):
         return name, what, (code, parse_assembly('\n'.join(names)).as_bitcode())
 
 
-class _WholeCompiler(_LeanCompiler):
+class _WholeCompiler(_Compiler):
     """Compiler of functions that Python calls."""
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:

@@ -41,8 +41,16 @@ def add_product(matrix, x, share, out):
 
 
 @compiled
-def set_tangents(by):
-    """Complete the unit vector in the first row to an orthonormal basis, shape (n, n)."""
+def set_basis(by):
+    """Set an orthonormal basis about the vector in the first row, e_1 if it is zero; (n, n)."""
+    square = 0.0
+    for c in range(len(by)):
+        square += by[0, c] * by[0, c]
+    size = np.sqrt(square)
+    if size == 0.0:
+        by[0, 0] = size = 1.0
+    for c in range(len(by)):
+        by[0, c] /= size
     if len(by) == 2:
         by[1, 0], by[1, 1] = -by[0, 1], by[0, 0]
         return

@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.kernels.linear import (
     copy_to,
     diagonalise,
     extend_factor,
-    set_tangents,
+    set_basis,
 )
 
 NEGLIGIBLE = 1e-12  # share of sigma below which a part of the Hessian is left out
@@ -456,10 +456,9 @@ def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
         if limits[k] == 0.0:
             continue
         outside = sizes[k] > limits[k]
-        by[0, 0], by[0, 1], by[0, 2] = 1.0, 0.0, 0.0
-        for c in range(3 if outside else 0):
-            by[0, c] = (held[k, c] + sigma * x[k, c]) / sizes[k]
-        set_tangents(by)
+        for c in range(3):
+            by[0, c] = held[k, c] + sigma * x[k, c]
+        set_basis(by)
         for i in range(1 if outside else 0, 3):
             column[count] = 0.0
             copy_to(column[count, :3], by[i])

@@ -118,14 +118,8 @@ def outline(ring, sector, shape):
     if ring.faces > 0 and slow <= nearest_speed(ring.fraction, ring.faces, low, high):
         a = min(fast, least_speed(ring.fraction, ring.faces, low))
         b = min(fast, least_speed(ring.fraction, ring.faces, high))
-    shape[LX], shape[LY], shape[UX], shape[UY], shape[LEAST_L], shape[LEAST_U] = (
-        lx,
-        ly,
-        ux,
-        uy,
-        a,
-        b,
-    )
+    shape[LX], shape[LY], shape[UX], shape[UY] = lx, ly, ux, uy
+    shape[LEAST_L], shape[LEAST_U] = a, b
     nx, ny = b * uy - a * ly, a * lx - b * ux
     size = np.sqrt(nx * nx + ny * ny)
     if size > 1e-9:

@@ -17,7 +17,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import copy_to, set_tangents, solve_factored, solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, set_basis, solve_factored, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
@@ -90,10 +90,8 @@ def arrive(posed, z):
     """Set headings that arrive, alternating about the straight path; return False on failure."""
     (count, n), by = z.shape, np.zeros((z.shape[1], z.shape[1]))
     far, way = np.sqrt((posed.left**2).sum()), posed.arrival.sum()
-    by[0, 0] = 1.0
-    if far > TINY:
-        copy_to(by[0], posed.left / far)
-    set_tangents(by)
+    copy_to(by[0], posed.left)
+    set_basis(by)
     speed = min(1.0, max(posed.floor, far / way))
     ahead = min(speed, far / way)
     aside = np.sqrt(speed * speed - ahead * ahead)
@@ -180,9 +178,9 @@ def _set_model(posed, stiff, pull, z, by, gradient, curved):
     for k in range(count):
         size, a = length_of(z, k), posed.arrival[k]
         for c in range(n):
-            by[k, 0, c] = z[k, c] / size
+            by[k, 0, c] = z[k, c]
             slope[c] = _slope(posed, stiff, pull, z, k, c)
-        set_tangents(by[k])
+        set_basis(by[k])
         for e in range(n):
             gradient[n * k + e] = posed.lengths[k] if e == 0 else 0.0
             for c in range(n):

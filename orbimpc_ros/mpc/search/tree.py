@@ -479,8 +479,8 @@ def _begin(posed, ring, tree, guess, room):
     if ring.fraction == 0.0:  # over disks the relaxation finds the optimum itself
         return True
     for k in range(len(ahead)):
-        ahead[k, 0], ahead[k, 1] = np.cos(ring.first), np.sin(ring.first)
-        ahead[k, 0], ahead[k, 1] = ring.entry * ahead[k, 0], ring.entry * ahead[k, 1]
+        ahead[k, 0] = ring.entry * np.cos(ring.first)
+        ahead[k, 1] = ring.entry * np.sin(ring.first)
     for near in (guess if len(guess) > 0 else start, ahead):
         if tree.numbers[VALUE] == np.inf and is_promising(
             posed, ring, tree, near, tree.sectors[0], np.inf, room
