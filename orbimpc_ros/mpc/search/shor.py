@@ -30,10 +30,13 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import (
+    SINGULAR,
     add_product,
     copy_to,
+    extend_factor,
     invert_spd,
     set_basis,
+    solve_factored,
     solve_spd,
 )
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN
@@ -138,14 +141,14 @@ def _stiffen(posed, matrix, linear):
 
 
 @compiled
-def _set_minimiser(posed, q, rows, weights, inverse, z, pull):
-    """Set P, shape (N, N), and, with linear terms q, the minimiser z, shape (N, n), and the pull.
+def _set_minimiser(posed, rows, weights, inverse, z, pull):
+    """Set P, shape (N, N), the Lagrangian's minimiser z, shape (N, n), and the arrival's pull.
 
     Returns:
         The Lagrangian there without moduli, and log det of the matrix that P inverts, both for z
         subject to the arrival; -inf, with nothing set, if that matrix is not positive definite.
     """
-    matrix, linear = posed.hessian.copy(), q.copy()
+    matrix, linear = posed.hessian.copy(), posed.q.copy()
     constant = _stiffen(posed, matrix, linear)
     for i in range(len(weights)):
         k = rows.steps[i]
@@ -262,14 +265,14 @@ def _advance(posed, rows, weights, mu, step, reached, inverse, z, pull):
     for _ in range(HALVINGS):
         tried += 1
         there = weights + share * step
-        reached = _set_minimiser(posed, posed.q, rows, there, inverse, z, pull)
+        reached = _set_minimiser(posed, rows, there, inverse, z, pull)
         if _smoothed(posed, there, mu, reached) >= before:
             copy_to(weights, there)
             taken = share
             break
         share *= 0.5
     if taken == 0.0:
-        reached = _set_minimiser(posed, posed.q, rows, weights, inverse, z, pull)
+        reached = _set_minimiser(posed, rows, weights, inverse, z, pull)
     return taken, tried, reached
 
 
@@ -367,16 +370,34 @@ def certify(posed, z, pull, tree, cutoff):
         tree: its root is updated.
         cutoff: the bound that suffices.
     """
-    (count, n), rows = z.shape, rows_of(posed.floor, tree.sectors[0], z.shape[1])
-    theta, right, held = np.zeros(count), posed.q.copy(), np.zeros(n)
-    there, inverse = np.empty((count, n)), np.empty((count, count))
+    count, n = z.shape
+    theta, right = np.zeros(count), posed.q.copy()
+    stiffened, matrix = posed.hessian.copy(), np.empty((count, count))
+    _stiffen(posed, stiffened, right)
+    there, column, held = np.empty((count, n)), np.empty(count), np.zeros(n)
     _add_moduli(posed, z, pull, theta, right)
     top, before = np.abs(posed.hessian).max(), 0.0
     for share in SPARES:
-        theta += (share - before) * top
+        copy_to(matrix, stiffened)
+        for k in range(count):
+            theta[k] += (share - before) * top
+            matrix[k, k] += theta[k]
         before = share
-        if _set_minimiser(posed, right, rows, theta, inverse, there, held)[1] > -np.inf:
-            prove(posed, theta, there, held, tree, 0)
+        if not extend_factor(matrix, matrix, 0, count, SINGULAR):
+            continue
+        bent = 0.0
+        if posed.stiff > 0.0:
+            copy_to(column, posed.arrival)
+            bent = solve_factored(matrix, column, count)
+        along = column.copy()
+        for c in range(n):
+            copy_to(column, -right[:, c])
+            solve_factored(matrix, column, count)
+            copy_to(there[:, c], column)
+            if bent > 0.0:
+                held[c] = missed_by(posed, there, c) / bent
+                copy_to(there[:, c], column - held[c] * along)
+        prove(posed, theta, there, held, tree, 0)
         if tree.known[0, KEY] >= cutoff:
             break
 
@@ -426,7 +447,7 @@ def climb(posed, tree, node, near, cutoff, work):
     weights, inverse, pull = np.empty(total), np.empty((count, count)), np.zeros(z.shape[1])
     system, step, theta = np.empty((total, total)), np.empty(total), np.empty(count)
     scale = _begin(posed, held, known, rows, weights)
-    reached = _set_minimiser(posed, posed.q, rows, weights, inverse, z, pull)
+    reached = _set_minimiser(posed, rows, weights, inverse, z, pull)
     while reached[1] > -np.inf and known[MU] >= SMALLEST * scale and known[TAKEN] < CLIMBS:
         known[TAKEN] += 1.0
         mu = known[MU]
@@ -471,7 +492,7 @@ def set_spread(posed, tree, node, side, aside):
     weights, j = np.empty(len(rows.steps)), 0
     for i in range(len(weights)):
         weights[i] = tree.held[node, rows.kinds[i], rows.steps[i]]
-    _set_minimiser(posed, posed.q, rows, weights, inverse, aside, np.zeros(n))
+    _set_minimiser(posed, rows, weights, inverse, aside, np.zeros(n))
     for k in range(count):
         if inverse[k, k] > inverse[j, j]:
             j = k
