@@ -70,7 +70,7 @@ NARROW = 0.5  # of radius and cone, if a heading is required: a margin for gusts
 GRAZE = 1.5  # radii: a goal missed by at most this is still flown at
 SLACK = 0.5  # of the largest miss: distance of the end of a centred plan before the goal
 TRIES = 3  # plans for one end, each for a goal shifted by the defect of the one before
-WORTH = 0.01  # of the radius: improvement that justifies another plan for the same end
+WORTH = 0.01  # of the radius: smaller corrections of an aim justify no other plan
 EFFORT = 0.1  # of the squared radius: largest cost of the inputs of a plan
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, for half a turn
 FARTHEST = 4  # horizons: latest catch that is sought
@@ -452,8 +452,7 @@ class Interception:
     ) -> _Attempt:
         """Try to catch the goal at an end, in units of steps, with correction of the defect.
 
-        Plans are solved again while the expected miss is less than that of the one before, and at
-        most that of a goal that is still flown at.
+        Plans are solved again while the next one may end near the goal, if their defect is as here.
         """
         found, aims = MISSED, goals
         for _ in range(TRIES):
@@ -474,24 +473,13 @@ class Interception:
                 found = _Attempt((task, answer), end, miss, never, plan.proof.checked)
             elif miss < found.miss:
                 found = found._replace(found=(task, answer), miss=miss)
-            left, change = aims[-1] - place, goals[-1] - astray - aims[-1]
-            worth = min(self._near, miss - WORTH * self._radius)
-            if self._is_well(found) or self._expected(end, left, change, miss) > worth:
+            aim = goals[-1] - astray
+            away, change = (float(np.linalg.norm(each - aims[-1])) for each in (place, aim))
+            worth = WORTH * self._radius < change >= away - self._near
+            if self._is_well(found) or not worth:
                 break
-            aims = np.concatenate([goals[:-1], aims[-1:] + change])
+            aims = np.concatenate([goals[:-1], aim[None]])
         return found
-
-    def _expected(self, end: float, left: Array, change: Array, miss: float) -> float:
-        """Return the expected miss of a plan for an aim moved by ``change`` [m].
-
-        To first order, for a last plan that ended as near to its aim as possible, by ``left``. If
-        it ended well within the radius, nearer plans may exist, but none that improves on ``miss``
-        by more than twice the change, since aim and defect both move by it.
-        """
-        away, size = math.sqrt(left @ left), math.sqrt(change @ change)
-        if away <= self._well(end):  # the solver stops early here, so nearer plans may exist
-            return miss - 2.0 * size
-        return float(away + change @ left / max(away, size))
 
 
 def _turns_too_far(plan: Plan, end: float) -> bool:

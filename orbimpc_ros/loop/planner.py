@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, command_of, interpolated
+from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
@@ -481,16 +481,10 @@ class Planner:
         keep the reserve of the ``wary`` task.
         """
         plan, status, words = answer
-        if status is Status.INFEASIBLE or (plan is not None and is_clear(wary, plan)):
+        if plan is None or is_clear(wary, plan):
             return answer
-        guess = None if plan is None else task.rest
-        found = (
-            cheapest_clear(each, filter(None, (plan, guess)))
-            for each in ((wary,) if wary is task else (wary, task))
-        )
-        instead = next(filter(None, found), None)
-        if plan is None:
-            return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
+        plans = [plan] if task.rest is None else [plan, task.rest]
+        instead = cheapest_clear(wary, plans) or cheapest_clear(task, plans)
         instead = instead or clear_instead(wary, plan)
         if instead is plan:
             more = '' if is_clear(task, plan) else 'it turns into a hazard, as all plans found do'
