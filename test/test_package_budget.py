@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 32_195,
+    'orbimpc_ros': 32_160,
     'orbimpc_ros/mpc': 16_531,
-    'orbimpc_ros/loop': 3_692,
+    'orbimpc_ros/loop': 3_657,
     'orbimpc_ros/ros': 4_639,
     'orbimpc_ros/sim': 2_609,
     'orbimpc_ros/tool': 4_544,
