@@ -177,6 +177,8 @@ class Dives:
             missed = posed.missed(headings)
             if missed:
                 held = held | regions.tangents(headings[1:], missed, rows)
+            elif held is not rows and not any(map(regions.is_round, held)):
+                return  # flat sides stay where they are: there is little to gain
             else:
                 near = regions.beside(headings[1:], BESIDE * posed.problem.length_unit)
                 held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
