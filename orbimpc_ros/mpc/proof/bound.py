@@ -31,18 +31,9 @@ from orbimpc_ros.mpc.proof.flight import (
 )
 from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
-from orbimpc_ros.mpc.proof.splits import (
-    CHILD,
-    CHILDREN,
-    GONE,
-    HELD,
-    KIND,
-    ROW,
-    begin,
-    part_of,
-)
+from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
 from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
-from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF
+from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
 
 ENDED, UNSOUND, PAUSED = range(3)  # the walk has ended; the tree is invalid; the walk has paused
 DEPTH, PARENT, WAITING = range(3)  # rows of a walk: of each node, and the stack of nodes to visit

@@ -290,9 +290,6 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
     low, high, slowest, fastest = span[k, 0], span[k, 1], span[count + k, 0], span[count + k, 1]
     along, linear = steepest(sets, known, corners, k, g, n), length == 0 and curve == 0
     walled = sets.polygon > 0 and part >= 0
-    if linear and walled and len(sets.cone_step) == 0:
-        beyond = over_polygon(g, along, known, k, fastest, sets)
-        return max(beyond, over_speeds(along, curve, slowest, fastest))
     faced = -(size_of(g, n) + length + abs(curve)) * (1 + fastest * fastest)
     if walled:
         slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))

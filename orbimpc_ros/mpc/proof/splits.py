@@ -18,8 +18,11 @@ from orbimpc_ros.mpc.proof.arithmetic import generic
 from orbimpc_ros.mpc.proof.stated import FREE
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
+    CHILDREN,
+    CHOICE,
     CUT,
     FACES,
+    KIND,
     PATCHES,
     QUARTERS,
     SIDES,
@@ -29,9 +32,6 @@ from orbimpc_ros.mpc.proof.tree import (
 WHOLE = -1  # part of a choice without restrictions
 HELD, GONE, WRONG = range(3)  # a part is valid, is empty, or is invalid
 ICOSAHEDRON = 20  # triangles; those of the cap come after them
-
-# Columns of a tree's nodes.
-KIND, CHOICE, CHILD, CHILDREN, ROW = range(5)
 
 
 class Region(NamedTuple):

@@ -22,6 +22,7 @@ from orbimpc_ros.mpc.problem.units import Units
 
 # Kinds of nodes: leaves, and splits by the kind of their parts; docs/proofs.md has the table.
 LEAF, ARCS, CUT, SPEED, FACES, PATCHES, QUARTERS, SIDES, EMPTY = range(9)
+KIND, CHOICE, CHILD, CHILDREN, ROW = range(5)  # columns of a tree's nodes
 POINTS = 4  # rows of a step for a side of a body, one per control point, at most
 
 NOWHERE: Array = np.zeros(0)
@@ -102,12 +103,6 @@ def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
     cost, force = units.cost, units.cost / units.length
     known: Any = tree
     nodes, at, point, shor, end, row, press, pull, slide, tether, share, *order = known
-    if pull.size:
-        pull = pull * (force * np.array([1.0, units.time])[: pull.shape[1], None])
-    presses = end, row, _times(press, force)
-    bound = _times(slide, force), _times(tether, cost), _times(share, cost)
-    return ProofTree(nodes, at, point, shor * cost, *presses, pull, *bound, *order)
-
-
-def _times(values: Array, scale: float) -> Array:
-    return values * scale if values.size else values
+    pull = pull * (force * np.array([1.0, units.time])[: pull.shape[1], None])
+    bound = pull, slide * force, tether * cost, share * cost
+    return ProofTree(nodes, at, point, shor * cost, end, row, press * force, *bound, *order)

@@ -21,11 +21,11 @@ from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
-from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ProofTree
+from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ROW, ProofTree
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.search.relax import Posed, room_for
 from orbimpc_ros.mpc.search.ring import Ring
-from orbimpc_ros.mpc.search.tree import ROW, Tree, search, tree_for
+from orbimpc_ros.mpc.search.tree import Tree, search, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon up to which a search proves more in a tick than sparse solves do

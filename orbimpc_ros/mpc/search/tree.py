@@ -19,7 +19,16 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import add_product, copy_to
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, SPEED
+from orbimpc_ros.mpc.proof.tree import (
+    ARCS,
+    CHILD,
+    CHILDREN,
+    CHOICE,
+    CUT,
+    KIND,
+    ROW,
+    SPEED,
+)
 from orbimpc_ros.mpc.search.best_first import (
     DONE,
     EMPTY,
@@ -68,7 +77,6 @@ from orbimpc_ros.mpc.search.ring import (
 )
 
 PROMISES = 3  # in Tree.counts
-KIND, CHOICE, FIRST, PARTS, ROW = range(5)  # in Tree.nodes
 KEY, TAKEN, MU = range(3)  # in Tree.known: bound; Newton steps; smoothing of the dual function
 MOST_ARCS = 5  # most arcs that the headings of a step are split into
 NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
@@ -165,7 +173,7 @@ def branch(tree, node, kind, choice, cut, parts):
     counts, nodes, first = tree.counts, tree.nodes, tree.counts[MADE]
     counts[MADE] += parts
     nodes[node, KIND], nodes[node, CHOICE], nodes[node, ROW] = kind, choice, -1
-    nodes[node, FIRST], nodes[node, PARTS], tree.at[node] = first, parts, cut
+    nodes[node, CHILD], nodes[node, CHILDREN], tree.at[node] = first, parts, cut
     for i in range(first, first + parts):
         for data in tree[:7]:
             for k in range(data.shape[1]):
