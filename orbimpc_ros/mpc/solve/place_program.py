@@ -53,14 +53,12 @@ class Places(NamedTuple):
 
     Attributes:
         hessian: H, shape (N, N).
-        inverse: H^-1, shape (N, N).
         maps: A, coefficients of z_1..z_N in each place, shape (P, N); the first N are the identity.
         gram: G, shape (P, P).
         balls: places constrained to balls, shape (B,); the first N are the thrust axes.
     """
 
     hessian: Array
-    inverse: Array
     maps: Array
     gram: Array
     balls: np.ndarray
@@ -138,30 +136,6 @@ def _set_values(gram, free, held, count):
             weight = held.u[i] * held.normals[i, c]
             for p in range(len(values)):
                 values[p, c] += weight * column[p]
-
-
-@compiled
-def _refine(known, q, held, count, slope):
-    """Refine the places of the minimiser of the Lagrangian.
-
-    With an ill-conditioned Hessian its inverse leaves a residual gradient that weakens the bound
-    of a small cost. One step of iterative refinement is enough.
-    """
-    steps, n = q.shape
-    for k in range(steps):
-        for c in range(n):
-            slope[k, c] = q[k, c]
-            for j in range(steps):
-                slope[k, c] += known.hessian[k, j] * held.values[j, c]
-            for i in range(count):
-                slope[k, c] -= held.u[i] * known.maps[held.at[i], k] * held.normals[i, c]
-    for c in range(n):
-        for k in range(steps):
-            move = 0.0
-            for j in range(steps):
-                move -= known.inverse[k, j] * slope[j, c]
-            for p in range(len(held.values)):
-                held.values[p, c] += known.maps[p, k] * move
 
 
 @compiled
@@ -358,13 +332,11 @@ def minimise(known, asked, held, count, work):
     """
     row, size = np.zeros(asked.q.shape[1]), len(held.u)
     r, inner = np.empty(size), np.empty(size)
-    slope = np.empty_like(asked.q)
     each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * len(row))
     _set_values(known.gram, asked.free, held, count)
     for _ in range(ITERATIONS):
         new = _most_violated(known, asked, held.values, row)
         if new[0] < 0:
-            _refine(known, asked.q, held, count, slope)
             return SOLVED, _dual_value(known, asked.q, held, count), count
         if work <= 0.0:
             return INTERRUPTED, _dual_value(known, asked.q, held, count), count
@@ -406,7 +378,7 @@ class PlaceProgram:
         last = len(maps) - len(turned)
         balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T
-        self._known = Places(hessian, self._inverse, maps, 0.5 * (gram + gram.T), balls)
+        self._known = Places(hessian, maps, 0.5 * (gram + gram.T), balls)
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._general: Relaxed | None = None

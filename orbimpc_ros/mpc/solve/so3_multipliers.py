@@ -123,7 +123,6 @@ class SO3Multipliers:
         self._own = FRACTION if self._coasting else ()
         count = len(self._own)
         self._work, self._held = scratch(n, count), multipliers(n, count)
-        self._pressed = dict[int, tuple[Row, float]]()  # the last solve's multipliers of rows
         known = self._inverse, self._slide, self._lengths, self._coasting, shares
         self._unbound = Terms(*known, *_arrays(self._own))
 
@@ -227,7 +226,7 @@ class SO3Multipliers:
         """Solve from the multipliers of the last solve, then without, then by the general one."""
         terms, bound = self._terms(rows), -np.inf
         for warm in (True, False):
-            self._take_up(rows, warm=warm)
+            self._take_up(len(rows), warm=warm)
             progress, status = self._minimise(terms, request)
             if progress.numbers[BEST] > bound:
                 bound = float(progress.numbers[BEST])
@@ -235,7 +234,6 @@ class SO3Multipliers:
             if status == REFUTED:
                 raise Infeasible('no headings in their balls are beyond the half-spaces')
             if status == SETTLED:
-                self._put_down(rows)
                 return Relaxation(self._rotations(progress.x), self._least + bound)
             if request.late:
                 break
@@ -261,23 +259,16 @@ class SO3Multipliers:
             if status != PAUSED or request.late:
                 return progress, status
 
-    def _take_up(self, rows: Sequence[Row], *, warm: bool) -> None:
-        """Set initial multipliers: of the last solve if ``warm``, else zero (that may mislead)."""
-        own, known = len(self._own), self._pressed if warm else {}
+    def _take_up(self, count: int, *, warm: bool) -> None:
+        """Set initial multipliers: of the last solve if ``warm``, else zero (that may mislead).
+
+        Those of the ``count`` half-spaces are zero.
+        """
+        own = len(self._own)
         held = self._held if warm else multipliers(self._places, own)
-        pressed = [known.get(self._key(row), (row, 0.0))[1] for row in rows]
-        self._held = held._replace(rows=np.append(held.rows[:own], pressed))
+        self._held = held._replace(rows=np.append(held.rows[:own], np.zeros(count)))
         if len(self._held.rows) > len(self._work.rows):
             self._work = scratch(self._places, 2 * len(self._held.rows))
-
-    def _put_down(self, rows: Sequence[Row]) -> None:
-        """Keep the multipliers of rows for a warm start of the next solve."""
-        held = self._held.rows[len(self._own) :].tolist()
-        self._pressed = {self._key(row): (row, y) for row, y in zip(rows, held, strict=True)}
-
-    def _key(self, row: Row) -> int:
-        """Return what a row's multiplier is kept by: a heading has one row, a position several."""
-        return row.place if row.place < self.problem.horizon else id(row)
 
     def _told(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
         """Return the multipliers of the last solve, or if ``empty`` of its infeasibility."""
