@@ -35,7 +35,7 @@ from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, sol
 from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
 
 SOLVED, STALLED, REFUTED, INTERRUPTED = range(4)  # status of a solve
@@ -381,7 +381,6 @@ class PlaceProgram:
         self._known = Places(hessian, maps, 0.5 * (gram + gram.T), balls)
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
-        self._general: Relaxed | None = None
         self._minimise = bare(minimise)
         if self._minimise is minimise:
             # The first call compiles or loads machine code: at start-up rather than in a tick.
@@ -434,24 +433,8 @@ class PlaceProgram:
         self.multipliers = self._multipliers(count, len(rows))
         if status == REFUTED:
             raise Infeasible('no trajectory satisfies the constraints')
-        if status != SOLVED:
-            return self._anew(request, rows, chords, bound)
-        return Relaxation(self._coordinates(request.state), bound)
-
-    def _anew(
-        self, request: Request, rows: Sequence[Row], chords: Array | None, bound: float
-    ) -> Relaxation:
-        """Solve with the general program what stalled here, unless time is short."""
-        if request.hurried:
-            return Relaxation(None, bound)
-        if self._general is None:
-            from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
-
-            self._general = Program(self.problem)
-        try:
-            return self._general.relax(request, rows, chords)
-        finally:
-            self.multipliers = self._general.multipliers
+        x = self._coordinates(request.state) if status == SOLVED else None
+        return Relaxation(x, bound)
 
     def _multipliers(self, count: int, asked: int) -> Multipliers:
         held, (steps, n) = self._held, (self.problem.horizon, self.problem.dimension)
