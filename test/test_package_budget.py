@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 32_153,
-    'orbimpc_ros/mpc': 16_524,
+    'orbimpc_ros': 32_099,
+    'orbimpc_ros/mpc': 16_470,
     'orbimpc_ros/loop': 3_657,
     'orbimpc_ros/ros': 4_639,
     'orbimpc_ros/sim': 2_609,
