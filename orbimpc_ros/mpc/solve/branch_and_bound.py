@@ -39,6 +39,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
+FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 WORST_CONDITION = 1e12
@@ -194,7 +195,7 @@ class _Run:
             known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
             ways: of paths to follow from the root.
         """
-        posed, best, root = self._posed, self._dives, self._nodes[0]
+        posed, best, root, stood_in = self._posed, self._dives, self._nodes[0], False
         if root.known is None:
             raise Infeasible(NOTHING)
         for x in known:
@@ -202,6 +203,9 @@ class _Run:
         while self._open and self._open[0].bound < self._limit:
             if posed.solved >= MAX_NODES or (posed.solved and posed.request.late):
                 break
+            if posed.solved >= FRUITLESS and best.x is None and not stood_in:
+                stood_in = True
+                best.stand_in()
             self._expand(heapq.heappop(self._open))
             if len(ways) and self._open:
                 for x in ways:

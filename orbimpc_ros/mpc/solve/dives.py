@@ -16,13 +16,16 @@ from collections.abc import Iterable
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.rotations import margin
+from orbimpc_ros.mpc.geometry.rotations import coordinates, margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
 from orbimpc_ros.mpc.solve.turns import Turns
 
 BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
@@ -151,6 +154,17 @@ class Dives:
         ):
             self.x, self.cost = x, trajectory.cost
         return trajectory
+
+    def stand_in(self) -> None:
+        """Accept the first trajectory found without a search that passes the check of plans."""
+        problem, request = self._posed.problem, self._posed.request
+        known = problem, request.state, request.goals
+        for rotations in in_time(turning(*known), request.out_of_time):
+            x = coordinates(rotations)
+            plan = assemble(*known, x, projection='nearest', proof=UNPROVED)
+            if holds(*known, plan):
+                self.x, self.cost = x, plan.objective
+                return
 
     def dive(self, headings: Array, rows: Rows) -> None:
         """Follow the solution of a node, as far as turns allow; see :meth:`follow`."""
