@@ -100,7 +100,7 @@ YOUNG = 16  # sightings up to which each is fully processed, later every other o
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
 PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting per additional task, and their largest number
-CLOSELY = 16  # tasks of a closer analysis
+STEPS = 4  # Gauss-Newton steps of a closer analysis
 SPEED_OVER = 0.5  # [s]
 WORTHWHILE = 0.01  # least gain of a step, in units of the noise
 
@@ -224,7 +224,7 @@ class Bank:
         # Of one motion through all sightings up to each, and its noise.
         self._evidence, self._noises = np.full(MEMORY + 1, -np.inf), np.ones((MEMORY + 1, 2))
         self._fits = Fits(self._n, noise)
-        self._count, self._tasks = 0, 0
+        self._count, self._tasks, self._searched = 0, 0, 0
         self._apart, self._waiting = [], []
         for time, position in zip(times, seen, strict=True):
             self._append(float(time), position, self._fits.rows(time - self._epoch))
@@ -276,7 +276,7 @@ class Bank:
         by, offset = float(times[0]), seen[0].copy()
         self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
         self._epoch, self._origin = self._epoch + by, self._origin + offset
-        self._count, self._evidence[:] = KEPT, -np.inf
+        self._count, self._searched, self._evidence[:] = KEPT, 0, -np.inf
         self._waiting = []  # relative to the previous epoch
         self._fits.begin_later(by, self._past())
         self._conclude()
@@ -292,19 +292,28 @@ class Bank:
             return
         self._tasks += 1
         swing, carrier = partial(self._seek, SWING, FIXED), partial(self._seek, CARRIER, DRIFTING)
-        search = swing, carrier, self._seek_damped, self._seek_turn
+        search = self._begin_search, swing, carrier, self._seek_damped, self._seek_turn
         if self._tasks % 2:
             search[self._tasks // 2 % len(search)]()
         else:
             self._move()
 
     def _look_closely(self) -> None:
-        """Do as many tasks at once as are otherwise spread over many sightings."""
-        for _ in range(CLOSELY):
-            self._refine()
-            if self._waiting:
-                self._place_waiting()
-                self._conclude()
+        """Do all tasks at once that are otherwise spread over many sightings."""
+        self._begin_search()
+        self._seek(SWING, FIXED)
+        self._seek(CARRIER, DRIFTING)
+        for _ in range(STEPS):
+            self._place_waiting()
+            self._conclude()
+            for family in OSCILLATING:
+                if self._fits.gain[family] > WORTHWHILE:
+                    self._waiting.append(self._fits.moved(family, self._past()))
+            self._place_waiting()
+            self._seek_damped()
+            self._seek_turn()
+        self._place_waiting()
+        self._conclude()
 
     def _move(self) -> None:
         """Step the next oscillation whose fit would gain by it, new placements first."""
@@ -315,9 +324,17 @@ class Bank:
                 self._waiting.append(fits.moved(family, self._past()))
                 return
 
+    def _begin_search(self) -> None:
+        """Choose the sightings in which swings are sought: all so far."""
+        self._searched = self._count
+
     def _seek(self, family: int, middle: int) -> None:
         """Place a family at the frequency of the best swing, if that fits better."""
-        fits, (rate, misfit) = self._fits, best_swing(self._past(), middle)
+        if self._searched < SWINGS_FROM:
+            return
+        times, seen = self._past()
+        rate, misfit = best_swing((times[: self._searched], seen[: self._searched]), middle)
+        fits = self._fits
         if not fits.known[family] or misfit < BETTER * fits.misfit[family]:
             still = np.zeros_like(fits.coefficients[family])
             self._waiting.append(Placement(family, rate, 0.0, still))
