@@ -267,6 +267,7 @@ AHEAD, ASIDE = (
     np.array([1.0, 0.0, 0.0, 0.01]) / math.hypot(1.0, 0.01),
 )
 PROVED = {'status': 'optimal', 'gap': 0.0, 'bound_checked': True}
+CHECKED = {'bound_checked': True}
 WORD = {'status': 'feasible', 'gap': 1.0, 'bound_checked': False}
 
 
@@ -283,6 +284,15 @@ def costing(objective, gap=None):
 
 
 DIFFERENCES = {
+    # Gaps that agree within their tolerance, on both sides of that of `optimal`.
+    'at the limit': (
+        'status',
+        {**PROVED, 'gap': 2e-5},
+        {**WORD, 'gap': 1.1e-4, **CHECKED},
+        {},
+        False,
+    ),
+    'beyond it': ('status', {**PROVED, 'gap': 2e-5}, {**WORD, 'gap': 1.3e-4, **CHECKED}, {}, True),
     # The tolerance of a turn grows as the thrust along it falls.
     'full thrust': ('rotation', pointing(1.0, 1.0, 1.0), pointing(of=ASIDE), {}, True),
     'no thrust': ('rotation', pointing(1.0, 0.01, 1.0), pointing(of=ASIDE), {}, False),

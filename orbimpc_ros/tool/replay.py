@@ -138,7 +138,8 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
     Exact proofs use the time left after the command, and a bound without one is not published:
     unless both answers have one, gaps and ``optimal`` versus ``feasible`` are not compared. Nor
     are two gaps that both remain open: if a search ends before its proof is complete, rounding
-    decides which nodes were explored last.
+    decides which nodes were explored last. If two gaps agree within their tolerance, on both sides
+    of that of ``optimal``, so do the statuses.
 
     A plan determines attitude as a direction of thrust. The smaller the thrust, the less its
     direction matters, and the less precise it is: a turn's tolerance is divided by the share.
@@ -149,8 +150,12 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
     proved = all(each.get('bound_checked', True) for each in answers)
     if quantity in ('status', 'gap') and planned and not proved:
         return math.inf
+    known = len(gaps) == len(answers)
+    if quantity == 'status' and planned and known:
+        at_the_limit = min(gaps) <= least_gap < max(gaps) <= min(gaps) + least_gap
+        return math.inf if at_the_limit else 0.0
     if quantity == 'gap':
-        left_open = len(gaps) == len(answers) and all(least_gap < gap < math.inf for gap in gaps)
+        left_open = known and all(least_gap < gap < math.inf for gap in gaps)
         return math.inf if left_open else least_gap
     if quantity == 'objective':  # searches may end at different plans within their gaps
         return max(OBJECTIVE, min(max(gaps, default=0.0), least_gap))

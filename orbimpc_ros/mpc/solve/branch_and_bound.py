@@ -93,8 +93,7 @@ class BranchAndBound:
         if traffic is None and not self._chooses:
             return self._relaxed(request)
         planar = [] if self._plane is None else [self._plane.way(request)]
-        guess = [] if request.guess is None else [request.guess.x]
-        return self._run(request).run(planar, () if traffic is None else (*guess, *planar))
+        return self._run(request).run(planar, among=traffic is not None)
 
     def exceeding(self, request: Request, cost: float) -> ProofTree | None:
         """Return a proof that every trajectory costs more than a value; None if none was found.
@@ -188,12 +187,12 @@ class _Run:
         self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, known: Sequence[Array] = (), ways: Sequence[Array] = ()) -> Found:
+    def run(self, known: Sequence[Array] = (), *, among: bool = False) -> Found:
         """Run the search, with first incumbents from candidates and beside paths.
 
         Args:
             known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
-            ways: of paths to follow from the root.
+            among: whether paths are followed from the root: the best trajectory, and candidates.
         """
         posed, best, root, stood_in = self._posed, self._dives, self._nodes[0], False
         if root.known is None:
@@ -207,10 +206,12 @@ class _Run:
                 stood_in = True
                 best.stand_in()
             self._expand(heapq.heappop(self._open))
-            if len(ways) and self._open:
-                for x in ways:
-                    best.follow(posed.headings(x), self._rows(root))
-                ways = ()
+            if among and self._open:
+                if best.x is not None:
+                    best.follow(posed.headings(best.x), self._rows(root))
+                for x in known:
+                    best.dive(posed.headings(x), self._rows(root))
+                among = False
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))

@@ -1,10 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Turns in space: the best path within one plane; interception by such paths.
+"""Turns without bodies: the best path within one plane; interception by such paths.
 
 A fixed wing turns towards its goal in the plane spanned by its heading and the goal. This planar
 problem is solved by the search over sectors in a millisecond or two, and its headings, mapped back
 to space, satisfy floor and turn rate as they do in the plane. If goals or wind lie in no plane
-through the heading, the plane that fits the goals best (weighted least squares) is taken.
+through the heading, the plane that fits the goals best (weighted least squares) is taken. Among
+bodies it is a path to begin with, in planar problems too.
 
 Mathematics: docs/mathematics.md, 4.9.
 """
@@ -28,7 +29,7 @@ ALONE = 'only paths in the plane of heading and goal were searched'
 
 
 class PlanarWay:
-    """Planner of paths in a plane for problems in space with a floor and a turn rate.
+    """Planner of paths in a plane for problems with a floor and a turn rate.
 
     Args:
         problem: what to solve; its obstacles are ignored.
@@ -43,12 +44,16 @@ class PlanarWay:
     def leads(problem: Problem) -> bool:
         """Return True if planar paths satisfy all constraints of a problem except its obstacles."""
         plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
-        spatial = (problem.dimension, problem.rotation_order) == (3, 1)
-        return spatial and plain and problem.turns_are_angles and Engine.solves(_planar(problem))
+        fits = problem.dimension == 2 or problem.rotation_order == 1
+        return fits and plain and problem.turns_are_angles and Engine.solves(_planar(problem))
 
     def way(self, request: Request) -> Array:
-        """Return the rotation coordinates of R_1..R_N of the best path found, shape (N, 9)."""
+        """Return the rotation coordinates of R_1..R_N of the best path found, shape (N, d)."""
         state, attitude = request.state, request.state.attitude
+        if self._problem.dimension == 2:
+            found = self._search.solve(request)
+            assert found.x is not None  # the search begins with one
+            return found.x
         aside = (request.goals - drift(self._problem, state)) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
         plane = np.column_stack([attitude[:, 0], attitude[:, 1:] @ across])
@@ -62,7 +67,7 @@ class PlanarWay:
         guess = request.guess and Guess(request.guess.x[:, :3] @ plane, np.inf)
         goals = (request.goals - state.position) @ plane
         found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
-        assert found.x is not None  # the search begins with one
+        assert found.x is not None
         return coordinates(carried(attitude, found.x @ plane.T))
 
 
@@ -107,7 +112,7 @@ class PlanarCatch:
 
 
 def _planar(problem: Problem) -> Problem:
-    """Return the planar problem, with a floor that allows every heading in space."""
-    floor = Floor('circle', fraction=problem.floor.circling(3))
+    """Return the planar problem without bodies, with a floor that allows every heading."""
+    floor = Floor('circle', fraction=problem.floor.circling(problem.dimension))
     weights = replace(problem.weights, attitude=0.0)
     return replace(problem, dimension=2, floor=floor, obstacles=(), weights=weights)
