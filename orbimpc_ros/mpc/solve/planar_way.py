@@ -91,7 +91,8 @@ class PlanarCatch:
     def solves(problem: Problem) -> bool:
         """Return True if this method applies to a problem and is fast on this machine."""
         return (
-            problem.weights.position == problem.weights.attitude == 0.0
+            problem.dimension == 3
+            and problem.weights.position == problem.weights.attitude == 0.0
             and not problem.obstacles
             and PlanarWay.leads(problem)
         )
