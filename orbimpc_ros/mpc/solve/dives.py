@@ -4,7 +4,7 @@
 Beside a *path* all choices are made as on the path: beyond the tangent of a round floor at its
 heading, which implies |v| >= floor, or the face that it violates least; of a body on the side on
 which it passes. The solution is the next path. Paths are the solutions of nodes, previous plans,
-and with a turn limit in space a plan in a plane.
+and with a turn limit a plan without bodies, in space one in a plane.
 
 Mathematics: docs/mathematics.md, 4.9 and 4.11.
 """
