@@ -142,18 +142,6 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
         ``approach`` and ``tilt``; for ``max_rate`` an angle in a step [rad] with a floor, and a
         share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
     """
-    return {name: least for name, (least, _) in _limits(problem, state, goals, plan).items()}
-
-
-def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
-    limits = _limits(problem, state, goals, plan)
-    return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
-
-
-def _limits(
-    problem: Problem, state: State, goals: Array, plan: Plan
-) -> dict[str, tuple[float, float]]:
-    """Return the least margin to each limit, and its tolerance."""
     steps = step_margins(problem, state, goals, plan.rotations[:, :, 0], plan.positions[1:])
     found = {'hull': float(margin(plan.rotations[1:]).min())}
     found |= {name: float(each.min()) for name, each in steps.items()}
@@ -161,8 +149,14 @@ def _limits(
         found['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:
         found |= clearances(problem, state, plan)
+    return found
+
+
+def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
     length = _length_tolerance(problem, state)
-    return {name: (least, TOLERANCE if name in SHARES else length) for name, least in found.items()}
+    for name, least in margins(problem, state, goals, plan).items():
+        if least < -(TOLERANCE if name in SHARES else length):
+            yield f'{name} violated by {-least:.2g}'
 
 
 def step_margins(

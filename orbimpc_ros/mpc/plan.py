@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent
-from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, project_all
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, matrix, project_all
+from orbimpc_ros.mpc.model.dynamics import flown
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import entry_speed
@@ -76,11 +76,6 @@ class Plan(ByContent):
     rotations: Array
     inputs: Array
     projected: Array
-
-    def __post_init__(self) -> None:
-        moved = self.positions, self.velocities, self.rotations, self.inputs
-        for array in (*moved, self.projected):
-            array.setflags(write=False)
 
     @cached_property
     def horizon(self) -> int:
@@ -144,24 +139,22 @@ def assemble(
 
     Everything else follows from the dynamics, so that the plan is consistent by construction.
     """
-    flown = trajectory_of(problem, state, goals, x)
-    rotations = flown.rotations
-    projected = np.empty_like(rotations)
-    projected[0] = state.attitude
-    known = 1
+    rotations = matrix(x)
+    given = [state.attitude]
     if problem.rotation_order == 2 and state.coasted is not None:
-        projected[1], known = state.coasted, 2  # the body turns there whatever the thrust
-    projected[known:] = project_all(rotations[known:], projected[known - 1], projection)
-    return Plan(
-        objective=flown.cost,
-        proof=proof,
-        projection=projection,
-        positions=flown.positions,
-        velocities=flown.velocities,
-        rotations=rotations,
-        inputs=flown.inputs,
-        projected=projected,
-    )
+        given.append(state.coasted)  # the body turns there whatever the thrust
+    projected = project_all(rotations[len(given) - 1 :], given[-1], projection)
+    made = flown(problem, state, goals, rotations)
+    arrays = {
+        'positions': made.positions,
+        'velocities': made.velocities,
+        'rotations': made.rotations,
+        'inputs': made.inputs,
+        'projected': np.concatenate([given, projected]),
+    }
+    for array in arrays.values():
+        array.setflags(write=False)
+    return Plan(made.cost, proof, projection, **arrays)
 
 
 def interpolated(at: Array, knots: Array, values: Array) -> Array:

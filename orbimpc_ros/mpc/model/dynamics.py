@@ -204,7 +204,12 @@ class Trajectory:
 
 def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Trajectory:
     """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d), and its cost."""
-    rotations = np.concatenate([state.rotation[None], matrix(x)])
+    return flown(problem, state, goals, matrix(x))
+
+
+def flown(problem: Problem, state: State, goals: Array, turned: Array) -> Trajectory:
+    """Return the trajectory with rotations R_1..R_N, shape (N, n, n), and its cost."""
+    rotations = np.concatenate([state.rotation[None], turned])
     axes = rotations[:, :, 0]
     positions, velocities = translation_rollout(problem, state, axes)
     inputs = _inputs_of(problem, rotations)

@@ -19,6 +19,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State, Weights
+from orbimpc_ros.mpc.proof.tree import ProofTree
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,18 @@ class Units:
     def lengths(self, values: Array) -> Array:
         """Return lengths [m] in these units."""
         return values if self.length == 1.0 else values / self.length
+
+    def posed(self, tree: ProofTree) -> ProofTree:
+        """Return a tree in these units converted to the units of the posed problem."""
+        cost, force = self.cost, self.cost / self.length
+        return tree._replace(
+            shor=tree.shor * cost,
+            press=tree.press * force,
+            pull=tree.pull * (force * np.array([1.0, self.time])[: tree.pull.shape[1], None]),
+            slide=tree.slide * force,
+            tether=tree.tether * cost,
+            share=tree.share * cost,
+        )
 
 
 def _in_units(problem: Problem, length: float, time: float) -> Problem:

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem.units import Units
 
 # Kinds of nodes: leaves, and splits by the kind of their parts; docs/proofs.md has the table.
 LEAF, ARCS, CUT, SPEED, FACES, PATCHES, QUARTERS, SIDES, EMPTY = range(9)
@@ -96,13 +95,3 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         press=np.zeros(0),
         **known,
     )
-
-
-def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
-    """Return a tree in natural units converted to the units of the posed problem."""
-    cost, force = units.cost, units.cost / units.length
-    known: Any = tree
-    nodes, at, point, shor, end, row, press, pull, slide, tether, share, *order = known
-    pull = pull * (force * np.array([1.0, units.time])[: pull.shape[1], None])
-    bound = pull, slide * force, tether * cost, share * cost
-    return ProofTree(nodes, at, point, shor * cost, end, row, press * force, *bound, *order)

@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.proof.document import (
 )
 from orbimpc_ros.mpc.proof.flight import flown_by, set_arrival
 from orbimpc_ros.mpc.proof.stated import Statement
-from orbimpc_ros.mpc.proof.tree import EMPTY, ProofTree, in_users_units, one
+from orbimpc_ros.mpc.proof.tree import EMPTY, ProofTree, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.request import Request
 
@@ -95,7 +95,7 @@ def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime | None) -> Proof
     request = Request(start, goals, None, out_of_time, patient=True)
     tree = search.exceeding(request, float(posed.cost) / units.cost)
     if tree is not None:
-        tree = in_users_units(tree, units)
+        tree = units.posed(tree)
         if _proves(posed, tree):
             return tree
     if out_of_time and out_of_time():

@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
-from orbimpc_ros.mpc.proof.tree import ProofTree, in_users_units
+from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
@@ -185,15 +185,15 @@ class Solver:
         """
         state, goals = query.searched, query.goals
         self._require(state, goals)
-        beyond = beyond_reach(self.problem, state, goals) / self.problem.length_unit
-        if max(beyond, beyond_turning(self.problem, state)) > SURELY:
-            raise Infeasible(reason(self.problem, state, goals))
-        usable, units = self._usable(query), self._units
-        start, targets = units.state(state), units.lengths(goals)
+        if self.problem.terminal == 'constraint' or self.problem.approach.exists:
+            beyond = beyond_reach(self.problem, state, goals) / self.problem.length_unit
+            if max(beyond, beyond_turning(self.problem, state)) > SURELY:
+                raise Infeasible(reason(self.problem, state, goals))
+        method, units = self._method_for(state), self._units
+        usable = self._usable(query, method)
+        posed = units.state(state), units.lengths(goals), usable
         try:
-            found = self._method_for(state).solve(
-                Request(start, targets, usable, query.out_of_time, self._patient, self._enough)
-            )
+            found = method.solve(Request(*posed, query.out_of_time, self._patient, self._enough))
         except Infeasible as error:
             if error.proof is not None and self._verified(query, error.proof)[0] < np.inf:
                 return replace(NOTHING, reason=DOUBTFUL)
@@ -238,8 +238,8 @@ class Solver:
         assert self._among is not None
         return self._among
 
-    def _usable(self, query: _Query) -> Guess | None:
-        guess, method = query.guess, self._method_for(query.searched)
+    def _usable(self, query: _Query, method: Method) -> Guess | None:
+        guess = query.guess
         if guess is None or not method.takes_guess:
             return None
         if not method.trusts_guess:
@@ -274,7 +274,7 @@ class Solver:
 
     def _verified(self, query: _Query, tree: ProofTree) -> tuple[float, ProofTree]:
         """Return the verified bound of a tree in natural units, and the tree in users' units."""
-        made = in_users_units(tree, self._units)
+        made = self._units.posed(tree)
         if self._verifier is None:
             return -np.inf, made
         posed = query.searched, query.goals
