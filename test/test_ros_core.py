@@ -31,7 +31,6 @@ from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.planner.outputs import (
     condition,
-    refutation_messages,
     report_messages,
     values,
 )
@@ -63,7 +62,7 @@ class Driven(OfflinePlanner):
     def messages(self, report, at=1.0, **given):
         """Return the messages published for a report on odometry of a time; all by default."""
         known = self.settings, Stamp(stamp(at), FRAMES), report, '/planner'
-        return report_messages(*known, **given)
+        return dict(report_messages(*known, **given))
 
     def safe(self, cause=Cause.DISABLED):
         return self.decide(0.0, stop=Reason(cause, 'a test wants it'))
@@ -349,7 +348,7 @@ def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
     assert report.command == answered.command
     assert values(report)['infeasible_checked'] is False
     assert report.reason == f'{answered.reason}; {WORD}'
-    assert refutation_messages(report) == {}
+    assert driven.messages(report, heard={'certificate'}) == {}
 
 
 BOXES = {'obstacles': [1.5, -1.0, 2.5, 1.6, 3.0, 1.2, 4.0, 3.0], 'floor.shape': 'circle'}
@@ -378,7 +377,7 @@ def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
     assert answered.catch.bound == pytest.approx(0.6)
     assert driven.proved(answered) is answered
     report = driven.proved(answered, catches=True)
-    (sent,) = refutation_messages(report).values()
+    sent = driven.messages(report, heard={'certificate'})['certificate']
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
     assert verdict.proved == pytest.approx(values(report)['catch_bound'])

@@ -20,9 +20,15 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message, plan_markers
-from orbimpc_ros.ros.planner.outputs import (
+from orbimpc_ros.ros.messages import (
+    Frames,
+    Stamp,
     command_messages,
+    header,
+    health_message,
+    plan_markers,
+)
+from orbimpc_ros.ros.planner.outputs import (
     doubts,
     outputs,
     prices,
@@ -48,7 +54,7 @@ STAMP = Stamp(7, Frames('odom', 'base_link', 'z'))
 
 def told(fraction, **given):
     command = Command(fraction, np.array([0.1, 0.2, 0.3]), np.eye(3))
-    return command_messages(settings(**CRAFT, **given), STAMP, command)
+    return dict(command_messages(settings(**CRAFT, **given), STAMP, command))
 
 
 def test_topics_follow_from_what_the_vehicle_takes():

@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -36,6 +36,7 @@ from geometry_msgs.msg import (
     TwistStamped,
     TwistWithCovarianceStamped,
     Vector3,
+    Vector3Stamped,
     Wrench,
     WrenchStamped,
 )
@@ -52,6 +53,9 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
+
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
@@ -393,6 +397,29 @@ def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
     head = header(stamp.nanoseconds, stamp.frames.world)
     own = stamp.frames.own(command.rotation)
     return QuaternionStamped(header=head, quaternion=quaternion(own))
+
+
+def command_messages(
+    settings: PlannerSettings, stamp: Stamp, command: Command, *, oriented: bool = True
+) -> Iterator[tuple[str, Any]]:
+    """Yield the messages to the vehicle, with their topics.
+
+    Args:
+        settings: of the planner.
+        stamp: of the answered odometry.
+        command: to send.
+        oriented: whether the vehicle's attitude is known, so that one can be commanded.
+    """
+    frames, inertial = stamp.frames, settings.problem.inertial
+    given = settings.problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
+    if inertial:
+        yield 'cmd_thrust', wrench_message(stamp, settings.mass * given)
+    yield 'cmd_vel', twist_message(stamp, 0.0 if inertial else given, command.body_rate)
+    if oriented:
+        yield 'rotation', rotation_message(stamp, command)
+    if settings.hover_thrust:
+        share = pushing(settings.hover_thrust * given / settings.gravity, frames)
+        yield 'thrust', Vector3Stamped(header=header(stamp.nanoseconds, frames.body), vector=share)
 
 
 def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float = 0.0) -> Path:

@@ -15,10 +15,10 @@ from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Reason
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, Stamp, command_messages
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import Core, planner_of
-from orbimpc_ros.ros.planner.outputs import command_messages, report_messages
+from orbimpc_ros.ros.planner.outputs import report_messages
 from orbimpc_ros.sim.outputs import View, future, sensed, traffic_markers
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.world import Flight, departure
@@ -89,10 +89,8 @@ class OfflinePlanner(Core):
         ros = None if stop else stamp + round(advanced * SECOND)
         self.decision = decision = self.decide(now, ros, stop)
         at = Stamp(stamp, self.settings.frames if known is None else known.stamp.frames)
-        return {
-            **command_messages(self.settings, at, decision.command, oriented=known is not None),
-            **report_messages(self.settings, at, decision, self._node),
-        }
+        commands = command_messages(self.settings, at, decision.command, oriented=known is not None)
+        return dict([*commands, *report_messages(self.settings, at, decision, self._node)])
 
     def went_out(self, at: float, published: Mapping[str, Any] = {}) -> None:
         """Register the published command; by default that of the last answer.

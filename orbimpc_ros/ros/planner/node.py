@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -29,7 +29,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.entry import report_compilation, without_compiler
-from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, Stamp, health_message
+from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, Stamp, command_messages, health_message
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner import core, outputs
@@ -209,8 +209,7 @@ class PlannerNode(Managed):
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as last published
 
     def _begin_anew(self) -> None:
-        self._sent_at = -math.inf  # time of the last output, on the steady clock [s]
-        self._first: Mapping[str, Any] = {}  # commands of the last decision
+        self._sent_at = -math.inf  # time of the last command, on the steady clock [s]
         self._stamp = Stamp(0)  # of the answered odometry
         self._answered = -1  # stamp of the last answered odometry [ns]
         self._decision: Decision | None = None  # the last one
@@ -345,8 +344,8 @@ class PlannerNode(Managed):
         waited = self.steady_now() - self._sent_at > REPEAT
         if stamp != self._answered or not waited or self._unsafe():
             return
-        self._send(self._first)
         if self._decision is not None:
+            self._command(self._decision)
             self._report(self._decision)  # also for new subscribers
 
     def _on_timer(self) -> None:
@@ -408,19 +407,24 @@ class PlannerNode(Managed):
     # --- outputs
 
     def _publish(self, stamp: Stamp, decision: Decision) -> None:
-        command, settings = decision.command, self._core.settings
-        oriented = 'odom' in self._core.inputs.latest
-        self._first = outputs.command_messages(settings, stamp, command, oriented=oriented)
-        self._send(self._first)
+        command, settings, self._stamp = decision.command, self._core.settings, stamp
+        self._command(decision)
         if self._wing is not None and self._gate and not settings.dry_run:
             of_plan = settings.problem.forward, settings.problem.step, settings.period
             self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
         if self._engaged and not settings.dry_run:
             self._core.planner.sent(command, self._time.nanoseconds / SECOND)
-        self._stamp = stamp
         self._decision = self._core.proved(decision, catches=self._is_heard('certificate'))
         self._report(self._decision)
         self._show_changes()
+
+    def _command(self, decision: Decision) -> None:
+        """Send the command of a decision to the vehicle, if commands may be sent."""
+        settings, oriented = self._core.settings, 'odom' in self._core.inputs.latest
+        if self._engaged and not settings.dry_run:
+            known = settings, self._stamp, decision.command
+            self._send(command_messages(*known, oriented=oriented))
+        self._sent_at = self.steady_now()
 
     def _is_heard(self, topic: str) -> bool:
         """Return True if a topic has subscribers."""
@@ -432,15 +436,10 @@ class PlannerNode(Managed):
         known = self._core.settings, self._stamp, decision, self.get_fully_qualified_name()
         heard = [*filter(self._is_heard, self._publishers_of)]
         self._send(outputs.report_messages(*known, heard))
-        if 'certificate' in heard:
-            self._send(outputs.refutation_messages(decision))
 
-    def _send(self, messages: Mapping[str, Any]) -> None:
-        for topic, message in messages.items():
-            wanted = topic not in outputs.COMMANDS or self._engaged
-            if wanted and topic in self._publishers_of:  # no commands on a dry run
-                self._publishers_of[topic].publish(message)
-        self._sent_at = self.steady_now()
+    def _send(self, messages: Iterable[tuple[str, Any]]) -> None:
+        for topic, message in messages:
+            self._publishers_of[topic].publish(message)
 
     def _look_for_events(self) -> None:
         """Check whether the latest odometry shows that the goal is caught or reached."""
@@ -453,7 +452,7 @@ class PlannerNode(Managed):
             approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
         within = settings.goal_radius, settings.odom_timeout, approach
         self._events.note(known.value, goal, *within)
-        self._send({'~/distance': Float64(data=math.dist(known.value.position, goal))})
+        self._send([('~/distance', Float64(data=math.dist(known.value.position, goal)))])
         self._publish_events()
 
     def _publish_events(self) -> None:

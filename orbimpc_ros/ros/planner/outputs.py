@@ -1,17 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Decisions as messages, commands first; and a summary of the configured vehicle and task."""
+"""Reports of decisions as messages, and a summary of the configured vehicle and task."""
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped
-from nav_msgs.msg import Path
 from std_msgs.msg import Float64, UInt8MultiArray
 
 from orbimpc_ros.loop.planner import Decision
@@ -155,95 +153,59 @@ def outputs(settings: PlannerSettings) -> list[str]:
     return [topic for topic in topics if wanted.get(topic, True)]
 
 
-def command_messages(
-    settings: PlannerSettings, stamp: Stamp, command: Command, *, oriented: bool = True
-) -> dict[str, Any]:
-    """Return the messages to the vehicle, by topic; they are sent first.
-
-    Args:
-        settings: source of the problem.
-        stamp: of the answered odometry.
-        command: to send.
-        oriented: whether the vehicle's attitude is known, so that one can be commanded.
-    """
-    problem = settings.problem
-    pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
-    speed = 0.0 if problem.inertial else pushed
-    found: dict[str, Any] = {}
-    if problem.inertial:
-        found['cmd_thrust'] = messages.wrench_message(stamp, settings.mass * pushed)
-    found['cmd_vel'] = messages.twist_message(stamp, speed, command.body_rate)
-    if oriented:
-        found['rotation'] = messages.rotation_message(stamp, command)
-    if settings.hover_thrust:
-        share = settings.hover_thrust * pushed / settings.gravity
-        head = messages.header(stamp.nanoseconds, stamp.frames.body)
-        found['thrust'] = Vector3Stamped(header=head, vector=messages.pushing(share, stamp.frames))
-    return found
-
-
 def report_messages(
     settings: PlannerSettings,
     stamp: Stamp,
     decision: Decision,
     node: str,
-    heard: Collection[str] = REPORTS,
-) -> dict[str, Any]:
-    """Return the messages to all other receivers, by topic.
+    heard: Collection[str] | None = None,
+) -> Iterator[tuple[str, Any]]:
+    """Yield the messages to all receivers but the vehicle, with their topics.
 
     Args:
         settings: source of the problem.
         stamp: of the answered odometry.
         decision: the answer.
         node: name of the planner.
-        heard: topics with subscribers; others are not computed.
+        heard: topics with subscribers, for others nothing is computed; by default all.
     """
-    made: dict[str, Any] = {
-        f'~/{name}': Float64(data=float(number))
-        for name, number in numbers(decision).items()
-        if f'~/{name}' in heard
-    }
+    heard = outputs(settings) if heard is None else heard
+    for name, number in numbers(decision).items():
+        if f'~/{name}' in heard:
+            yield f'~/{name}', Float64(data=float(number))
     if 'tick' in heard:
-        made['tick'] = tick_message(stamp.nanoseconds, node, decision)
-    if 'plan' in heard:
-        made['plan'] = _path(settings, stamp, decision)
+        yield 'tick', tick_message(stamp.nanoseconds, node, decision)
+    if 'plan' in heard and (flown := _flown(settings, decision)):
+        poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
+        step = (decision.problem or settings.problem).step
+        after = decision.advanced + decision.led
+        yield 'plan', messages.path_message(stamp, step, poses, after)
     if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
         known = settings.problem, decision.plan, decision.state.hazards
-        made['plan_markers'] = plan_markers(stamp, *known)
-    if 'certificate' in heard and settings.publish_certificate:
-        made['certificate'] = _certificate(decision)
-    return {topic: message for topic, message in made.items() if message is not None}
+        yield 'plan_markers', plan_markers(stamp, *known)
+    for proof in _proofs(decision) if 'certificate' in heard else ():
+        yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
 
 
-def _path(settings: PlannerSettings, stamp: Stamp, decision: Decision) -> Path | None:
-    """Return the predicted path; without a plan only for vehicles that avoid this one."""
-    problem, plan = decision.problem or settings.problem, decision.plan
-    if plan is not None:
-        flown = [*zip(plan.positions, plan.projected, strict=True)]
-    elif settings.avoid and decision.state is not None:
-        flown = obeyed(settings.problem, decision.state, decision.command)
-    else:
-        return None
-    poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
-    return messages.path_message(stamp, problem.step, poses, decision.advanced + decision.led)
+def _flown(settings: PlannerSettings, decision: Decision) -> list[tuple[Array, Array]]:
+    """Return the predicted positions and attitudes.
+
+    Without a plan, only vehicles that avoid this one are told of any.
+    """
+    if decision.plan is not None:
+        return [*zip(decision.plan.positions, decision.plan.projected, strict=True)]
+    if settings.avoid and decision.state is not None:
+        return obeyed(settings.problem, decision.state, decision.command)
+    return []
 
 
-def _certificate(decision: Decision) -> UInt8MultiArray | None:
-    """Return the proof of the plan's bound, if it has a certificate."""
+def _proofs(decision: Decision) -> Iterator[Document]:
+    """Yield the proof of the plan's bound, and that of infeasibility or of no earlier catch."""
     case, plan = decision.case, decision.plan
-    if case is None or plan is None or plan.proof.tree is None or plan.proof.lower_bound <= 0.0:
-        return None
-    return _proof(certificate_of(*case, plan.proof))
-
-
-def refutation_messages(decision: Decision) -> dict[str, Any]:
-    """Return, by topic, the proof of infeasibility, or of no catch, if there is one."""
-    made = decision.refutation
-    return {} if made is None else {'certificate': _proof(made)}
-
-
-def _proof(made: Document) -> UInt8MultiArray:
-    return UInt8MultiArray(data=array('B', text_of(made).encode()))
+    if case is not None and plan is not None and plan.proof.tree and plan.proof.lower_bound > 0.0:
+        yield certificate_of(*case, plan.proof)
+    if decision.refutation is not None:
+        yield decision.refutation
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
