@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -53,9 +53,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
-
-if TYPE_CHECKING:
-    from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
@@ -400,12 +397,12 @@ def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
 
 
 def command_messages(
-    settings: PlannerSettings, stamp: Stamp, command: Command, *, oriented: bool = True
+    settings: Any, stamp: Stamp, command: Command, *, oriented: bool = True
 ) -> Iterator[tuple[str, Any]]:
     """Yield the messages to the vehicle, with their topics.
 
     Args:
-        settings: of the planner.
+        settings: of the planner, with ``problem``, ``mass``, ``gravity`` and ``hover_thrust``.
         stamp: of the answered odometry.
         command: to send.
         oriented: whether the vehicle's attitude is known, so that one can be commanded.
