@@ -6,6 +6,7 @@ This uses numba's internals, so that ``setup.py`` limits its versions.
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -34,6 +35,8 @@ LOCKS = 'orbimpc_ros.lock'
 WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 RUNTIME = 'NRT_'  # and those that create, count and free arrays
 ARITHMETIC = 'binop', 'inplace_binop', 'unary', 'arrayexpr'
+USUAL = gc.get_threshold()
+SELDOM = 100_000  # objects between collections while compiling, which took a seventh of its time
 BARE: dict[Callable, Callable] = {}  # by entry point
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
@@ -236,12 +239,15 @@ class _KeptCode(FunctionCache):
             found = self._kept(signature, context)  # another process may just have compiled it
             if found is not None:
                 self._lock(LOCK_UN)
+            else:
+                gc.set_threshold(SELDOM)
         return found
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Cache compiled code."""
         super().save_overload(signature, data)
         self._lock(LOCK_UN)
+        gc.set_threshold(*USUAL)
 
     def _kept(self, signature: Any, context: Any) -> Any:
         with self._guard_against_spurious_io_errors():
