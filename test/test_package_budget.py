@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 32_123,
-    'orbimpc_ros/mpc': 16_489,
+    'orbimpc_ros': 32_129,
+    'orbimpc_ros/mpc': 16_495,
     'orbimpc_ros/loop': 3_674,
     'orbimpc_ros/ros': 4_624,
     'orbimpc_ros/sim': 2_609,
