@@ -50,9 +50,8 @@ def _follower(heading: float, _count: int, rng: np.random.Generator) -> Paramete
     """Return the parameters of a vehicle that chases a rope outwards."""
     outwards = np.array([math.cos(heading), math.sin(heading)])
     center = (RING + rng.uniform(*AHEAD)) * outwards
-    frequency, phase = float(rng.uniform(*FREQUENCIES)), rng.uniform(0.0, 2.0 * math.pi, 2)
-    swing = {'rope.frequency': frequency, 'rope.phase': _triple(phase)}
-    return _parameters(RING * outwards, heading, center, SWING) | swing
+    frequency, phase = rng.uniform(*FREQUENCIES), rng.uniform(0.0, 2.0 * math.pi, 2)
+    return _parameters(RING * outwards, heading, center, SWING, frequency, phase)
 
 
 def _crosser(place: float, count: int, rng: np.random.Generator) -> Parameters:
@@ -61,24 +60,23 @@ def _crosser(place: float, count: int, rng: np.random.Generator) -> Parameters:
     outwards = ring * np.array([math.cos(place), math.sin(place)])
     start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([outwards, -outwards])
     x, y = goal - start
-    still = {'rope.frequency': 0.0, 'rope.phase': (0.0, 0.0, 0.0)}
-    return _parameters(start, math.atan2(y, x), goal, 0.0) | still
+    return _parameters(start, math.atan2(y, x), goal, 0.0, 0.0, np.zeros(2))
 
 
 FLEETS = {'fleet': (_follower, 4), 'crossing': (_crosser, 8)}  # a vehicle's draw, default size
 
 
-def _parameters(start: Array, heading: float, center: Array, swing: float) -> Parameters:
+def _parameters(
+    start: Array, heading: float, center: Array, swing: float, frequency: float, phase: Array
+) -> Parameters:
     return {
-        'rope.center': _triple(center),
+        'rope.center': (*center.tolist(), 0.0),
         'rope.amplitude': (swing, swing, 0.0),
-        'start.position': _triple(start),
+        'rope.frequency': frequency,
+        'rope.phase': (*phase.tolist(), 0.0),
+        'start.position': (*start.tolist(), 0.0),
         'start.orientation': (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading)),
     }
-
-
-def _triple(vector: Array) -> tuple[float, ...]:
-    return (*vector.tolist(), 0.0)
 
 
 def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str], Array]]:

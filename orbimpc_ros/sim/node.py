@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from functools import partial
 from typing import Any
 
@@ -19,11 +20,12 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
 from orbimpc_ros.sim.outputs import Seen
-from orbimpc_ros.sim.parameters import SIM, SimSettings, sim_settings
+from orbimpc_ros.sim.parameters import SIM, Faults, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
 LOOK = 0.02  # [s] between checks for planner and readers
 SETTLED = 0.1  # [s] lock-step: time for a planner to take in a goal without odometry to answer
+APART = 0.01  # [s] lock-step with faults: between goals and odometry, for DDS to keep their order
 RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
@@ -54,7 +56,7 @@ class LockStep(FlightSimulation):
         node.every(LOOK, self.look)
         if settings.rate > 0.0:
             took = settings.model.step / settings.rate
-            node.every(took, self._on_due)
+            node.every(took, self._ask)
             if settings.rate <= 1.0 / SHORTEST_TIMEOUT:
                 wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
                 node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
@@ -68,7 +70,6 @@ class LockStep(FlightSimulation):
         self._goal_sent = False
         self._heard = -np.inf  # simulated arrival time of the last command [s]
         self._sent: list[Seen] = []
-        self._held_back: list[Seen] = []  # odometry to be sent later
         self._progress = self._asked_at = self.node.steady_now()
         self._wait()
 
@@ -83,34 +84,28 @@ class LockStep(FlightSimulation):
             return
         if not self._met:
             absent = self.awaited(planner=True)
-            waited = self.node.steady_now() - self.counted_from
-            if not absent:
-                self._met = True
-                self._ask_when_due()
-            elif waited > self._patience:
-                self._give_up(absent, waited)
-        elif self._held_back:
-            if self.node.steady_now() - self._asked_at >= 0.5 * LOOK:
-                self.deliver(self.now, self._held_back)
-                self._held_back = []
+            self._give_up(absent, self.counted_from, self._patience)
+            self._met = not absent
+            self._ask_when_due()
         elif self._asking:
-            self._keep_asking()
+            waited = self.node.steady_now() - self._asked_at
+            if self._awaited is None:
+                if waited > SETTLED:
+                    self._fly_on()
+                return
+            # Vehicles with a shared clock wait for each other, too.
+            longest = math.inf if self.settings.clock == 'shared' else PATIENCE
+            absent = self.planner_lacking or NO_ANSWER
+            self._give_up(absent, self._progress, min(longest, self._patience))
+            if waited > RESEND:
+                self._send()
 
-    def _keep_asking(self) -> None:
-        now, patience = self.node.steady_now(), self._patience
-        if self.settings.clock != 'shared':  # vehicles with a shared clock also wait for each other
-            patience = min(PATIENCE, patience)
-        if self._awaited is None:
-            if now - self._asked_at > SETTLED:
-                self._fly_on()
-        elif now - self._progress > patience:
-            self._give_up(self.planner_lacking or NO_ANSWER, now - self._progress)
-        elif now - self._asked_at > RESEND:
-            self._send()
-
-    def _give_up(self, awaited: str, waited: float) -> None:
-        self.node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
-        self.node.exit_code = FAILED
+    def _give_up(self, awaited: str, since: float, patience: float) -> None:
+        """End this process if something has been awaited for too long [s]."""
+        waited = self.node.steady_now() - since
+        if awaited and waited > patience:
+            self.node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
+            self.node.exit_code = FAILED
 
     def _on_clock(self, message: Clock) -> None:
         self._shared = message.clock.sec * SECOND + message.clock.nanosec
@@ -120,36 +115,29 @@ class LockStep(FlightSimulation):
         """Request a command, unless the shared clock has not reached the next step."""
         half = 0.5 * self.settings.model.step * SECOND  # far above rounding errors
         if self.now <= self._shared + half:
-            self._on_due()
+            self._ask()
 
-    def _on_due(self) -> None:
+    def _ask(self) -> None:
         """Request the command of the next step, unless one is already awaited."""
         if not self._met or self._asking or self.finished:
             return
-        self._asking = True
+        self._asking, self._awaited = True, None
         self._progress = self.node.steady_now()
         self._sent = self.view.of(self.flight)
-        self._awaited = self._to_be_answered()
-        self._send()
-
-    def _to_be_answered(self) -> int | None:
-        """Return the stamp of the odometry that the planner will answer, or None."""
-        fresh = None
-        for seen in self._sent:
-            if not np.isfinite(seen.position).all():
-                continue
-            if not isinstance(seen, Odometry):
-                self._goal_sent = True
-            elif seen.time > self._newest:
+        told = [each for each in self._sent if np.isfinite(each.position).all()]
+        self._goal_sent |= not all(isinstance(each, Odometry) for each in told)
+        for seen in told:  # the planner will answer the newest odometry
+            if isinstance(seen, Odometry) and seen.time > self._newest:
                 self._newest = seen.time
-                fresh = self.stamp_of(seen, self.now)
-        return fresh if self._goal_sent else None
+                self._awaited = self.stamp_of(seen, self.now) if self._goal_sent else None
+        self._send()
 
     def _send(self) -> None:
         self._asked_at = self.node.steady_now()
-        apart = self.settings.faults.any
-        self._held_back = [each for each in self._sent if apart and isinstance(each, Odometry)]
-        self.show([each for each in self._sent if not (apart and isinstance(each, Odometry))])
+        self.show([each for each in self._sent if not isinstance(each, Odometry)])
+        if self.settings.faults != Faults():
+            time.sleep(APART)
+        self.deliver(self.now, [each for each in self._sent if isinstance(each, Odometry)])
 
     def on_order(self, order: Order) -> None:
         """Fly a step if this is the awaited answer."""
@@ -163,8 +151,7 @@ class LockStep(FlightSimulation):
         if self.flight.over:
             self.finish()
             return
-        held = self._heard + self.settings.command_timeout - self.flight.vehicle.time
-        self.fly(held)
+        self.fly(self._heard + self.settings.command_timeout - self.flight.vehicle.time)
         self._asking, self._awaited = False, None
         if not self.settings.rate:
             self._ask_when_due()

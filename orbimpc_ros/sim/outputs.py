@@ -8,10 +8,8 @@ repeated queries of one tick agree.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import replace
-from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -42,20 +40,18 @@ class View:
 
     def __init__(self, settings: SimSettings) -> None:
         self.faults, self._seed = settings.faults, settings.seed
-        past = 2 + math.ceil(self.faults.delay / settings.model.step)
-        self._past: deque[tuple[Vehicle, ...]] = deque(maxlen=past)
+        self._past: deque[Vehicle] = deque()  # from what odometry shows to the present
         self._held_back: list[Seen] = []
 
     def of(self, flight: Flight) -> list[Seen]:
         """Return the messages that arrive at this tick, in order. Call it once per tick."""
-        self._past.append(flight.trail or (flight.vehicle,))
         arriving, self._held_back = self._held_back, []
         chances, shifts, turn = _draws(self._seed, flight.ticks)
         shifts = self.faults.position_noise * shifts[:, : len(flight.goal)]
         if not self._hidden(flight.vehicle.time):
             goal = GoalObservation(flight.vehicle.time, flight.goal + shifts[GOAL])
             arriving += self._through(chances[GOAL], goal)
-        seen = measured(self._delayed(), flight.settings.velocity_source)
+        seen = measured(self._delayed(flight), flight.settings.velocity_source)
         turned = seen.attitude @ exp(self.faults.attitude_noise * turn[: len(seen.body_rate)])
         seen = replace(seen, position=seen.position + shifts[ODOMETRY], attitude=turned)
         return arriving + self._through(chances[ODOMETRY], seen)
@@ -64,14 +60,15 @@ class View:
         """Return True if the command that answers a tick is lost."""
         return 'dropout' in self._happening(_draws(self._seed, ticks)[0][COMMAND])
 
-    def _delayed(self) -> Vehicle:
+    def _delayed(self, flight: Flight) -> Vehicle:
         """Return the vehicle as it was ``delay`` ago; before the start, its initial state."""
-        past = list(chain.from_iterable(self._past))
-        at = past[-1].time - self.faults.delay
-        for earlier, later in pairwise(past):
-            if earlier.time <= at < later.time:
-                return between(earlier, later, at)
-        return past[-1] if at >= past[-1].time else replace(past[0], time=at)
+        past, at = self._past, flight.vehicle.time - self.faults.delay
+        past.extend(flight.trail or (flight.vehicle,))
+        while len(past) > 1 and past[1].time <= at:
+            past.popleft()
+        if len(past) > 1 and past[0].time <= at:
+            return between(past[0], past[1], at)
+        return replace(past[0], time=at)
 
     def _through(self, chances: Array, sent: Seen) -> list[Seen]:
         """Return the copies of a message that arrive now: zero, one or two."""

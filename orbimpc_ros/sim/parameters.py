@@ -67,11 +67,6 @@ class Faults:
             allowed = f'in [0, occlusion_period = {self.occlusion_period:g}]'
             raise BadInput('faults.occlusion_length', self.occlusion_length, allowed)
 
-    @property
-    def any(self) -> bool:
-        """Return True if any fault is configured."""
-        return self != Faults()
-
     def jumped(self, ticks: int) -> float:
         """Return the error of stamps after a number of steps [s]."""
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
@@ -200,13 +195,10 @@ class SimSettings(VehicleParameters):
     @cached_property
     def rope(self) -> Rope:
         """Return the rope, which is the goal."""
-        return Rope(
-            self._along('rope.center', self.rope_center),
-            self._along('rope.amplitude', self.rope_amplitude),
-            self.rope_frequency,
-            self._along('rope.phase', self.rope_phase),
-            self._along('rope.velocity', self.rope_velocity),
-        )
+        names = ('center', 'amplitude', 'phase', 'velocity')
+        given = {name: getattr(self, f'rope_{name}') for name in names}
+        along = {name: vector(given[name], f'rope.{name}', self.dimension) for name in names}
+        return Rope(frequency=self.rope_frequency, **along)
 
     @cached_property
     def model(self) -> Model:
@@ -235,16 +227,13 @@ class SimSettings(VehicleParameters):
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
         return Vehicle(
             time=0.0,
-            position=self._along('start.position', self.start_position),
-            velocity=self._along('start.velocity', self.start_velocity),
+            position=vector(self.start_position, 'start.position', self.dimension),
+            velocity=vector(self.start_velocity, 'start.velocity', self.dimension),
             attitude=nearest(self.frames.turned(attitude)),
             body_rate=self.frames.turned(body_rate)[-self.model.rates :],
             fraction=self.start_fraction,
             wind=np.zeros(self.dimension),
         )
-
-    def _along(self, name: str, numbers: tuple[float, ...]) -> Array:
-        return vector(numbers, name, self.dimension)
 
     def _refuse_unused(self) -> None:
         """Reject parameters that do not apply to the vehicle, unless zero or at their default."""

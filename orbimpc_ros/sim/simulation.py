@@ -104,14 +104,37 @@ class FlightSimulation(ABC):
         self._announced = ''
 
     def awaited(self, *, planner: bool) -> str:
-        """Describe missing readers and, if ``planner``, a missing planner; empty if complete."""
-        now, coming = self.node.steady_now(), planner and self._planner_being_configured()
+        """Describe missing readers and, if ``planner``, a missing planner; empty if complete.
+
+        Only managed planners count as being configured: others may read goals through another node.
+        """
+        node, wanted, now = self.node, self.settings.wait_for, self.node.steady_now()
+        found = node.get_publishers_info_by_topic(self._commands.topic_name)
+        planners, goal = {*map(full_name, found)}, self._out['goal'].topic_name
+        silent = planners.difference(self._readers(goal)) if planner else ()
+        coming = [name for name in silent if node.count_publishers(f'{name}/{TRANSITIONS}')]
+        others = {node.get_fully_qualified_name(), *planners}
+        there = {topic: sum(n not in others for n in self._readers(topic)) for topic in wanted}
+        missing = [
+            f'{count} of {topic} (there are {there[topic]})'
+            for topic, count in wanted.items()
+            if there[topic] < count
+        ]
+        heard, fewest = self._out['odom'].get_subscription_count(), self.settings.wait_subscribers
+        if missing:
+            self._met_after = now
         if coming:  # its first start compiles machine code, without a time limit
             self.counted_from = now
-            awaited = f'{coming} to be configured: it may be compiling machine code'
+            awaited = f'{min(coming)} to be configured: it may be compiling machine code'
+        elif heard < fewest:
+            awaited = f'subscribers of odom: {fewest} (there are {heard})'
+        elif missing:
+            awaited = f'readers: {", ".join(missing)}'
+        elif wanted and now - self._met_after < MEETING:
+            awaited = 'the planner to discover its subscribers'
         else:
-            awaited = self._readers_lacking() or (self.planner_lacking if planner else '')
-        if awaited and awaited != self._announced and now - self._since > SILENT:
+            awaited = self.planner_lacking if planner else ''
+        if awaited not in ('', self._announced) and now - self._since > SILENT:
             self._announced = awaited
             self.node.get_logger().info(f'waits for {awaited}')
         return awaited
@@ -123,42 +146,10 @@ class FlightSimulation(ABC):
             return 'a subscriber of goal'
         return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
 
-    def _readers_lacking(self) -> str:
-        wanted = self.settings.wait_subscribers
-        found = self._out['odom'].get_subscription_count()
-        if found < wanted:
-            return f'subscribers of odom: {wanted} (there are {found})'
-        readers, now = self.settings.wait_for, self.node.steady_now()
-        missing = [
-            f'{count} of {topic} (there are {there})'
-            for topic, count in readers.items()
-            if (there := self._count(topic)) < count
-        ]
-        if missing:
-            self._met_after = now
-            return f'readers: {", ".join(missing)}'
-        met = not readers or now - self._met_after >= MEETING
-        return '' if met else 'the planner to discover its subscribers'
-
-    def _count(self, topic: str) -> int:
-        """Return the number of readers of a topic other than planner and this node."""
-        vehicle = {self.node.get_fully_qualified_name(), *self._planners()}
+    def _readers(self, topic: str) -> list[str]:
+        """Return the full names of a topic's readers: of nodes, once for each subscription."""
         found = self.node.get_subscriptions_info_by_topic(topic)
-        return sum(e.node_name != UNKNOWN and full_name(e) not in vehicle for e in found)
-
-    def _planner_being_configured(self) -> str:
-        """Return the name of a planner that does not subscribe to the goal yet, or an empty string.
-
-        Only managed nodes count as being configured: others may read goals through another node.
-        """
-        goal = self._out['goal'].topic_name
-        readers = map(full_name, self.node.get_subscriptions_info_by_topic(goal))
-        found = self._planners() - {*readers}
-        managed = (name for name in found if self.node.count_publishers(f'{name}/{TRANSITIONS}'))
-        return min(managed, default='')
-
-    def _planners(self) -> set[str]:
-        return {*map(full_name, self.node.get_publishers_info_by_topic(self._commands.topic_name))}
+        return [full_name(each) for each in found if each.node_name != UNKNOWN]
 
     # --- commands
 

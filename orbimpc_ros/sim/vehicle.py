@@ -46,11 +46,6 @@ class Model:
     gain = 1.0  # actual speed or thrust as a share of the command
 
     @property
-    def length_unit(self) -> float:
-        """Return the length unit of a step, as :attr:`Problem.length_unit` [m]."""
-        return self.step**self.translation_order * self.forward
-
-    @property
     def blown(self) -> Array:
         """Return the disturbance, shape (n,)."""
         return np.array(self.disturbance or np.zeros(self.dimension))
@@ -292,33 +287,27 @@ class Plant(Model):
         )
 
     def _actuated(self, now: Vehicle, dt: float, fraction: float, body_rate: Array) -> Vehicle:
-        """Return the vehicle with attitude (by the mean rate) and actuators after ``dt`` [s]."""
+        """Return the vehicle with attitude (by the mean rate) and actuators after ``dt`` [s].
+
+        These are exact responses of first-order lags. That of the speed has a limited slope as long
+        as the remaining difference exceeds the slope times the lag.
+        """
         lag, apart = self.rate_lag, now.body_rate - body_rate
         left = math.exp(-dt / lag) if lag else 0.0
         turned = dt * body_rate + lag * (1.0 - left) * apart
-        limit = self.max_acceleration / (self.forward * self.gain) or math.inf
+        rate, lag, slower = body_rate + left * apart, self.speed_lag, now.fraction - fraction
+        if self.max_acceleration:
+            limit = self.max_acceleration / (self.forward * self.gain)
+            ramp = min(dt, max(0.0, abs(slower) / limit - lag))
+            slower, dt = slower - math.copysign(limit * ramp, slower), dt - ramp
+        if dt:
+            slower *= math.exp(-dt / lag) if lag else 0.0
         return replace(
             now,
             attitude=now.attitude @ exp(turned),
-            body_rate=body_rate + left * apart,
-            fraction=lagged(now.fraction, fraction, self.speed_lag, dt, limit),
+            body_rate=rate,
+            fraction=fraction + slower,
         )
-
-
-def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:
-    """Return a first-order lag's exact response to ``wanted`` after ``dt`` [s].
-
-    Its rate of change is at most ``limit`` [1/s].
-    """
-    apart = wanted - value
-    if math.isfinite(limit):
-        # The limit holds as long as the remaining difference exceeds limit * lag.
-        ramp = min(dt, max(0.0, abs(apart) / limit - lag))
-        value += math.copysign(limit * ramp, apart)
-        apart, dt = wanted - value, dt - ramp
-        if not dt:
-            return value
-    return wanted - apart * math.exp(-dt / lag) if lag else wanted
 
 
 # --- in an engine

@@ -12,7 +12,7 @@ import numpy as np
 from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
-from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle
+from orbimpc_ros.mpc.problem import Ball, MovingObstacle
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Vehicle
 
@@ -77,12 +77,10 @@ class Flight:
         A flight that touched a box or a ball has failed.
         """
         settings, fastest = self.settings, self.settings.arrival_speed or np.inf
-        if self.touched:
-            return False
         if settings.finish == 'arrival':
             there = self.distance <= settings.arrival_radius and self.speed <= fastest
-            return there and self.ticks >= settings.max_ticks
-        return self.near and self.headed
+            return there and self.ticks >= settings.max_ticks and not self.touched
+        return self.near and self.headed and not self.touched
 
     @property
     def near(self) -> bool:
@@ -117,11 +115,13 @@ class Flight:
             trail += model.flown(last, left, *safe)
         return self._along(trail)
 
-    def _along(self, trail: Sequence[Vehicle]) -> Flight:
+    def _along(self, trail: tuple[Vehicle, ...]) -> Flight:
         """Return the flight after a step along a trail, with the goal moving on."""
         miss, missed_at, headed = np.inf, np.nan, False
         before, bodies = self, self.settings.bodies
-        grazed = TOLERANCE * self.settings.model.length_unit  # penetration allowed in plans
+        model = self.settings.model
+        unit = model.step**model.translation_order * model.forward  # of lengths, as in the Problem
+        grazed = TOLERANCE * unit  # penetration allowed in plans
         for vehicle in trail:
             now = replace(before, vehicle=vehicle)
             goals = np.append(before.goal, 0.0), np.append(now.goal, 0.0)
@@ -140,12 +140,7 @@ class Flight:
                 stalls=before.stalls + (now.stalled and not before.stalled),
             )
         return replace(
-            before,
-            ticks=self.ticks + 1,
-            miss=miss,
-            missed_at=missed_at,
-            headed=headed,
-            trail=tuple(trail),
+            before, ticks=self.ticks + 1, miss=miss, missed_at=missed_at, headed=headed, trail=trail
         )
 
 
@@ -189,23 +184,20 @@ def touched(
     """Return the indices of the bodies that a straight path enters while they move linearly.
 
     It is ``flown`` between two ``times`` since the start [s]; depths up to ``grazed`` [m] do not
-    count.
+    count. Between both faces of a box on every axis at the same time it is inside.
     """
-    paths = (np.array(flown) - each.moved(np.array(times)) for each in bodies)
-    pairs = enumerate(zip(bodies, paths, strict=True))
-    return frozenset(k for k, (each, path) in pairs if _crosses(each.body, path, grazed))
-
-
-def _crosses(body: Box | Ball, path: Array, grazed: float) -> bool:
-    """Return True if a straight path, shape (2, n), enters a body by more than ``grazed`` [m].
-
-    Between both faces of a box on every axis at the same time it is inside.
-    """
-    start, end = path
-    if isinstance(body, Ball):
-        return bool(closest_approach((start, end), (body.centre,) * 2)[0] < body.radius - grazed)
-    low, high = body.minimum + grazed, body.maximum - grazed
-    with np.errstate(divide='ignore', invalid='ignore'):  # without motion: +-inf, NaN on a face
-        shares = np.array([low - start, high - start]) / (end - start)
-    begin, finish = shares.min(axis=0).max(initial=0.0), shares.max(axis=0).min(initial=1.0)
-    return bool((low < high).all() and begin < finish)
+    found = []
+    for k, each in enumerate(bodies):
+        body, (start, end) = each.body, np.array(flown) - each.moved(np.array(times))
+        if isinstance(body, Ball):
+            nearest, _ = closest_approach((start, end), (body.centre, body.centre))
+            entered = nearest < body.radius - grazed
+        else:
+            low, high = body.minimum + grazed, body.maximum - grazed
+            with np.errstate(divide='ignore', invalid='ignore'):  # at rest: +-inf, NaN on a face
+                shares = np.array([low - start, high - start]) / (end - start)
+            begin, finish = shares.min(axis=0).max(initial=0.0), shares.max(axis=0).min(initial=1.0)
+            entered = (low < high).all() and begin < finish
+        if entered:
+            found.append(k)
+    return frozenset(found)

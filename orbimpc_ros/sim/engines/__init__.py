@@ -56,12 +56,6 @@ class Motion(NamedTuple):
     caught: bool | None = None  # whether the goal has been caught; None if not judged by the engine
     lost: bool = False  # whether a catch has become impossible
 
-    @property
-    def finite(self) -> bool:
-        """Return True if all numbers are finite."""
-        goal = () if self.goal is None else (self.goal,)
-        return all(np.isfinite(each).all() for each in (*self[:7], *self.facts.values(), *goal))
-
 
 class Engine(ABC):
     """A vehicle in an engine; one with its own guidance may also ``steer_to`` a waypoint."""
@@ -94,7 +88,9 @@ class Engine(ABC):
             self.fly(push, rate)
             if k % self.every == 0 or k == count:
                 motion = self.motion()
-                if not motion.finite:
+                goal = 0.0 if motion.goal is None else motion.goal
+                numbers = *motion[:7], *motion.facts.values(), goal
+                if not all(np.isfinite(each).all() for each in numbers):
                     wrong = f'numbers that are not finite at t = {motion.time:.3f} s'
                     raise EngineFailure(f'{self.name}: {wrong}')
                 motions.append(motion)

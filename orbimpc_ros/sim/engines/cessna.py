@@ -31,38 +31,6 @@ MILITARY = 3  # turbulence by MIL-F-8785C, Dryden spectra
 LIGHT = 3.0  # severity above 1,000 ft; 0 switches turbulence off at all heights
 
 
-def _begun(start: Start) -> dict[str, float]:
-    """Return the initial conditions: wings level, in moving air."""
-    speed, axis, wind = start.push, start.attitude[:, 0], start.wind
-    heading, over_ground = math.atan2(axis[1], axis[0]), speed * axis + wind
-    return {
-        'simulation/randomseed': start.seed,
-        'ic/h-agl-ft': HEIGHT,
-        'ic/lat-geod-deg': 0.0,
-        'ic/long-gc-deg': 0.0,
-        'ic/psi-true-rad': (0.5 * math.pi - heading) % (2.0 * math.pi),
-        'ic/vw-mag-fps': float(np.linalg.norm(wind)) / FOOT,
-        'ic/vw-dir-deg': math.degrees(math.atan2(wind[0], wind[1])) % 360.0,  # blows towards
-        'ic/ve-fps': over_ground[0] / FOOT,
-        'ic/vn-fps': over_ground[1] / FOOT,
-        'fcs/throttle-cmd-norm': float(np.interp(speed, SPEEDS, THROTTLES)),
-    }
-
-
-def _engaged(turbulence: float) -> dict[str, float]:
-    """Return the settings after trimming: both autopilots, and turbulence [m/s]."""
-    return {
-        'atmosphere/turb-type': MILITARY,
-        'atmosphere/turbulence/milspec/severity': LIGHT,
-        'atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps': 10.0 * turbulence / FOOT,
-        'ap/altitude_setpoint': HEIGHT,
-        'ap/altitude_hold': 1.0,
-        'ap/autopilot-roll-on': 1.0,
-        'ap/roll-attitude-mode': 1.0,
-        'guidance/heading-selector-switch': 1.0,
-    }
-
-
 class Cessna(Engine):
     """The aircraft in flight, trimmed at the start.
 
@@ -78,12 +46,26 @@ class Cessna(Engine):
     every = 6
 
     def __init__(self, start: Start) -> None:
-        self._place = start.position
         jsbsim.FGJSBBase().debug_lvl = 0  # of all later instances: no banner
         self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
         self._fdm.load_model('c172x')
         self._fdm.set_dt(self.tick)
-        self._set(_begun(start))
+        self._place, wind, axis = start.position, start.wind, start.attitude[:, 0]
+        east, north = start.push * axis + wind
+        self._set(
+            {
+                'simulation/randomseed': start.seed,
+                'ic/h-agl-ft': HEIGHT,
+                'ic/lat-geod-deg': 0.0,
+                'ic/long-gc-deg': 0.0,
+                'ic/psi-true-rad': (0.5 * math.pi - math.atan2(axis[1], axis[0])) % (2.0 * math.pi),
+                'ic/vw-mag-fps': float(np.linalg.norm(wind)) / FOOT,
+                'ic/vw-dir-deg': math.degrees(math.atan2(*wind)) % 360.0,  # blows towards
+                'ic/ve-fps': east / FOOT,
+                'ic/vn-fps': north / FOOT,
+                'fcs/throttle-cmd-norm': float(np.interp(start.push, SPEEDS, THROTTLES)),
+            }
+        )
         self._fdm.run_ic()
         self._set({'propulsion/set-running': -1.0})
         try:
@@ -91,7 +73,19 @@ class Cessna(Engine):
         except jsbsim.TrimFailureError as error:
             why = f'{self.name}: no level flight at {start.push:g} m/s'
             raise EngineFailure(why) from error
-        self._set(_engaged(start.gust))
+        # After trimming: turbulence, and both autopilots.
+        self._set(
+            {
+                'atmosphere/turb-type': MILITARY,
+                'atmosphere/turbulence/milspec/severity': LIGHT,
+                'atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps': 10.0 * start.gust / FOOT,
+                'ap/altitude_setpoint': HEIGHT,
+                'ap/altitude_hold': 1.0,
+                'ap/autopilot-roll-on': 1.0,
+                'ap/roll-attitude-mode': 1.0,
+                'guidance/heading-selector-switch': 1.0,
+            }
+        )
 
     def _set(self, values: dict[str, float]) -> None:
         for name, value in values.items():
@@ -114,20 +108,13 @@ class Cessna(Engine):
 
     def fly(self, push: float, rate: Array) -> None:
         """Fly for one tick at a commanded airspeed; see :meth:`Engine.fly`."""
-        self._steer(push, float(rate[0]))
-        if not self._fdm.run():
-            raise EngineFailure(f'{self.name}: stopped at t = {self._time:.3f} s')
-
-    def _steer(self, speed: float, turn: float) -> None:
         fdm, now = self._fdm, self._fdm['velocities/vt-fps'] * FOOT
-        bank = math.atan(turn * now / GRAVITY)  # positive to the left, where headings decrease
-        throttle = np.interp(speed, SPEEDS, THROTTLES) + CORRECTION * (speed - now)
+        bank = math.atan(float(rate[0]) * now / GRAVITY)  # to the left, where headings decrease
+        throttle = np.interp(push, SPEEDS, THROTTLES) + CORRECTION * (push - now)
         fdm['guidance/specified-heading-rad'] = fdm['attitude/psi-rad'] - bank
         fdm['fcs/throttle-cmd-norm'] = min(max(float(throttle), 0.0), 1.0)
-
-    @property
-    def _time(self) -> float:
-        return float(self._fdm['simulation/sim-time-sec'])
+        if not fdm.run():
+            raise EngineFailure(f'{self.name}: stopped at t = {self.motion().time:.3f} s')
 
     def motion(self) -> Motion:
         """Return the present state of motion.
@@ -136,20 +123,21 @@ class Cessna(Engine):
         as an instrument shows it, without the yaw by which the fin corrects for a gust.
         """
         fdm = self._fdm
-        bank, speed = -float(fdm['attitude/phi-rad']), fdm['velocities/vt-fps'] * FOOT
+        speed = fdm['velocities/vt-fps'] * FOOT
         way = [EAST * fdm['position/long-gc-rad'], NORTH * fdm['position/lat-geod-rad']]
         high = (fdm['position/h-agl-ft'] - HEIGHT) * FOOT
+        compass, pitch, roll = (fdm[f'attitude/{name}-rad'] for name in ('psi', 'theta', 'phi'))
         return Motion(
-            self._time,
+            float(fdm['simulation/sim-time-sec']),
             np.append(self._place + way, high),
             self._enu('velocities/v-{}-fps'),
-            _attitude(*(fdm[f'attitude/{name}-rad'] for name in ('phi', 'theta', 'psi'))),
+            about(2, 0.5 * math.pi - compass) @ about(1, -pitch) @ about(0, roll),
             np.array([fdm[f'velocities/{axis}-rad_sec'] for axis in 'pqr']) * [1.0, -1.0, -1.0],
             self._enu('atmosphere/total-wind-{}-fps'),
             speed,
             {
-                'bank': bank,
-                'turn': GRAVITY * math.tan(bank) / speed,
+                'bank': -float(roll),
+                'turn': -GRAVITY * math.tan(roll) / speed,
                 'throttle': float(fdm['fcs/throttle-cmd-norm']),
             },
         )
@@ -158,9 +146,3 @@ class Cessna(Engine):
         """Return one of the engine's vectors in ENU axes and metres."""
         north, east, down = (self._fdm[name.format(each)] for each in ('north', 'east', 'down'))
         return FOOT * np.array([east, north, -down])
-
-
-def _attitude(roll: float, pitch: float, compass: float) -> Array:
-    """Return the body-to-world attitude for an aircraft's Euler angles [rad]."""
-    yaw = 0.5 * math.pi - compass
-    return about(2, yaw) @ about(1, -pitch) @ about(0, roll)

@@ -95,20 +95,15 @@ class Hummingbird(Engine):
         self._wind, self._gust = start.wind, start.gust
         self._draw = np.random.default_rng(start.seed)
         self._blown = start.gust * self._draw.normal(size=2)
+        self._waypoint: Array | None = None
+        self._caught = self._struck = False
         yaw = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
         place = np.append(start.position, 0.0) - about(2, yaw) @ NOSE
         self._setpoint = _Setpoint(place, yaw, start.push, 0.0, 0.0)
-        self._waypoint: Array | None = None
-        self._caught = self._struck = False
-        self._place(aside)
-
-    def _place(self, aside: Array) -> None:
-        """Set the initial poses: the rope straight, displaced by ``aside`` in the plane [m]."""
-        data, setpoint = self._data, self._setpoint
-        half = 0.5 * setpoint.yaw
-        data.qpos[:7] = *setpoint.position, math.cos(half), 0.0, 0.0, math.sin(half)
-        data.qvel[:3] = setpoint.flat['x_dot']
-        axis = np.array([aside[1], -aside[0], 0.0]) / max(math.hypot(*aside), 1e-12)
+        data, axis = self._data, np.array([aside[1], -aside[0], 0.0])
+        data.qpos[:7] = *place, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
+        data.qvel[:3] = self._setpoint.flat['x_dot']
+        axis /= max(math.hypot(*aside), 1e-12)  # about which the straight rope is turned aside
         angle = math.atan2(math.hypot(*aside), ABOVE)
         mujoco.mju_axisAngle2Quat(data.qpos[7:11], axis, angle)
         mujoco.mj_forward(self._model, data)
@@ -123,24 +118,23 @@ class Hummingbird(Engine):
 
     def fly(self, push: float, rate: Array) -> None:
         """Fly for one tick at a commanded speed over ground; see :meth:`Engine.fly`."""
-        begun = self._data.time
-        self._lead(push, float(rate[0]))
-        self._push()
-        for _ in range(CONTROL):
-            mujoco.mj_step(self._model, self._data)
-            self._judge()
-        if any(warning.number for warning in self._data.warning):
-            raise EngineFailure(f'{self.name}: unstable after t = {begun:.3f} s')
-
-    def _lead(self, speed: float, turn: float) -> None:
-        """Advance the setpoint by one tick."""
-        before = self._setpoint
+        data, before, turn = self._data, self._setpoint, float(rate[0])
+        begun = data.time
         if self._waypoint is not None:
             away = self._waypoint - before.position
             off = math.remainder(math.atan2(away[1], away[0]) - before.yaw, 2.0 * math.pi)
             turn = min(max(off / self.tick, -FASTEST), FASTEST)
-            speed = min(speed, max(0.0, math.hypot(*away) - NOSE[0]) / self.tick)
-        self._setpoint = before.after(self.tick, speed, turn)
+            push = min(push, max(0.0, math.hypot(*away) - NOSE[0]) / self.tick)
+        self._setpoint = before.after(self.tick, push, turn)
+        self._push()
+        for _ in range(CONTROL):
+            mujoco.mj_step(self._model, data)
+            if data.ncon and not (self._caught or self._struck):  # the first touch decides
+                pairs = (each.geom.tolist() for each in data.contact[: data.ncon])
+                hooked = [not self._hook.isdisjoint(pair) for pair in pairs]
+                self._caught, self._struck = any(hooked), not all(hooked)
+        if any(warning.number for warning in data.warning):
+            raise EngineFailure(f'{self.name}: unstable after t = {begun:.3f} s')
 
     def _push(self) -> None:
         """Apply rotor and air loads to the vehicle, and wind to the rope."""
@@ -172,16 +166,6 @@ class Hummingbird(Engine):
             'q': np.roll(place[3:], -1),
             'w': velocity[3:].copy(),
         }
-
-    def _judge(self) -> None:
-        """Record which part first touched the rope: the hook, or anything else of the vehicle."""
-        if self._caught or self._struck or not self._data.ncon:
-            return
-        for contact in self._data.contact[: self._data.ncon]:
-            if self._hook.isdisjoint(contact.geom.tolist()):
-                self._struck = True
-            else:
-                self._caught = True
 
     def motion(self) -> Motion:
         """Return the present motion of the hook."""

@@ -69,7 +69,7 @@ class Servicer(Engine):
         draw = np.random.default_rng(start.seed)
         still, off_center = np.zeros(3), OFF_CENTER * draw.normal(size=3)
         away = start.position - start.rest
-        self._rest, self._cycles = start.rest, 0
+        self._rest, self._now = start.rest, 0  # [ns]
         self._setpoint = _Setpoint(start.attitude, start.body_rate, still)
         self._client = _orbiting(still, still, np.eye(3), still, still)
         self._vehicle = _orbiting(away, start.velocity, start.attitude, start.body_rate, off_center)
@@ -92,15 +92,11 @@ class Servicer(Engine):
         """Fly for one tick at a commanded thrust acceleration; see :meth:`Engine.fly`."""
         self._tell(push)
         self._setpoint = self._setpoint.after(CONTROL, rate)
-        self._cycles += 1
+        self._now += round(CONTROL * SECOND)
         try:
-            self._simulation.StepUntilStop(self._nanoseconds, -1)
+            self._simulation.StepUntilStop(self._now, -1)
         except bskLogging.BasiliskError as error:
             raise EngineFailure(f'{self.name}: {error}') from error
-
-    @property
-    def _nanoseconds(self) -> int:
-        return self._cycles * round(CONTROL * SECOND)
 
     def _tell(self, push: float) -> None:
         """Send the attitude setpoint and the thrust acceleration [m/s^2] to the flight software."""
@@ -111,10 +107,10 @@ class Servicer(Engine):
                 omega_RN_N=(attitude @ rate).tolist(),
                 domega_RN_N=(attitude @ gain).tolist(),
             ),
-            self._nanoseconds,
+            self._now,
         )
         force = messaging.THRArrayCmdForceMsgPayload(thrForce=[MASS * push])
-        self._force.write(force, self._nanoseconds)
+        self._force.write(force, self._now)
 
     def motion(self) -> Motion:
         """Return the present motion; ``push`` is the mean acceleration of the latest pulses.
