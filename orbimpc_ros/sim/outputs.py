@@ -48,7 +48,10 @@ class View:
         arriving, self._held_back = self._held_back, []
         chances, shifts, turn = _draws(self._seed, flight.ticks)
         shifts = self.faults.position_noise * shifts[:, : len(flight.goal)]
-        if not self._hidden(flight.vehicle.time):
+        length, period = self.faults.occlusion_length, self.faults.occlusion_period
+        window, into = divmod(flight.vehicle.time, period)  # the goal is hidden once in each
+        begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
+        if not begin <= into < begin + length:
             goal = GoalObservation(flight.vehicle.time, flight.goal + shifts[GOAL])
             arriving += self._through(chances[GOAL], goal)
         seen = measured(self._delayed(flight), flight.settings.velocity_source)
@@ -86,13 +89,6 @@ class View:
     def _happening(self, chances: Array) -> set[str]:
         drawn = zip(CHANCES, chances, strict=True)
         return {fault for fault, chance in drawn if chance < getattr(self.faults, fault)}
-
-    def _hidden(self, time: float) -> bool:
-        """Return True if the goal is occluded."""
-        length, period = self.faults.occlusion_length, self.faults.occlusion_period
-        window, into = divmod(time, period)
-        begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
-        return length > 0.0 and begin <= into < begin + length
 
 
 def _draws(seed: int, ticks: int) -> tuple[Array, Array, Array]:

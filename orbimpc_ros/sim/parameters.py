@@ -223,7 +223,11 @@ class SimSettings(VehicleParameters):
     @cached_property
     def start(self) -> Vehicle:
         """Return the vehicle as its model takes it over, before it has met the wind."""
-        attitude = _orientation(self.start_orientation, self.dimension)
+        unit = np.roll(self.start_orientation, 1)  # w, x, y, z
+        if len(unit) != 4 or not abs(np.linalg.norm(unit) - 1.0) <= QUATERNION_TOLERANCE:
+            given = list(self.start_orientation)
+            raise BadInput('start.orientation', given, 'a unit quaternion x, y, z, w')
+        attitude = from_quaternion(unit / np.linalg.norm(unit), self.dimension)
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
         return Vehicle(
             time=0.0,
@@ -287,10 +291,3 @@ def sim_settings(values: Values) -> SimSettings:
     for made in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings
-
-
-def _orientation(numbers: tuple[float, ...], dimension: int) -> Array:
-    norm = math.sqrt(sum(number * number for number in numbers))
-    if len(numbers) != 4 or not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
-        raise BadInput('start.orientation', list(numbers), 'a unit quaternion x, y, z, w')
-    return from_quaternion(np.roll(numbers, 1) / norm, dimension)

@@ -63,9 +63,18 @@ class FlightSimulation(ABC):
             node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)
             for name in ('cmd_vel', 'cmd_thrust')
         )
+        published = {
+            **dict.fromkeys(('captured', 'odom', 'goal', 'world_markers', '/diagnostics'), True),
+            'obstacles': settings.traffic,
+            'goal_path': settings.goal_path_steps,
+            '/clock': settings.clock == 'lockstep',
+            'truth': settings.vehicle != 'discrete',
+            '/tf': find_spec('tf2_msgs'),  # the PyPI wheels of ROS have none
+        }
         self._out = {
             name: node.create_publisher(message_of(name), name, profiles.get(name, deep))
-            for name in published(settings)
+            for name, wanted in published.items()
+            if wanted
         }
         self._begin(settings.begin)
 
@@ -235,19 +244,6 @@ class FlightSimulation(ABC):
         name = self.node.get_fully_qualified_name()
         health = messages.health_message(self.now, name, 'flight', level, text, values)
         self._out['/diagnostics'].publish(health)
-
-
-def published(settings: SimSettings) -> list[str]:
-    """Return the topics that a simulator publishes."""
-    optional = {
-        'obstacles': settings.traffic,
-        'goal_path': settings.goal_path_steps,
-        '/clock': settings.clock == 'lockstep',
-        'truth': settings.vehicle != 'discrete',
-        '/tf': find_spec('tf2_msgs'),  # the PyPI wheels of ROS have none
-    }
-    always = ('captured', 'odom', 'goal', 'world_markers', '/diagnostics')
-    return [*always, *(topic for topic, wanted in optional.items() if wanted)]
 
 
 # --- commands: a twist, and a thrust at translation order 2
