@@ -20,20 +20,13 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import (
-    Frames,
-    Stamp,
-    command_messages,
-    header,
-    health_message,
-    plan_markers,
-)
+from orbimpc_ros.ros.messages import Frames, Stamp, header, health_message, plan_markers
 from orbimpc_ros.ros.planner.outputs import (
     doubts,
     outputs,
     prices,
+    report_messages,
     summary,
-    tick_message,
     values,
 )
 from orbimpc_ros.sim.outputs import world_markers
@@ -54,7 +47,7 @@ STAMP = Stamp(7, Frames('odom', 'base_link', 'z'))
 
 def told(fraction, **given):
     command = Command(fraction, np.array([0.1, 0.2, 0.3]), np.eye(3))
-    return dict(command_messages(settings(**CRAFT, **given), STAMP, command))
+    return dict(messages.command_messages(settings(**CRAFT, **given), STAMP, command))
 
 
 def test_topics_follow_from_what_the_vehicle_takes():
@@ -89,6 +82,12 @@ def tick(planner, goal, horizon=5):
     return planner.tick(odometry, np.tile(goal, (horizon, 1)))
 
 
+def ticked(decision):
+    """Return the values on ``tick`` for a decision."""
+    ((_, message),) = report_messages(settings(), STAMP, decision, '/planner', ['tick'])
+    return values_of(message)
+
+
 @pytest.mark.parametrize(
     ('node', 'name', 'vehicle'),
     [('/planner', 'planner', 'none'), ('/uav1/planner', 'uav1/planner', 'uav1')],
@@ -100,7 +99,7 @@ def test_a_status_is_named_as_diagnostic_updater_names_it(node, name, vehicle):
 
 def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():
     decision = tick(Stepped(FLOORED), [4.0, 1.0])
-    told = values_of(tick_message(0, '/planner', decision))
+    told = ticked(decision)
     margins = json.loads(told['margins'])
     fractions = decision.plan.speed_fraction[1:]
     assert margins['floor'] == pytest.approx(fractions.min() - 0.5)
@@ -129,7 +128,7 @@ FAR = [99.0, 0.0]
 def test_full_speed_binds_on_the_way_to_a_far_goal_and_is_on_tick_as_json():
     decision = tick(Stepped(Problem()), FAR)
     assert list(prices(decision)) == ['hull@1', 'hull@2', 'hull@3', 'hull@4']
-    told = values_of(tick_message(0, 'planner', decision))
+    told = ticked(decision)
     assert json.loads(told['binding']) == pytest.approx(prices(decision))
 
 

@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.problem import Approach
 TINY = 1e-300  # [m^2] lower bound of a squared drift, against division by zero
 STAY = 1.0  # [s] within the radius, after which the vehicle has arrived
 WINDOW = 20  # measurements
+SHORTEST = 0.005  # [s] between measurements compared: within less, noise outweighs motion
 FITS_BETTER = 0.3  # ratio of errors, other frame to stated one, below which the other is assumed
 TELLING = 0.3  # of the speed: larger errors of the stated frame are not noise
 
@@ -123,7 +124,10 @@ class VelocityFrameCheck:
 
     def note(self, odometry: Odometry) -> None:
         """Take in a measurement; one that is not newer than the last restarts the comparison."""
-        last, self._last = self._last, odometry
+        last = self._last
+        if last is not None and 0.0 < odometry.time - last.time < SHORTEST:
+            return
+        self._last = odometry
         if last is None or odometry.time <= last.time:
             self._errors.clear()
             return

@@ -299,7 +299,7 @@ class NodeClock:
 
     @property
     def nanoseconds(self) -> int:
-        """Return the time of the clock [ns]."""
+        """Return the time of the clock [ns]; 0 until simulated time starts."""
         return self._clock.now().nanoseconds
 
     def standstill(self, patience: float) -> str:

@@ -265,10 +265,13 @@ class PlannerNode(Managed):
         # In all states: an inactive planner reports that it is inactive.
         self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
 
-    @property
-    def ros_now(self) -> int | None:
-        """Return the time of the ROS clock [ns]; simulated time is unknown until it starts."""
-        return self.get_clock().now().nanoseconds or None
+    def _now(self) -> tuple[float, int | None]:
+        """Return the steady time [s] and that of ROS [ns], unknown until simulated time starts."""
+        return self.steady_now(), self.get_clock().now().nanoseconds or None
+
+    def _decide(self, reason: Reason | None = None) -> Decision:
+        """Return the decision on the present inputs, or for a reason not to follow a plan."""
+        return self._core.decide(*self._now(), reason or self._stop())
 
     # --- inputs
 
@@ -278,7 +281,7 @@ class PlannerNode(Managed):
         DDS does not order topics. A source that stamps odometry and goals alike, such as the
         simulator in lock-step, intends them to be used together; then runs repeat exactly.
         """
-        inputs, at = self._core.inputs, (self.steady_now(), self.ros_now)
+        inputs, at = self._core.inputs, self._now()
         stop, before = self._stop(), inputs.odometry
         if topic == core.OBSTACLES:
             self._core.planner.expect_hazards()  # its publisher may not have been discovered yet
@@ -360,7 +363,7 @@ class PlannerNode(Managed):
         if self._core.inputs.missing:
             self._show_changes()
         else:
-            self._answer(self._core.decide(self.steady_now(), self.ros_now, self._stop()))
+            self._answer(self._decide())
 
     def _answer(self, decision: Decision) -> None:
         """Publish the decision on the latest odometry, and monitor while there is time."""
@@ -368,7 +371,7 @@ class PlannerNode(Managed):
         stamp = self._core.inputs.latest['odom'].stamp
         age = self._core.seen.odometry_age + 1e-3 * decision.solve_time_ms
         if decision.state is not None and age > self._core.settings.odom_timeout:  # meanwhile
-            decision = self._core.decide(self.steady_now(), self.ros_now, self._stop())
+            decision = self._decide()
         self._publish(stamp, decision)
         self._answered = stamp.nanoseconds
         self._look_for_events()
@@ -387,7 +390,7 @@ class PlannerNode(Managed):
 
     def _unsafe(self) -> Reason | None:
         """Return why no plan may be followed now, if none may."""
-        return self._core.unsafe(self.steady_now(), self.ros_now, self._stop())
+        return self._core.unsafe(*self._now(), self._stop())
 
     def safe(self, reason: Reason) -> None:
         """Send a safe command now, unless the planner has not commanded anything yet."""
@@ -401,8 +404,7 @@ class PlannerNode(Managed):
         now = max(self._time.nanoseconds, self._answered + 1)
         known, settings = self._core.inputs.odometry, self._core.settings
         frames = settings.frames if known is None else known.stamp.frames
-        decision = self._core.decide(self.steady_now(), self.ros_now, reason)
-        self._publish(Stamp(now, frames), decision)
+        self._publish(Stamp(now, frames), self._decide(reason))
 
     # --- outputs
 

@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64, UInt8MultiArray
 
 from orbimpc_ros.loop.planner import Decision
@@ -24,7 +23,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.document import Document, certificate_of, text_of
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, plan_markers
+from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, diagnostics, plan_markers
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings
 
 # Topics of decisions, and of commands to the vehicle, which are sent first.
@@ -136,12 +135,6 @@ def condition(
     return WARN if worst == OK and warnings else worst, [message, *warnings]
 
 
-def tick_message(at: int, node: str, decision: Decision) -> DiagnosticArray:
-    """Return a decision as the message on ``tick``; ``at`` is the stamp [ns]."""
-    message = decision.reason or decision.status
-    return messages.diagnostics(at, f'{node}: tick', level(decision), message, values(decision))
-
-
 def outputs(settings: PlannerSettings) -> list[str]:
     """Return the topics that a planner publishes: no commands on a dry run."""
     topics = REPORTS if settings.dry_run else REPORTS + COMMANDS
@@ -174,15 +167,16 @@ def report_messages(
         if f'~/{name}' in heard:
             yield f'~/{name}', Float64(data=float(number))
     if 'tick' in heard:
-        yield 'tick', tick_message(stamp.nanoseconds, node, decision)
+        known = stamp.nanoseconds, f'{node}: tick', level(decision)
+        yield 'tick', diagnostics(*known, decision.reason or decision.status, values(decision))
     if 'plan' in heard and (flown := _flown(settings, decision)):
         poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
         step = (decision.problem or settings.problem).step
         after = decision.advanced + decision.led
         yield 'plan', messages.path_message(stamp, step, poses, after)
     if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
-        known = settings.problem, decision.plan, decision.state.hazards
-        yield 'plan_markers', plan_markers(stamp, *known)
+        hazards = decision.state.hazards
+        yield 'plan_markers', plan_markers(stamp, settings.problem, decision.plan, hazards)
     for proof in _proofs(decision) if 'certificate' in heard else ():
         yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
 
