@@ -264,7 +264,8 @@ def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
     flown = trajectory_of(problem, start, targets, x)
     plan = assembled(problem, start, targets, x)
     assert not [each for each in violations(problem, start, targets, plan) if 'differ' in each]
-    mapped = dynamics.drift(problem, start) + problem.maps.reach @ flown.headings
+    mapped = dynamics.decided(problem, start)[0][1:]
+    mapped += problem.maps.reach[:, 1:] @ flown.headings[1:]
     np.testing.assert_allclose(mapped, flown.positions[1:], atol=1e-11)
     assert np.allclose(coordinates(flown.rotations[1:]), x)
     inputs = np.einsum('kj,jab->kab', dynamics.input_map(problem), flown.rotations)

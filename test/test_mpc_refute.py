@@ -54,7 +54,7 @@ def arriving(rng, away, n=2, **given):
     problem = Problem(n, horizon=int(rng.integers(3, 9)), terminal='constraint', **given)
     start, way = state_of(rng, problem), rng.normal(size=n)
     reach = np.abs(problem.maps.reach[-1]).sum()
-    moved = problem.maps.drift[-1] * start.velocity if problem.inertial else 0.0
+    moved = problem.maps.places[-1, -2] * start.velocity if problem.inertial else 0.0
     return case(problem, start, start.position + moved + away * reach * way / np.linalg.norm(way))
 
 

@@ -56,7 +56,7 @@ from orbimpc_ros.loop.task import Answer, Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log, turned
-from orbimpc_ros.mpc.model.dynamics import drift
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
@@ -515,7 +515,7 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    coasted = drift(problem, state)[-1]
+    coasted = adrift(problem, state)[-1]
     flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
     way = problem.step * problem.forward * flown
     return np.asarray(coasted + way - plan.positions[-1])

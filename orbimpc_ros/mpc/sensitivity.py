@@ -26,7 +26,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import step_margins
 from orbimpc_ros.mpc.geometry.rotations import coordinates, lmi, lmi_parts
-from orbimpc_ros.mpc.model.dynamics import KINK, drift, length_weights, on_axes
+from orbimpc_ros.mpc.model.dynamics import KINK, decided, length_weights, on_axes
 from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
@@ -108,7 +108,8 @@ def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
 
 def _slacks(problem: Problem, state: State, goals: Array, headings: Array) -> dict[str, Array]:
     """Return the margins of each step, shape (..., N), for headings, shape (..., N + 1, n)."""
-    places = drift(problem, state) + problem.maps.reach @ headings
+    moved = problem.maps.reach[:, 1:] @ headings[..., 1:, :]
+    places = decided(problem, state)[0][1:] + moved
     found = step_margins(problem, state, goals, headings, places)
     if problem.dimension == 2:
         found['hull'] = 1.0 - np.linalg.norm(headings[..., 1:, :], axis=-1)
@@ -173,11 +174,8 @@ def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """Yield s_N - g_N and p_N, axis by axis."""
     if problem.terminal != 'constraint':
         return
-    flown = problem.maps
-    maps = {'terminal': flown.reach[-1, 1:]}
-    if problem.inertial:
-        maps['terminal velocity'] = flown.pushed[-1, 1:]
-    for name, moved in maps.items():
+    named = zip(('terminal', 'terminal velocity'), problem.maps.arrival[:, 1:], strict=False)
+    for name, moved in named:
         for axis, unit in zip(AXES, np.eye(problem.dimension), strict=False):
             gradient = on_axes(np.outer(moved, unit))
             yield Slack(f'{name} {axis}', plan.horizon, gradient, signed=True)

@@ -16,15 +16,16 @@ Mathematics: docs/mathematics.md, 1.3 and 4.7.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.dynamics import (
+    STARTED,
     attitude_weight,
     first_length,
+    input_map,
     input_weight,
     position_weights,
     velocity_weight,
@@ -37,6 +38,26 @@ TURNED = [0, 3]  # rows of R_0 e1 and R_g e1 among the knowns
 SLIGHT = 1e-10  # share of the diagonal added to a singular Hessian
 
 
+class Quadratic(NamedTuple):
+    """A sum of weighted squares, 1/2 x.Hx + (q y).x + y.cy, for coordinates x of R_1..R_N.
+
+    Attributes:
+        hessian: H, shape (N, N).
+        pulled: q, map from m given quantities y, shape (N, m).
+        squared: c, shape (m, m).
+    """
+
+    hessian: Array
+    pulled: Array
+    squared: Array
+
+    @classmethod
+    def of(cls, weights: Array, moved: Array, given: Array) -> Quadratic:
+        """Return the sum of the weighted squares of moved x + given y, each of as many rows."""
+        weighed = moved.T * weights
+        return cls(2.0 * weighed @ moved, 2.0 * weighed @ given, given.T * weights @ given)
+
+
 class Condensed:
     """The quadratic of one problem, in which the data of a tick enter linearly.
 
@@ -44,49 +65,34 @@ class Condensed:
     no rotation is desired), and g_1 - s_0..g_N - s_0.
 
     Attributes:
-        hessian: H, shape (N, N).
-        turning: its part from the weights on inputs and attitude, shape (N, N), which is the whole
-            Hessian for the other columns of R_k.
-        pulled: map from the knowns to q, shape (N, N + 4).
-        squared: quadratic form of the knowns that is c, shape (N + 4, N + 4).
-        turned: map from the other columns of R_0 and R_g to their q, shape (N, 2).
-        turned_squared: quadratic form of those that is their c, shape (2, 2).
+        axes: the quadratic of a coordinate of R e1, given the knowns.
+        others: that of R e2 or R e3, given the same coordinates of R_0 and R_g.
+        hessian: H of ``axes``, shape (N, N).
+        arrival: a terminal constraint, s_N = g_N and with inertia p_N = 0: its rows over R_1 e1..
+            R_N e1, shape (m, N), and the map from the knowns to their values, shape (m, N + 4).
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        maps, turn = problem.maps, dynamics.input_map(problem)
-        reach = maps.reach
-        weights, turning = position_weights(problem), input_weight(problem)
-        unseen, goals = np.zeros((problem.horizon, 1)), -np.eye(problem.horizon)
-        miss = np.hstack([reach[:, :1], maps.drift, maps.blown, unseen, goals])
-        pull = 2.0 * reach[:, 1:].T * weights
-        self.turning: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
-        self.turned: Array = np.hstack([2.0 * turning * turn[:, 1:].T @ turn[:, :1], unseen])
-        self.turned_squared: Array = np.zeros((2, 2))
-        self.turned_squared[:1, :1] = turning * turn[:, :1].T @ turn[:, :1]
-        self._want(attitude_weight(problem))
-        self.hessian: Array = pull @ reach[:, 1:] + self.turning
-        self.pulled: Array = pull @ miss
-        self.pulled[:, TURNED] += self.turned
-        self.squared: Array = miss.T * weights @ miss
-        self.squared[np.ix_(TURNED, TURNED)] += self.turned_squared
-        self._stop(velocity_weight(problem))
-
-    def _want(self, weight: float) -> None:
-        """Add a weight on the squared coordinates of R_N - R_g."""
-        self.turning[-1, -1] += 2.0 * weight
-        self.turned[-1, 1] -= 2.0 * weight
-        self.turned_squared[1, 1] += weight
-
-    def _stop(self, weight: float) -> None:
-        """Add a weight on the squared last velocity of an inertial vehicle."""
-        maps, known = self._problem.maps, len(self.squared) - 3
-        pushed, rest = maps.pushed[-1, 1:], np.zeros(known)
-        left = np.concatenate([maps.pushed[-1, :1], maps.carried[-1], maps.hastened[-1], rest])
-        self.hessian += 2.0 * weight * np.outer(pushed, pushed)
-        self.pulled += 2.0 * weight * np.outer(pushed, left)
-        self.squared += weight * np.outer(left, left)
+        maps, count = problem.maps, problem.horizon
+        # Each row is an input, and then R_N - R_g.
+        turned = np.vstack([input_map(problem), np.eye(count + 1)[-1:]])
+        own = np.zeros((len(turned), 2))
+        own[:, 0], own[-1, 1] = turned[:, 0], -1.0
+        turning = np.full(len(turned), input_weight(problem))
+        turning[-1] = attitude_weight(problem)
+        self.others = Quadratic.of(turning, turned[:, 1:], own)
+        # Each row is s_k - g_k, and then p_N.
+        flown = np.vstack([maps.places[1:], maps.speeds[-1:]])
+        known = np.hstack([flown[:, STARTED], np.zeros((count + 1, 1)), -np.eye(count + 1, count)])
+        weights = np.append(position_weights(problem), velocity_weight(problem))
+        moved = Quadratic.of(weights, flown[:, 1:-2], known)
+        self.hessian: Array = moved.hessian + self.others.hessian
+        moved.pulled[:, TURNED] += self.others.pulled
+        moved.squared[np.ix_(TURNED, TURNED)] += self.others.squared
+        self.axes = moved._replace(hessian=self.hessian)
+        ends = slice(count - 1, count + problem.inertial)
+        self.arrival = flown[ends, 1:-2], -known[ends]
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
@@ -94,10 +100,8 @@ class Condensed:
         c includes the constant length term of R_0 e1.
         """
         known = knowns(state, goals)
-        c = float(np.vdot(known, self.squared @ known))
-        if self._problem.weights.length:
-            c += first_length(self._problem, state)
-        return self.pulled @ known, c
+        c = float(np.vdot(known, self.axes.squared @ known))
+        return self.axes.pulled @ known, c + first_length(self._problem, state)
 
 
 def knowns(state: State, goals: Array) -> Array:
@@ -131,8 +135,7 @@ def regular(hessian: Array) -> tuple[Array, Array, float]:
     return hessian + delta * eye, 0.5 * (inverse + inverse.T), 0.5 * delta * len(hessian)
 
 
-@dataclass(frozen=True)
-class Unconstrained:
+class Unconstrained(NamedTuple):
     """Maps from given quantities, m rows with R_1 last, to the minimiser of the quadratic alone.
 
     Attributes:
@@ -151,61 +154,35 @@ class Unconstrained:
     constant: Array
 
 
-def thrust_axis(problem: Problem, condensed: Condensed) -> Unconstrained:
-    """Return the maps for coordinates of R e1; given :func:`knowns`, then R_1 e1."""
-    return _unbounded(
-        problem, condensed.hessian, condensed.pulled, condensed.squared, _arrival(problem)
-    )
+def minimisers(problem: Problem, condensed: Condensed) -> tuple[Unconstrained, Unconstrained]:
+    """Return the maps for coordinates of R e1, and for those of R e2 and R e3.
 
-
-def other_axes(problem: Problem, condensed: Condensed) -> Unconstrained:
-    """Return the maps for coordinates of R e2 and R e3; given those of R_0, R_g and R_1."""
-    reached = np.zeros((0, problem.horizon)), np.zeros((0, 3))
-    return _unbounded(
-        problem, condensed.turning, condensed.turned, condensed.turned_squared, reached
-    )
-
-
-def _arrival(problem: Problem) -> tuple[Array, Array]:
-    """Return a terminal constraint as rows over z_1..z_N, and the map from knowns to their values.
-
-    It is s_N = g_N and, at translation order 2, p_N = 0.
+    Given are the knowns, or R_0 and R_g, and then R_1.
     """
-    maps = problem.maps
-    rows = maps.arrival
-    if problem.terminal != 'constraint':
-        rows = rows[:0]
-    wanted = np.zeros((len(rows), problem.horizon + 5))
-    wanted[:, 0] = -rows[:, 0]
-    if len(rows):
-        wanted[0, 1:3] = -maps.drift[-1, 0], -maps.blown[-1, 0]
-        wanted[0, -2] = 1.0
-        wanted[1:, 1:3] = -maps.carried[-1, 0], -maps.hastened[-1, 0]
-    return rows[:, 1:], wanted
+    (rows, values), given = condensed.arrival, problem.rotation_order - 1
+    met = len(rows) if problem.terminal == 'constraint' else 0
+    thrust = _unbounded(given, condensed.axes, rows[:met], values[:met])
+    return thrust, _unbounded(given, condensed.others, rows[:0], np.zeros((0, 2)))
 
 
-def _unbounded(
-    problem: Problem, hessian: Array, q: Array, c: Array, arrival: tuple[Array, Array]
-) -> Unconstrained:
-    """Return the maps for a cost 1/2 x.Hx + (q known).x + known.c known, by elimination.
+def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> Unconstrained:
+    """Return the maps for a cost by elimination.
 
     Args:
-        problem: gives the rotation order, at 2 of which R_1 is given.
-        hessian: H, shape (N, N).
-        q: map from the given quantities except R_1 to linear terms, shape (N, m - 1).
-        c: quadratic form of the same for the constant, shape (m - 1, m - 1).
-        arrival: rows over x_1..x_N, and the map from the given quantities to their values.
+        known: number of the first rotations that are given: R_1 is at rotation order 2.
+        quadratic: the cost, given m - 1 quantities.
+        rows: of a terminal constraint over x_1..x_N.
+        values: map from the given quantities except R_1 to their values.
     """
-    known = problem.rotation_order - 1  # R_1 is known at order 2
-    q, c = np.pad(q, ((0, 0), (0, 1))), np.pad(c, (0, 1))
+    hessian, c = quadratic.hessian, np.pad(quadratic.squared, (0, 1))
+    q, values = (np.pad(each, ((0, 0), (0, 1))) for each in (quadratic.pulled, values))
     first = np.zeros((known, q.shape[1]))
     first[:, -1] = 1.0
-    rows, wanted = arrival
     inverse = np.linalg.inv(hessian[known:, known:])
     raised = inverse @ rows[:, known:].T
     lift = raised @ np.linalg.inv(rows[:, known:] @ raised)
     inverse = inverse - lift @ raised.T
-    decided = lift @ (wanted - rows[:, :known] @ first)
+    decided = lift @ (values - rows[:, :known] @ first)
     decided -= inverse @ (q[known:] + hessian[known:, :known] @ first)
     minimiser = np.concatenate([first, decided])
     bent = hessian @ minimiser

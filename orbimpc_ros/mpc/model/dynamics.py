@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -58,28 +57,15 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
     """
-    return _flown(problem, headings, state.position, state.velocity, state.disturbance)
+    maps, given = problem.maps, np.vstack([headings, state.velocity, state.disturbance])
+    return maps.places @ given + state.position, maps.speeds @ given
 
 
-def _flown(
-    problem: Problem, headings: Array, place: Any, velocity: Any, disturbance: Any
-) -> tuple[Array, Array]:
-    """Return positions and velocities for headings of shape (N + 1, c) and initial values."""
-    maps, positions, velocities = problem.maps, np.empty(headings.shape), np.empty(headings.shape)
-    positions[0], velocities[0] = place, velocity
-    positions[1:] = maps.reach @ headings + place + maps.blown * disturbance
-    if not problem.inertial:
-        return positions, problem.forward * headings + disturbance
-    positions[1:] += maps.drift * velocity
-    velocities[1:] = maps.pushed @ headings + maps.carried * velocity
-    velocities[1:] += maps.hastened * disturbance
-    return positions, velocities
-
-
-def drift(problem: Problem, state: State) -> Array:
-    """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
-    maps = problem.maps
-    return state.position + maps.drift * state.velocity + maps.blown * state.disturbance
+def decided(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Return s_0..s_N and p_0..p_N for R_1 e1 = .. = R_N e1 = 0: what the state alone decides."""
+    headings = np.zeros((problem.horizon + 1, problem.dimension))
+    headings[0] = state.rotation[:, 0]
+    return translation_rollout(problem, state, headings)
 
 
 def adrift(problem: Problem, state: State) -> Array:
@@ -87,7 +73,7 @@ def adrift(problem: Problem, state: State) -> Array:
 
     They are the origins of displacements, whose dynamics contain no disturbance.
     """
-    return state.position + problem.maps.blown * state.disturbance
+    return state.position + np.outer(problem.maps.places[1:, -1], state.disturbance)
 
 
 def input_map(problem: Problem) -> Array:
@@ -100,6 +86,7 @@ def input_map(problem: Problem) -> Array:
     return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h
 
 
+STARTED = [0, -2, -1]  # columns of R_0 e1, p_0 and w in a translation's maps
 KINK = 1e-5  # below it |R e1| counts as zero, where the length term has a kink
 
 
@@ -132,14 +119,9 @@ def wanted_coordinates(problem: Problem, state: State) -> Array:
     return coordinates(state.wanted)
 
 
-def length_weight(problem: Problem) -> float:
-    """Return the weight on |R_k e1| for a whole step."""
-    return problem.weights.length * problem.step * problem.forward
-
-
 def length_weights(problem: Problem) -> Array:
     """Return the weights on |R_k e1|, k = 0..N, shape (N + 1,)."""
-    return length_weight(problem) * problem.maps.lasting
+    return problem.weights.length * problem.step * problem.forward * problem.maps.lasting
 
 
 def first_length(problem: Problem, state: State) -> float:
@@ -155,7 +137,7 @@ def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Ar
     maps, turn = problem.maps, input_map(problem)[:, 1:]
     flown = trajectory_of(problem, state, goals, x)
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
-    stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], flown.velocities[-1])
+    stopped = velocity_weight(problem) * np.outer(maps.arrival[-1, 1:], flown.velocities[-1])
     turned = coordinates(flown.inputs[: len(turn)])
     attitude = np.zeros_like(x)
     attitude[-1] = 2.0 * attitude_weight(problem) * (x[-1] - wanted_coordinates(problem, state))
@@ -251,8 +233,6 @@ def control_maps(problem: Problem) -> tuple[Array, Array]:
 
     Relative to s_0; shapes (N, degree + 1, N) and (N, degree + 1, 3).
     """
-    count = problem.horizon
-    units = np.eye(count + 3)  # of R_0 e1..R_N e1, p_0 and w
-    flown = _flown(problem, units[: count + 1], 0.0, units[-2], units[-1])
-    found = controls(problem.translation.degree, problem.step, *flown)
-    return found[:, :, 1 : count + 1], found[:, :, [0, -2, -1]]
+    maps = problem.maps
+    found = controls(problem.translation.degree, problem.step, maps.places, maps.speeds)
+    return found[:, :, 1:-2], found[:, :, STARTED]

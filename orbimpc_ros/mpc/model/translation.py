@@ -89,16 +89,14 @@ def step_of(model: Translation, step: float, forward: float) -> Step:
 
 
 class Maps:
-    """The maps of a model over a horizon, from the state at its start and R_0 e1..R_N e1.
+    """The maps of a model over a horizon of N steps.
 
     Attributes:
-        reach: contribution of each R_j e1 to s_1..s_N, shape (N, N + 1) [m].
-        drift: contribution of p_0 to s_1..s_N, shape (N, 1) [s]; zeros for a model without inertia.
-        blown: contribution of w to s_1..s_N, shape (N, 1) [s] or [s^2].
-        arrival: contribution of each R_j e1 to y_N, shape (m, N + 1).
-        carried: contribution of p_0 to p_1..p_N, shape (N, 1).
-        pushed: contribution of each R_j e1 to p_1..p_N, with inertia, shape (N, N + 1) [m/s].
-        hastened: contribution of w to p_1..p_N, with inertia, shape (N, 1) [s].
+        places: coefficients of R_0 e1..R_N e1, p_0 and the disturbance w in s_0..s_N, less s_0,
+            shape (N + 1, N + 3).
+        speeds: the same in p_0..p_N, without inertia in the velocities z R_k e1 + w.
+        reach: those of R_0 e1..R_N e1 in s_1..s_N, shape (N, N + 1) [m].
+        arrival: those of R_0 e1..R_N e1 in s_N, and with inertia in p_N, shape (m, N + 1).
         lasting: share of a step for which each R_j e1 acts, shape (N + 1,).
         unit: a step's length, the longest from rest: h z, or h^2 z with inertia [m].
     """
@@ -106,15 +104,16 @@ class Maps:
     def __init__(self, model: Translation, horizon: int, step: float, forward: float) -> None:
         once = step_of(model, step, forward)
         # A rollout of unit vectors: one for each of R_0 e1..R_N e1, one for p_0 and one for w.
-        axes, speed, wind = np.split(np.eye(horizon + 3), [-2, -1])
-        y = np.concatenate([np.zeros_like(speed), speed])[: len(once.push)]
-        blown, rolled = np.outer(once.blow, wind), np.empty((horizon, *y.shape))
+        *axes, speed, wind = np.eye(horizon + 3)
+        rolled = np.zeros((horizon + 1, len(once.push), horizon + 3))
+        if model.inertial:
+            rolled[0, 1] = speed
         for k in range(horizon):
             pushed = np.outer(once.push, axes[k]) + np.outer(once.follow, axes[k + 1])
-            y = rolled[k] = once.transition @ y + pushed + blown
-        places, velocities = (np.split(rolled[:, i], [-2, -1], axis=1) for i in (0, -1))
-        self.reach, self.drift, self.blown = (each.copy() for each in places)
-        self.pushed, self.carried, self.hastened = (each.copy() for each in velocities)
+            rolled[k + 1] = once.transition @ rolled[k] + pushed + np.outer(once.blow, wind)
+        self.places = rolled[:, 0].copy()
+        self.speeds = rolled[:, 1].copy() if model.inertial else forward * np.array(axes) + wind
+        self.reach = self.places[1:, :-2].copy()
         self.arrival = rolled[-1, :, :-2].copy()
         late = once.follow[-1] / (once.push[-1] + once.follow[-1])
         self.lasting = np.ones(horizon + 1)

@@ -18,8 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.dynamics import control_maps
+from orbimpc_ros.mpc.model.dynamics import control_maps, decided
 from orbimpc_ros.mpc.problem.cones import begun, turned_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Traffic
 from orbimpc_ros.mpc.problem.problem import Problem
@@ -70,9 +69,9 @@ def _bound_to_enter(problem: Problem, state: State, traffic: Traffic, depth: Arr
     known, unit = problem.decided_steps, problem.length_unit
     if not known:
         return np.zeros(len(depth), dtype=bool)
-    reached = np.linalg.norm(dynamics.drift(problem, state)[:known] - state.position, axis=1).max()
+    reached = decided(problem, state)[0][: known + 1] - state.position
     ways = np.linalg.norm(traffic.shifts[:, : known + 1], axis=2).max(axis=1)
-    near = depth + ways + known * unit + reached > 0.0
+    near = depth + ways + known * unit + np.linalg.norm(reached, axis=1).max() > 0.0
     if not near.any():
         return np.asarray(near)
     (depths,) = _depths(problem, state, traffic, directions(problem.dimension)[:1])  # any of them

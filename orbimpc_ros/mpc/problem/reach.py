@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.dynamics import decided
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
@@ -143,14 +143,8 @@ def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
 
 def _beyond(problem: Problem, state: State, goals: Array) -> Array:
     """Return the distances of goals beyond the reach of all headings, shape (N,) [m] (7.10b)."""
-    off, reach = goals - _decided(problem, state), problem.maps.reach
+    off, reach = goals - decided(problem, state)[0][1:], problem.maps.reach
     return np.asarray(np.sqrt(np.einsum('kc,kc->k', off, off)) - np.abs(reach[:, 1:]).sum(axis=1))
-
-
-def _decided(problem: Problem, state: State) -> Array:
-    """Return s_1..s_N, shape (N, n), for R_1 e1 = .. = R_N e1 = 0: what the state alone decides."""
-    coasted = dynamics.drift(problem, state)
-    return coasted + np.outer(problem.maps.reach[:, 0], state.rotation[:, 0])
 
 
 def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.ndarray:
@@ -181,10 +175,10 @@ def beyond_turning(problem: Problem, state: State) -> float:
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
     """Yield messages about bodies that contain s_k for all headings."""
-    decided, reach = _decided(problem, state), problem.maps.reach
+    reached, reach = decided(problem, state)[0][1:], problem.maps.reach
     known, free = problem.decided_steps, reach[:, 1:].sum(axis=1)
     for i, body in enumerate(problem.obstacles):
-        deep = body.depth(decided)
+        deep = body.depth(reached)
         held = np.flatnonzero(deep > free)
         if not held.size:
             continue
@@ -195,6 +189,6 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
         yield f'obstacle {i} contains s_{held[0] + 1}, {why}'
     for i, hazard in enumerate(state.hazards):
         times = problem.step * np.arange(1, known + 1)
-        inside = np.flatnonzero(hazard.depth(decided[:known], times) > 0.0)
+        inside = np.flatnonzero(hazard.depth(reached[:known], times) > 0.0)
         if inside.size:
             yield f'hazard {i} contains s_{inside[0] + 1}, which the state already determines'

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import copy_to
-from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.model.dynamics import decided
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT
 from orbimpc_ros.mpc.search.best_first import (
@@ -283,8 +283,7 @@ class RoundFloor(TreeSearch):
         state, goal = request.state, request.goals[-1]
         if not self._stiff:
             return np.zeros(len(goal))
-        maps, rest = self._problem.maps, adrift(self._problem, state)[-1]
-        left = np.asarray(goal - rest - maps.reach[-1, 0] * state.rotation[:, 0])
+        left = np.asarray(goal - decided(self._problem, state)[0][-1])
         reach = float(self._arrival.sum())
         if np.linalg.norm(left) > reach + OUT_OF_REACH * (reach or 1.0):
             raise Infeasible('the goal is out of reach')

@@ -18,7 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exps, turned_within
-from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.model.dynamics import decided
 from orbimpc_ros.mpc.problem import Problem, State
 
 WITHIN = 1.0 - 1e-9  # share of the widest turn
@@ -59,8 +59,9 @@ def arc_of(problem: Problem, ahead: Array, z: Array, towards: Array, turn: float
 
 def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | None:
     """Return headings near an arc, shape (N, n), that arrive; None if none were found."""
-    n, rows, wanted = problem.dimension, problem.maps.arrival, _wanted(problem, state, goals)
-    wanted, rows = wanted - np.outer(rows[:, 0], state.rotation[:, 0]), rows[:, 1:]
+    n, rows = problem.dimension, problem.maps.arrival[:, 1:]
+    places, velocities = decided(problem, state)
+    wanted = np.array([goals[-1] - places[-1], -velocities[-1]][: len(rows)])
     scale, best = np.maximum(np.abs(rows).max(axis=1), HEADING_UNDEFINED)[:, None], math.inf
     for _ in range(CORRECTIONS):
         frames = np.array([*accumulate([arc.frame, *exps(arc.turns)], np.matmul)][1:])
@@ -79,14 +80,6 @@ def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | 
         best = missed
         arc = _bent(problem, arc, frames, (rows / scale, missing / scale, aside, least))
     return None
-
-
-def _wanted(problem: Problem, state: State, goals: Array) -> Array:
-    """Return the right-hand side of the terminal constraint, shape (1, n), inertial (2, n)."""
-    maps = problem.maps
-    place = goals[-1] - adrift(problem, state)[-1] - maps.drift[-1, 0] * state.velocity
-    stopped = -maps.carried[-1, 0] * state.velocity - maps.hastened[-1, 0] * state.disturbance
-    return np.array([place, stopped] if problem.inertial else [place])
 
 
 def _turned_aside(problem: Problem, state: State, unit: Array) -> Array:

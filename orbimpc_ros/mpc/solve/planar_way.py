@@ -19,7 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
-from orbimpc_ros.mpc.model.dynamics import drift, position_weights, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import decided, position_weights, trajectory_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.registry import general
@@ -54,7 +54,7 @@ class PlanarWay:
             found = self._search.solve(request)
             assert found.x is not None  # the search begins with one
             return found.x
-        aside = (request.goals - drift(self._problem, state)) @ attitude[:, 1:]
+        aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
         plane = np.column_stack([attitude[:, 0], attitude[:, 1:] @ across])
         flat = State.at(

@@ -72,7 +72,7 @@ class Program:
         seen = goals - self._origins
         weights = position_weights(self.problem)
         constant = float(np.sum(weights[:, None] * seen * seen))
-        hastened = self.problem.maps.hastened[-1, 0] * state.disturbance
+        hastened = self.problem.maps.speeds[-1, -1] * state.disturbance
         constant += self._stopping * float(hastened @ hastened)
         wanted = wanted_coordinates(self.problem, state)
         constant += self._steadying * float(wanted @ wanted)

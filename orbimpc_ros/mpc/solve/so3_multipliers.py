@@ -33,14 +33,12 @@ from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.model.condensed import (
     Condensed,
     knowns,
-    other_axes,
+    minimisers,
     suits_dense_code,
-    thrust_axis,
 )
 from orbimpc_ros.mpc.model.dynamics import (
     control_maps,
     first_length,
-    length_weight,
     length_weights,
     wanted_coordinates,
 )
@@ -85,10 +83,9 @@ class SO3Multipliers:
         condensed = self._condensed = Condensed(problem)
         self._pulls: Array | None = None  # map from slopes to multipliers of the arrival
         if problem.terminal == 'constraint':
-            self._pulls = np.linalg.pinv(problem.maps.arrival[:, 1 + self._given :].T)
-        self._thrust = thrust_axis(problem, condensed)
-        self._others = other_axes(problem, condensed)
-        self._length = length_weight(problem)
+            self._pulls = np.linalg.pinv(condensed.arrival[0][:, self._given :].T)
+        self._thrust, self._others = minimisers(problem, condensed)
+        self._length = float(length_weights(problem)[1])
         reach = control_maps(problem)[0].reshape(-1, problem.horizon)
         self._reach = reach if beside else reach[:0]
         self._make_room()

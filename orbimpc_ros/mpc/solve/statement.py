@@ -131,7 +131,7 @@ class ConicStatement:
         if problem.inertial:
             b[self._velocity] = state.velocity
         if problem.terminal == 'constraint':
-            stopped = -problem.maps.hastened[-1, 0] * state.disturbance
+            stopped = -problem.maps.speeds[-1, -1] * state.disturbance
             b[self._arrival] = [*(goals[-1] - origins[-1]), *stopped][: len(self._arrival)]
         b[self._tied] = problem.chord
         if problem.has_cones:
