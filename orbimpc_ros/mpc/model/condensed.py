@@ -101,7 +101,9 @@ class Condensed:
         """
         known = knowns(state, goals)
         c = float(np.vdot(known, self.axes.squared @ known))
-        return self.axes.pulled @ known, c + first_length(self._problem, state)
+        if self._problem.weights.length:
+            c += first_length(self._problem, state)
+        return self.axes.pulled @ known, c
 
 
 def knowns(state: State, goals: Array) -> Array:

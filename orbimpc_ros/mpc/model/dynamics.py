@@ -126,8 +126,6 @@ def length_weights(problem: Problem) -> Array:
 
 def first_length(problem: Problem, state: State) -> float:
     """Return the length cost of R_0 e1, a constant given by the state."""
-    if problem.weights.length == 0.0:
-        return 0.0
     heading = state.rotation[:, 0]
     return float(length_weights(problem)[0]) * math.sqrt(heading @ heading)
 
