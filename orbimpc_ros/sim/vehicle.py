@@ -300,7 +300,7 @@ class Plant(Model):
             limit = self.max_acceleration / (self.forward * self.gain)
             ramp = min(dt, max(0.0, abs(slower) / limit - lag))
             slower, dt = slower - math.copysign(limit * ramp, slower), dt - ramp
-        if dt:
+        if dt or not self.max_acceleration:
             slower *= math.exp(-dt / lag) if lag else 0.0
         return replace(
             now,
