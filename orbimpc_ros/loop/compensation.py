@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
+from orbimpc_ros.mpc.arrays import Array, Sealed, number
 from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
@@ -42,7 +42,7 @@ NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
 
 @dataclass(frozen=True, eq=False)
-class Odometry(ByContent):
+class Odometry(Sealed):
     """A measurement of the vehicle's motion.
 
     Attributes:
@@ -59,21 +59,14 @@ class Odometry(ByContent):
     body_velocity: Array
     body_rate: Array
 
-    def __post_init__(self) -> None:
-        for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
-            array.setflags(write=False)
-
 
 @dataclass(frozen=True, eq=False)
-class WindReport(ByContent):
+class WindReport(Sealed):
     """A wind estimate from an external source."""
 
     time: float  # stamp [s]
     velocity: Array  # shape (n,) [m/s]
     variance: float = math.nan  # along each axis [m^2/s^2]; NaN if unknown
-
-    def __post_init__(self) -> None:
-        sealed(self.velocity)
 
 
 def along_the_air(odometry: Odometry) -> Odometry:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Plan
@@ -116,16 +116,12 @@ def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentTrajectory:
+class AgentTrajectory(Sealed):
     """A plan of another vehicle."""
 
     time: float  # when it was made [s]
     times: Array  # increasing, shape (K,) [s]
     positions: Array  # shape (K, n) [m]
-
-    def __post_init__(self) -> None:
-        sealed(self.times)
-        sealed(self.positions)
 
     def hazards(self, at: float, distance: Distance) -> list[MovingObstacle]:
         """Return the hazards that the vehicle constitutes from a time [s] on."""

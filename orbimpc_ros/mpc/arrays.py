@@ -123,6 +123,15 @@ class ByContent:
         return hash((type(self), self._content()))
 
 
+class Sealed(ByContent):
+    """Frozen dataclasses whose arrays are read-only."""
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+
 def _comparable(value: object) -> object:
     if isinstance(value, Mapping):
         return frozenset((key, _comparable(each)) for key, each in value.items())

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent
+from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, matrix, project_all
 from orbimpc_ros.mpc.model.dynamics import flown
 from orbimpc_ros.mpc.outcome import Status
@@ -221,7 +221,7 @@ def followed(problem: Problem, state: State, x: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Command(ByContent):
+class Command(Sealed):
     """The next command: a body rate to turn at during the step, and a speed from its end on.
 
     Attributes:
@@ -233,10 +233,6 @@ class Command(ByContent):
     speed_fraction: float
     body_rate: Array
     rotation: Array
-
-    def __post_init__(self) -> None:
-        self.body_rate.setflags(write=False)
-        self.rotation.setflags(write=False)
 
 
 def stop(rotation: Array) -> Command:

@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array, Sealed, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import interpolated
 
@@ -28,16 +28,13 @@ FINE = 0.25  # [s] of flight between samples of the direction of the path
 SHARP = 1.2  # ratio of the mean turn rate over a step to its limit, above which it is reported
 
 
-@dataclass(frozen=True)
-class GoalObservation:
+@dataclass(frozen=True, eq=False)
+class GoalObservation(Sealed):
     """An observed position of the goal."""
 
     time: float  # stamp [s]
     position: Array  # in the world frame, shape (n,) [m]
     attitude: Array | None = None  # shape (n, n); None if undefined in the plane
-
-    def __post_init__(self) -> None:
-        self.position.setflags(write=False)
 
 
 class GoalMotion(Protocol):
