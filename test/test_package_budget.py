@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_955,
-    'orbimpc_ros/mpc': 16_431,
-    'orbimpc_ros/loop': 3_678,
+    'orbimpc_ros': 31_946,
+    'orbimpc_ros/mpc': 16_436,
+    'orbimpc_ros/loop': 3_664,
     'orbimpc_ros/ros': 4_620,
     'orbimpc_ros/sim': 2_499,
     'orbimpc_ros/tool': 4_547,
