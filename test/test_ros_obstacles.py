@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp, header, read_obstacle, shown
 from orbimpc_ros.ros.planner.core import Inputs, others
-from orbimpc_ros.tool.offline import resolving
+from orbimpc_ros.ros.topics import resolving
 
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
 OTHER = '/uav2/plan'

@@ -85,12 +85,7 @@ def test_rosbags_reads_the_file_and_its_metadata(folder):
 
 
 @pytest.mark.parametrize(
-    ('storage', 'mode'),
-    [
-        ('mcap', 'none'),
-        ('mcap', 'storage'),
-        ('sqlite3', 'none'),
-    ],
+    ('storage', 'mode'), [('mcap', 'none'), ('mcap', 'storage'), ('sqlite3', 'none')]
 )
 def test_both_storages_of_rosbag2_are_read(small, tmp_path, storage, mode):
     path = ros2_bag(small, tmp_path / 'bag', storage, mode)
@@ -198,4 +193,4 @@ def test_a_message_that_does_not_decode_is_refused(tmp_path, data):
     with closing(BagWriter(tmp_path / 'run', (goal,), {})) as writer:
         writer.write('/goal', 1, data)
     with pytest.raises(BadInput, match='unreadable'):
-        bags.of_vehicle(tmp_path / 'run', '', needed=())
+        bags.of_vehicle(tmp_path / 'run', '', {'goal'}, needed=())

@@ -153,10 +153,10 @@ def stamped(seconds, nanoseconds=0):
         (stamped(5, 7), 5 * SECOND + 7),
         (MarkerArray(markers=[Marker(header=stamped(5, 7).header)]), 5 * SECOND + 7),
         (Clock(clock=stamped(5, 7).header.stamp), 5 * SECOND + 7),
-        (MarkerArray(), None),
-        (Bool(), None),
-        (stamped(-1), None),
-        (stamped(3, SECOND), None),
+        (MarkerArray(), bags.UNDATED),
+        (Bool(), bags.UNDATED),
+        (stamped(-1), bags.UNDATED),
+        (stamped(3, SECOND), bags.UNDATED),
     ],
 )
 def test_a_message_goes_under_the_stamp_it_carries_if_that_is_one(message, stamp):

@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from bags import GOLDEN, changed, rewritten, ros2_bag, write
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import (
-    PoseStamped,
-    QuaternionStamped,
-    TwistStamped,
-    WrenchStamped,
-)
+from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry
 from planners import settings as settings_of
 from planners import tf
@@ -31,17 +26,11 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, shown
 from orbimpc_ros.ros.transforms import TF
 from orbimpc_ros.sim.vehicle import Model, measured
-from orbimpc_ros.tool import bags
+from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.offline import OfflinePlanner
-from orbimpc_ros.tool.recording import (
-    RecordedTick,
-    Recording,
-    published,
-    recording_of,
-    replayed,
-)
+from orbimpc_ros.tool.recording import RecordedTick, Recording, published, recording_of, replayed
 from orbimpc_ros.tool.replay import distance, tolerance
 
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search finds a plan.
@@ -224,6 +213,22 @@ def test_what_is_sent_otherwise_is_answered_as_it_was(
     assert f'replayed      {sum(each.topic == "/odom" for each in raw)} ticks' in out
     assert f'inputs        {inputs}, 0 refused' in out
     assert len(of_bag(path).times) >= 26  # plots can read it, too
+
+
+def test_velocities_in_the_world_are_plotted_in_the_world(tmp_path):
+    values, raw = settings.changed(settings.of_bag(RETRIEVAL), HALVES[1::2]), bags.raw(RETRIEVAL)
+    path = write(tmp_path / 'bag', list(halved(raw)), {'parameters': settings.text(values)})
+    np.testing.assert_allclose(of_bag(path).velocities, of_bag(RETRIEVAL).velocities, atol=1e-9)
+
+
+def test_a_recorded_rate_is_about_the_vehicles_own_axes(monkeypatch):
+    planner, sent = OfflinePlanner(settings_of(dimension=3, thrust_axis='z')), []
+    monkeypatch.setattr(planner.planner, 'sent', lambda command, _: sent.append(command.body_rate))
+    planner.answer(0)
+    rate = np.array([0.1, 0.2, 0.3])
+    message = messages.twist_message(Stamp(0, planner.settings.frames), 1.0, rate)
+    planner.went_out(0.0, published({'cmd_vel': message}))
+    np.testing.assert_allclose(sent, [rate])
 
 
 def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp_path, monkeypatch):

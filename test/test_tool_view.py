@@ -48,11 +48,11 @@ class Drawing:
 @pytest.fixture(scope='module')
 def drawn():
     pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool.scene import Scene
+    from orbimpc_ros.tool.scene import TOPICS, Scene
 
     found = {}
     for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
-        values, messages = settings.of_bag(GOLDEN / name), bags.of_vehicle(GOLDEN / name, '')
+        values, messages = settings.of_bag(bag := GOLDEN / name), bags.of_vehicle(bag, '', TOPICS)
         found[name] = Drawing(), SimpleNamespace(values=values, messages=messages)
         scene = Scene(found[name][0], values)
         for each in messages:

@@ -69,7 +69,7 @@ class Driver(Session):
         super().__init__(executor, executor)
         self.sent = [dict[int, float]() for _ in modules]
         # Receipt of the command that answers a stamp [s], and the solve time reported for it [ms].
-        self._came, self._solved = dict[int | None, float](), dict[int | None, float]()
+        self._came, self._solved = dict[int, float](), dict[int, float]()
         create, self._publishers = self.node.create_publisher, list[tuple[Any, Any]]()
         for name in modules:
             self.subscribe(TwistStamped, f'{name}/cmd_vel', self._on_command, qos(100))

@@ -12,10 +12,6 @@ class Word(str, Enum):
 
     __str__ = str.__str__
 
-    def __format__(self, spec: str) -> str:
-        """Format the value, in the same way in every version of Python."""
-        return format(self.value, spec)
-
 
 class Status(Word):
     """The result of a solve."""

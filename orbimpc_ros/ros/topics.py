@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -68,6 +68,11 @@ def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
     each = (*VEHICLE, *PLOTTED)
     own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in each)
     return (*SHARED, *own)
+
+
+def resolving(namespace: str) -> Callable[[str], str]:
+    """Return a function that makes a topic's full name, like a node in the namespace."""
+    return lambda topic: topic if topic.startswith('/') else f'{namespace}/{topic}'
 
 
 def known(name: str, kind: str) -> bool:

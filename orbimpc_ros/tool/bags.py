@@ -27,16 +27,16 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer
-from orbimpc_ros.ros.topics import Topic
+from orbimpc_ros.ros.topics import Topic, resolving
 from orbimpc_ros.tool.files import opened
 
-METADATA = 'metadata.yaml'
 METADATA_VERSION = 9
 NOTES = 'orbimpc_ros'  # the MCAP record with the recorder's notes
 WRITTEN_CHUNK = 1 << 16  # [bytes] lost at most if the recorder is killed
 LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
 LATEST = 2**63  # [ns], beyond the stamps in metadata
+UNDATED = -1  # [ns], for a missing stamp
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
 FLOWN = ('odom',), ('goal',)
@@ -46,7 +46,6 @@ QOS = {
     'history': 'keep_last',
     'depth': 1,
     'reliability': 'reliable',
-    'durability': 'volatile',
     'deadline': FOREVER,
     'lifespan': FOREVER,
     'liveliness': 'automatic',
@@ -60,7 +59,7 @@ class Message(NamedTuple):
 
     topic: str  # its name
     type: str  # name of the message's type
-    stamp: int  # log time in the bag [ns]
+    stamp: int  # log time in the bag, or the message's own stamp if it is decoded [ns]
     sent: int  # time of sending; the stamp if unknown [ns]
     data: bytes  # serialised as CDR
     content: Any = None  # decoded message; None if only bytes were read
@@ -69,8 +68,8 @@ class Message(NamedTuple):
 # --- the content of messages, from bags or from DDS
 
 
-def stamp_of(message: Any) -> int | None:
-    """Return a message's own stamp [ns]; None without a valid one.
+def stamp_of(message: Any) -> int:
+    """Return a message's own stamp [ns]; :data:`UNDATED` without a valid one.
 
     This is the stamp of its header or of its first marker, or the time of ``/clock``.
     """
@@ -78,12 +77,12 @@ def stamp_of(message: Any) -> int | None:
         stamp = part.header.stamp if hasattr(part, 'header') else getattr(part, 'clock', None)
         if stamp is not None and stamp.sec >= 0 and stamp.nanosec < SECOND:
             return int(stamp.sec) * SECOND + int(stamp.nanosec)
-    return None
+    return UNDATED
 
 
 def seconds(message: Any) -> float:
     """Return a message's own stamp [s]; 0 without a valid one."""
-    return (stamp_of(message) or 0) / SECOND
+    return max(0, stamp_of(message)) / SECOND
 
 
 def point(vector: Any) -> Array:
@@ -112,36 +111,34 @@ def store() -> Any:
 def of_vehicle(
     path: Path,
     namespace: str,
-    names: Collection[str] = (),
-    others: Collection[str] = (),
+    names: Collection[str],
     needed: Sequence[Collection[str]] = FLOWN,
 ) -> list[Message]:
-    """Return one vehicle's decoded messages by stamp, topics named without its namespace.
+    """Return one vehicle's decoded messages in the order of sending, with their own stamps.
 
     If there is no odometry, it is joined from pose and twist messages.
 
     Args:
         path: path of the bag: its folder, .mcap or .db3 file.
         namespace: of the vehicle, such as ``/uav1``.
-        names: of the topics to read; by default all known topics.
-        others: further topics to read, of other vehicles or none, by their full names.
+        names: of the topics to read; those outside its namespace begin with a slash.
         needed: groups of topics; the bag must have at least one topic of each group.
 
     Raises:
         BadInput: no bag, damaged, too large, of another version, or without a needed topic.
     """
-    found, own = raw(path), list[Message]()
+    halved = POSE_TWIST if 'odom' in names else ()
+    wanted = {resolving(namespace)(name): name for name in (*names, *halved)}
+    found, own, halves = raw(path), list[Message](), list[Message]()
     for each in found:
-        before, _, name = each.topic.rpartition('/')
-        is_own = before == namespace and (not names or name in names)
-        if is_own or each.topic in others:
+        if each.topic in wanted:
             with _reading(path):
                 content = store().deserialize_cdr(each.data, each.type)
-            topic = each.topic if each.topic in others else name
-            own.append(each._replace(topic=topic, content=content))
+            name, stamp = wanted[each.topic], stamp_of(content)
+            kept = halves if name in POSE_TWIST else own
+            kept.append(each._replace(topic=name, stamp=stamp, content=content))
     if not any(each.topic == 'odom' for each in own):
-        own += _joined(each for each in own if each.topic in POSE_TWIST)
-        own.sort(key=lambda each: each.stamp)
+        own = sorted([*own, *_joined(halves)], key=lambda each: each.sent)
     for topics_needed in needed:
         if not any(each.topic in topics_needed for each in own):
             there = sorted({each.topic for each in found})
@@ -156,7 +153,7 @@ def of_vehicle(
 def _joined(halves: Iterable[Message]) -> Iterator[Message]:
     """Yield the odometry that the planner joined from pairs, with the second message's times."""
     synchronizer = PoseTwistSynchronizer()
-    for each in sorted(halves, key=lambda each: each.sent):
+    for each in halves:
         with suppress(BadInput):
             joined = synchronizer.take(each.topic, each.content)
             if joined is not None:
@@ -164,7 +161,7 @@ def _joined(halves: Iterable[Message]) -> Iterator[Message]:
 
 
 def raw(path: Path) -> list[Message]:
-    """Return the messages on known topics as bytes, in the order of their stamps.
+    """Return the messages on known topics as bytes, in the order of sending.
 
     A bag whose recorder was killed is read up to its last complete chunk, with a warning.
 
@@ -174,7 +171,7 @@ def raw(path: Path) -> list[Message]:
     files = _files(path)
     with _reading(path):
         found = list(_of_mcap(files) if files[0].suffix == MCAP else _of_rosbags(path))
-    return sorted(found, key=lambda each: each.stamp)
+    return sorted(found, key=lambda each: each.sent)
 
 
 def notes(path: Path) -> dict[str, str]:
@@ -259,23 +256,25 @@ class BagWriter:
 
     def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
-        self.folder, self._topics = folder, listed
-        self.counts = dict.fromkeys((topic.name for topic in listed), 0)
+        self._file = folder / f'{folder.name}.mcap'
+        self._described = {topic.name: _described(topic) for topic in listed}
+        self.counts = dict.fromkeys(self._described, 0)
         self._first, self._last = LATEST, 0
-        self._stream = (folder / f'{folder.name}.mcap').open('wb')
+        self._stream = self._file.open('wb')
         self._writer = McapWriter(
             self._stream, WRITTEN_CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._writer.start(profile='ros2', library='orbimpc_ros')
         self._writer.add_metadata(NOTES, dict(notes))
         self._channels = dict[str, int]()
-        for topic in listed:
-            text, _ = store().generate_msgdef(topic.type, ros_version=2)
-            schema = self._writer.register_schema(topic.type, 'ros2msg', text.encode())
-            profiles, types = json.dumps(_offered(topic)), store().hash_rihs01(topic.type)
-            about = {'offered_qos_profiles': profiles, 'topic_type_hash': types}
-            channel = self._writer.register_channel(topic.name, 'cdr', schema, about)
-            self._channels[topic.name] = channel
+        for name, about in self._described.items():
+            text, _ = store().generate_msgdef(about['type'], ros_version=2)
+            schema = self._writer.register_schema(about['type'], 'ros2msg', text.encode())
+            known = {
+                'offered_qos_profiles': json.dumps(about['offered_qos_profiles']),
+                'topic_type_hash': about['type_description_hash'],
+            }
+            self._channels[name] = self._writer.register_channel(name, 'cdr', schema, known)
 
     def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
         """Append a serialised message.
@@ -298,7 +297,7 @@ class BagWriter:
             return
         self._writer.finish()
         self._stream.close()
-        file, begin = f'{self.folder.name}.mcap', min(self._first, self._last)
+        begin = min(self._first, self._last)
         span = {
             'starting_time': {'nanoseconds_since_epoch': begin},
             'duration': {'nanoseconds': self._last - begin},
@@ -309,27 +308,26 @@ class BagWriter:
             'storage_identifier': 'mcap',
             **span,
             'topics_with_message_count': [
-                {
-                    'topic_metadata': {
-                        'name': topic.name,
-                        'type': topic.type,
-                        'serialization_format': 'cdr',
-                        'offered_qos_profiles': _offered(topic),
-                        'type_description_hash': store().hash_rihs01(topic.type),
-                    },
-                    'message_count': self.counts[topic.name],
-                }
-                for topic in self._topics
+                {'topic_metadata': about, 'message_count': self.counts[name]}
+                for name, about in self._described.items()
             ],
             'compression_format': '',
             'compression_mode': '',
-            'relative_file_paths': [file],
-            'files': [{'path': file, **span}],
+            'relative_file_paths': [self._file.name],
+            'files': [{'path': self._file.name, **span}],
             'ros_distro': 'jazzy',
         }
         content = json.dumps({'rosbag2_bagfile_information': about}, indent=1)
-        (self.folder / METADATA).write_text(content)  # JSON is YAML, too
+        self._file.with_name('metadata.yaml').write_text(content)  # JSON is YAML, too
 
 
-def _offered(topic: Topic) -> list[dict[str, Any]]:
-    return [QOS | {'durability': 'transient_local'} if topic.latched else QOS]
+def _described(topic: Topic) -> dict[str, Any]:
+    """Return the metadata of a topic."""
+    durability = 'transient_local' if topic.latched else 'volatile'
+    return {
+        'name': topic.name,
+        'type': topic.type,
+        'serialization_format': 'cdr',
+        'offered_qos_profiles': [QOS | {'durability': durability}],
+        'type_description_hash': store().hash_rihs01(topic.type),
+    }

@@ -27,7 +27,7 @@ from orbimpc_ros.sim.fleet import FLEETS, separations, vehicles
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import ENGINES, class_of
 from orbimpc_ros.tool import history, settings
-from orbimpc_ros.tool.bags import BagWriter, stamp_of
+from orbimpc_ros.tool.bags import UNDATED, BagWriter, stamp_of
 from orbimpc_ros.tool.files import new_folder, shown
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.processes import Child, Processes, ProgressLine, interruptions, isolate
@@ -308,7 +308,7 @@ class Recorder:
         planners: Sequence[str] = ('/planner',),
     ) -> None:
         self.latest: dict[str, int] = {}
-        self._now: int | None = None  # the last stamp [ns]
+        self._now = UNDATED  # the last stamp [ns]
         self._bag = BagWriter(folder, topics, notes)
         self.counts = self._bag.counts
         self._stack = ExitStack()
@@ -347,9 +347,9 @@ class Recorder:
 
     def _take(self, topic: Topic, data: bytes, about: dict[str, Any]) -> None:
         own = stamp_of(deserialize_message(data, topic.message))
-        self.latest[topic.name] = own or 0
-        self._now = self._now if own is None else own
-        if self._now is not None:
+        self.latest[topic.name] = own
+        self._now = self._now if own == UNDATED else own
+        if self._now != UNDATED:
             self._bag.write(topic.name, self._now, data, about['source_timestamp'])
 
     def publish_clock(self, seconds: float) -> None:

@@ -18,20 +18,13 @@ import numpy as np
 from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.messages import (
-    POSE_TWIST,
-    Frames,
-    Stamp,
-    pushed,
-    read_odometry,
-    read_sighting,
-)
+from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
 from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
 Ticks = tuple[tuple[float, dict[str, Any]], ...]
-WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth', *POSE_TWIST)
+WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
 
@@ -161,7 +154,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
     found: dict[str, list[Any]] = defaultdict(list)
     for each in bags.of_vehicle(path, namespace, WANTED):
         found[each.topic].append(each.content)
-    frames = Frames(thrust_axis=values['thrust_axis'])
+    frames = Frames(thrust_axis=values['thrust_axis'], velocity=values['velocity_frame'])
     measured = _valid(read_odometry, found['odom'], frames)
     sighted = _valid(read_sighting, found['goal'], frames)
     if not measured or not sighted:

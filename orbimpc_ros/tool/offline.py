@@ -19,17 +19,12 @@ from orbimpc_ros.ros.messages import SECOND, Stamp, command_messages
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import report_messages
+from orbimpc_ros.ros.topics import resolving
 from orbimpc_ros.sim.outputs import View, future, sensed, traffic_markers
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.world import Flight, departure
 
 EPOCH = 1_700_000_000 * SECOND  # start of flights in this process, so that stamps are dates
-Clock = Callable[[], float]
-
-
-def resolving(namespace: str) -> Callable[[str], str]:
-    """Return a function that makes a topic's full name, like a node in the namespace."""
-    return lambda topic: topic if topic.startswith('/') else f'{namespace}/{topic}'
 
 
 class OfflinePlanner(Core):
@@ -53,7 +48,7 @@ class OfflinePlanner(Core):
         self,
         settings: PlannerSettings,
         node: str = '/planner',
-        clock: Clock | None = None,
+        clock: Callable[[], float] | None = None,
         planner: Planner | None = None,
     ) -> None:
         chosen = planner_of(settings)[1] if planner is None else planner
@@ -97,7 +92,8 @@ class OfflinePlanner(Core):
 
         Args:
             at: time of publication, on the ROS clock [s].
-            published: its ``speed`` [m/s], ``force`` [N] and ``body_rate``, shape (3,) [rad/s].
+            published: its ``speed`` [m/s], ``force`` [N] and ``body_rate``, in the vehicle's own
+                axes, shape (3,) [rad/s].
         """
         assert self.decision is not None
         problem, command = self.settings.problem, self.decision.command
@@ -106,8 +102,8 @@ class OfflinePlanner(Core):
             share = published[name] / (weight * problem.forward)
             command = replace(command, speed_fraction=share)
         if 'body_rate' in published:
-            rate = published['body_rate'][-len(command.body_rate) :].copy()
-            command = replace(command, body_rate=rate)
+            turned = self.settings.frames.turned(published['body_rate'])
+            command = replace(command, body_rate=turned[-len(command.body_rate) :].copy())
         self.planner.sent(command, at)
 
     # --- on board a flight in this process, at times since its start

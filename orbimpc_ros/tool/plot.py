@@ -116,10 +116,9 @@ def in_both_looks(file: Path) -> Iterator[Path]:
             yield file.with_stem(f'{file.stem}-dark') if dark else file
 
 
-def rgb(color: str) -> tuple[int, int, int]:
+def rgb(color: str) -> tuple[int, ...]:
     """Return red, green and blue, 0 to 255, of a cycle colour in the look for print."""
-    red, green, blue = bytes.fromhex(PRINT[int(color[1:])][1:])
-    return red, green, blue
+    return tuple(bytes.fromhex(PRINT[int(color[1:])][1:]))
 
 
 def paper() -> str:

@@ -23,12 +23,13 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
-from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, pushed
+from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, others, read
+from orbimpc_ros.ros.topics import resolving
 from orbimpc_ros.tool import bags, settings
-from orbimpc_ros.tool.bags import Message, fields, point, stamp_of
-from orbimpc_ros.tool.offline import OfflinePlanner, resolving
+from orbimpc_ros.tool.bags import Message, fields, point
+from orbimpc_ros.tool.offline import OfflinePlanner
 
 CLOCK = '/clock'
 TREE = tuple(topic.name for topic in topics.TREE)
@@ -44,7 +45,6 @@ KINDS: dict[str, type | tuple[type, ...]] = {
     'bound_checked': bool,
     'speed_fraction': list,
 }  # values of ``tick`` that a replay needs; those of another type are dropped
-UNDATED = -1  # [ns], for a missing stamp
 Messages = Mapping[str, Any]  # by topic
 Answer = dict[str, Any]  # values published on a tick; unknown ones are absent
 
@@ -105,7 +105,11 @@ class Recording:
 
 
 def recording_of(
-    path: Path, namespace: str = '', params: str | None = None, changes: Sequence[str] = ()
+    path: Path,
+    namespace: str = '',
+    params: str | None = None,
+    changes: Sequence[str] = (),
+    tick: int | None = None,
 ) -> Recording:
     """Return the recording of the planner in a namespace.
 
@@ -114,10 +118,11 @@ def recording_of(
         namespace: of the vehicle, such as ``/uav1``.
         params: file of the planner's parameters, if not those noted in the bag.
         changes: ``name=value``, of these parameters.
+        tick: number of the last one to read; None for all.
 
     Raises:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers, or there are
-            no parameters.
+            no parameters, or no such tick.
     """
     if params is not None:
         values = settings.resolve(Path(params), changes)
@@ -127,20 +132,17 @@ def recording_of(
         missing = 'no notes of its parameters'
         raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
     planner = planner_settings(values)
-    shared = (CLOCK, *others(planner, resolving(namespace)), *TREE)
-    found = bags.of_vehicle(path, namespace, (*INPUTS, *COMPARED), shared, NEEDED)
-    found.sort(key=lambda each: each.sent)
-    own = [stamp_of(each.content) for each in found]
-    dated = [
-        each._replace(stamp=UNDATED if stamp is None else stamp)
-        for each, stamp in zip(found, own, strict=True)
-    ]
-    heard = {*INPUTS, *shared}.difference(POSE_TWIST)
-    inputs = tuple(each for each in dated if each.topic in heard)
-    answers = _answers(each for each in dated if each.topic in COMPARED)
-    in_order = tuple(sorted(answers, key=lambda each: each.sent))
+    avoided = others(planner, resolving(namespace))
+    read = (*INPUTS, *COMPARED, CLOCK, *TREE, *avoided)
+    found = bags.of_vehicle(path, namespace, read, NEEDED)
+    inputs = tuple(each for each in found if each.topic not in COMPARED)
+    outputs = (each for each in found if each.topic in COMPARED)
+    answers = sorted(_answers(outputs), key=lambda each: each.sent)
+    if tick is not None and not 0 <= tick < len(answers):
+        raise BadInput('--tick', tick, f'0 to {len(answers) - 1}')
     simulated = values.get('use_sim_time', any(each.topic == CLOCK for each in inputs))
-    return Recording(namespace, planner, bool(simulated), inputs, in_order)
+    wanted = answers if tick is None else answers[: tick + 1]
+    return Recording(namespace, planner, bool(simulated), inputs, tuple(wanted))
 
 
 def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
@@ -153,8 +155,8 @@ def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
         groups[-1][each.topic] = each
     for stamp, groups in by_stamp.items():
         for before, now in pairwise(groups):
-            known = {topic: repr(each.content) for topic, each in before.items()}
-            if any(known.get(topic) != repr(each.content) for topic, each in now.items()):
+            known = {topic: each.data for topic, each in before.items()}
+            if any(known.get(topic) != each.data for topic, each in now.items()):
                 contents = {topic: each.content for topic, each in now.items()}
                 begun = min(each.sent for each in now.values())
                 yield RecordedTick(stamp, begun, published(contents))

@@ -8,13 +8,11 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.messages import SECOND
@@ -38,11 +36,7 @@ def run(
 ) -> int:
     """Replay a bag and report differences; return 0 if all are within the tolerances."""
     begun, path = time.perf_counter(), Path(bag)
-    recording = recording_of(path, namespace, params, changes)
-    if tick is not None:
-        if not 0 <= tick < len(recording.answers):
-            raise BadInput('--tick', tick, f'0 to {len(recording.answers) - 1}')
-        recording = replace(recording, answers=recording.answers[: tick + 1])
+    recording = recording_of(path, namespace, params, changes, tick)
     answers = list(replayed(recording))
     found = list(compared(answers, recording.settings))
     if tick is not None:

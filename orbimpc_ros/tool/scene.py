@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import Frames, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import fields, point, seconds, stamp_of
+from orbimpc_ros.tool.bags import UNDATED, fields, point, seconds, stamp_of
 from orbimpc_ros.tool.plot import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 
 TOPICS = ('odom', 'goal', 'plan', 'plan_markers', 'tick', 'captured')  # that are drawn
@@ -96,7 +96,7 @@ class Scene:
         """Draw a message unless the planner would refuse it; ``topic`` has no namespace."""
         if topic not in TOPICS:
             return
-        if stamp_of(message) is not None:
+        if stamp_of(message) != UNDATED:
             now = seconds(message)
             kind = 'timestamp' if now > WALL_CLOCK else 'duration'
             self._to.set_time(TIMELINE, **{kind: now})

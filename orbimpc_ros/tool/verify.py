@@ -120,15 +120,12 @@ def _bag(
     if tick is None:
         for each in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
             yield _published(bytes(each.content.data))
-    known = recording.recording_of(path, namespace, params)
+    known = recording.recording_of(path, namespace, params, tick=tick)
+    gc.freeze()  # else each full collection scans all imported objects
     for number, answer in enumerate(recording.replayed(known)):
-        if number == 0:
-            gc.freeze()  # else each full collection scans all imported objects
         if tick in (None, number):
             yield _tick(number, answer, out)
             yield from _catch(number, answer, out)
-        if tick == number:
-            return
 
 
 def _published(text: bytes) -> TickVerdict:

@@ -57,12 +57,12 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
         raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
     import rerun as rr
 
-    from orbimpc_ros.tool.scene import Scene
+    from orbimpc_ros.tool.scene import TOPICS, Scene
 
     values, messages = settings.read('{}'), list[bags.Message]()
     if bag is not None:
         values = settings.of_bag(Path(bag), namespace)
-        messages = bags.of_vehicle(Path(bag), namespace)
+        messages = bags.of_vehicle(Path(bag), namespace, TOPICS)
     recording = rr.RecordingStream('orbimpc')
     recording.set_log_tick_enabled(False)  # the only timeline is that of message stamps
     recording.set_log_time_enabled(False)
