@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_946,
-    'orbimpc_ros/mpc': 16_436,
+    'orbimpc_ros': 31_926,
+    'orbimpc_ros/mpc': 16_432,
     'orbimpc_ros/loop': 3_664,
-    'orbimpc_ros/ros': 4_620,
+    'orbimpc_ros/ros': 4_625,
     'orbimpc_ros/sim': 2_499,
-    'orbimpc_ros/tool': 4_547,
+    'orbimpc_ros/tool': 4_526,
     'benchmarks': 3_472,
     'test': 17_927,
 }
