@@ -132,11 +132,7 @@ def in_a_line(error: ModuleNotFoundError) -> str:
 
 
 def report_compilation(report: Callable[[str], None]) -> None:
-    """Report progress whenever machine code has to be compiled from now on.
-
-    Args:
-        report: called with a line every few seconds.
-    """
+    """Report progress, by a line every few seconds, whenever machine code has to be compiled."""
     from orbimpc_ros.mpc.kernels import LISTENERS  # readers of COMPILING alone need no compiler
 
     begun = reported = -math.inf

@@ -401,11 +401,8 @@ def command_messages(
 ) -> Iterator[tuple[str, Any]]:
     """Yield the messages to the vehicle, with their topics.
 
-    Args:
-        settings: of the planner, with ``problem``, ``mass``, ``gravity`` and ``hover_thrust``.
-        stamp: of the answered odometry.
-        command: to send.
-        oriented: whether the vehicle's attitude is known, so that one can be commanded.
+    ``settings`` are the planner's, ``stamp`` is that of the answered odometry. ``oriented`` tells
+    whether the vehicle's attitude is known, so that one can be commanded.
     """
     frames, inertial = stamp.frames, settings.problem.inertial
     given = settings.problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
@@ -451,15 +448,9 @@ def odometry_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
 def health_message(
     at: int, node: str, task: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Return a status for /diagnostics, named as by diagnostic_updater.
+    """Return a status for /diagnostics, stamped ``at`` [ns], named as by diagnostic_updater.
 
-    Args:
-        at: its stamp [ns].
-        node: fully qualified name of the reporting node; its namespace identifies the vehicle.
-        task: subject of the report.
-        level: diagnostic level.
-        message: summary.
-        values: further data, by key.
+    The namespace in the full name of the reporting ``node`` identifies the vehicle.
     """
     name = node.strip('/')
     made = diagnostics(at, f'{name}: {task}', level, message, values)
@@ -502,13 +493,8 @@ def read_obstacle(
 ) -> tuple[Stamp, ObservedBody] | str | None:
     """Return the body shown by a marker, with its stamp, or what the marker removes.
 
-    The latter is the name of a body, or None for all bodies.
-
-    Args:
-        marker: from a message on ``obstacles``.
-        dimension: 2 for the view from above.
-        frames: required frames.
-        placed: transforms a message with header and pose to the required frame.
+    The latter is the name of a body, or None for all bodies. ``placed`` transforms a message with
+    header and pose to the required frame.
 
     Raises:
         BadInput: its action, kind, frame, stamp, pose, scale or lifetime is not acceptable.
@@ -547,14 +533,9 @@ def _scale(scale: Vector3) -> Array:
 
 
 def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:
-    """Return the body that covers a marker.
+    """Return the body that covers a marker with its middle at a place, shape (3,) [m].
 
-    Args:
-        kind: of the marker.
-        middle: centre, shape (3,) [m].
-        turned: its own axes in the world, shape (3, 3).
-        size: along its own axes, shape (3,) [m].
-        dimension: 2 for the view from above.
+    Its axes in the world are ``turned``, shape (3, 3), and along them it has a size, (3,) [m].
     """
     half, n = 0.5 * size, dimension
     if kind == Marker.SPHERE:

@@ -112,10 +112,8 @@ class Managed(LifecycleNodeMixin, Node):
     ) -> Callable[..., Any]:
         """Return the callback, wrapped to report exceptions instead of raising them.
 
-        Args:
-            callback: of a subscription, timer or service.
-            known: its first arguments, such as the topic.
-            at_work: whether it does nothing while the node is not active.
+        ``known`` are its first arguments, such as the topic. ``at_work``, it does nothing while the
+        node is not active.
         """
         name = ' '.join((callback.__name__.lstrip('_'), *known))
         called = functools.partial(callback, *known)
@@ -274,7 +272,6 @@ class NodeClock:
     """Monitors the clock of a node.
 
     Args:
-        node: owner of the clock.
         step: largest regular step of simulated time [s].
         on_jump: called with a jump of time [s]: of simulated time back, or forward by more than a
             step; of system time by any detectable amount.
@@ -372,12 +369,10 @@ def full_name(endpoint: Any) -> str:
 def initialised(
     words: Sequence[str] = (), *, domain: int | None = None, context: Context | None = None
 ) -> Iterator[Context]:
-    """Keep rclpy initialised within the block; signals are left to the caller.
+    """Keep a context of rclpy initialised within the block; signals are left to the caller.
 
-    Args:
-        words: a command line with ROS arguments.
-        domain: of DDS; by default from the environment.
-        context: to initialise; by default a new one, so that several can coexist.
+    By default it is a new one, so that several can coexist, with the ``domain`` of DDS from the
+    environment; ``words`` is a command line with ROS arguments.
     """
     context = context or Context()
     context.init(list(words), domain_id=domain)  # unlike rclpy.init, it handles no signals
@@ -393,11 +388,8 @@ def attached(
 ) -> Iterator[tuple[Node, Executor]]:
     """Yield a node with its own context, and its executor, for processes other than ROS nodes.
 
-    Args:
-        name: of the node.
-        domain: of DDS; by default from the environment.
-        executor: a name for :func:`executor_named`.
-        options: of ``rclpy.create_node``.
+    The ``domain`` of DDS is by default from the environment; ``options`` are those of
+    ``rclpy.create_node``.
     """
     with initialised(domain=domain) as context:
         node = rclpy.create_node(name, context=context, **options)
@@ -429,10 +421,8 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
 def run(make: Callable[[], Managed]) -> int:
     """Run a node until it is done or stopped, and return the exit code.
 
-    A signal during the start ends the process at once: no command has been sent yet.
-
-    Args:
-        make: creates the node; BadInput from it ends the process with code 2 and one line.
+    A signal during the start ends the process at once: no command has been sent yet. BadInput from
+    ``make``, which creates the node, ends it with code 2 and one line.
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
     leave_at_signals()

@@ -153,10 +153,8 @@ class Transforms:
     def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
         """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
 
-        Args:
-            message: a Path, or any message with a header and a pose.
-            frame: target frame.
-            at: time of the transform [ns]; by default the stamp of the message.
+        A message that is no Path has a header and a pose. ``at`` is the time of the transform [ns],
+        by default the stamp of the message.
 
         Raises:
             BadInput: there is no transform, or none at that time, or the message is not valid.

@@ -40,8 +40,7 @@ class DynamicParameters(Generic[S]):
     Sections of parameter files that reach no node are logged.
 
     Args:
-        node: the owner of the parameters.
-        specs: its table.
+        specs: the table of the node's parameters.
         settings_of: makes settings of values, or raises BadInput.
         prepare: derives from changed settings what the node works with, or raises BadInput; it
             must not have side effects, because the change may still be rejected.

@@ -139,11 +139,9 @@ def specs_of(settings: type) -> tuple[ParameterSpec, ...]:
 
 
 def settings_from(settings: type[S], values: Values) -> S:
-    """Return settings with the given values, after checking their ranges.
+    """Return settings with values of all parameters of their class, after checking the ranges.
 
-    Args:
-        settings: a class whose fields are parameters.
-        values: of all of its parameters, by name; others are ignored.
+    Values of other parameters are ignored.
 
     Raises:
         BadInput: a value out of range.

@@ -503,13 +503,9 @@ class Inputs:
     def snapshot(
         self, now: float, ros: int | None = None, *, stop: Reason | None = None, taking: float = 0.0
     ) -> Snapshot:
-        """Return all inputs of a decision.
+        """Return all inputs of a decision that is expected to take ``taking`` [s].
 
-        Args:
-            now: on the steady clock [s].
-            ros: on the ROS clock.
-            stop: reason for following no plan, if any.
-            taking: expected duration of the decision [s].
+        ``stop`` is a reason for following no plan, if any.
         """
         known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
@@ -622,9 +618,7 @@ class Core:
         resolve: makes a topic's full name.
 
     Attributes:
-        settings: of the planner.
         inputs: take in messages.
-        planner: decides.
         counts: ``deadline misses``, decisions that exceeded their deadline; ``overruns``, decisions
             that exceeded their period.
         seen: snapshot of the last decision.
@@ -675,10 +669,7 @@ class Core:
     def decide(self, now: float, ros: int | None = None, stop: Reason | None = None) -> Decision:
         """Return the next command, the time taken, and the messages used.
 
-        Args:
-            now: on the steady clock [s].
-            ros: on the ROS clock.
-            stop: reason for following no plan, if any.
+        ``stop`` is a reason for following no plan, if any.
         """
         begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)

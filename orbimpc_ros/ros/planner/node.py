@@ -50,11 +50,6 @@ class EndpointMonitor:
     also reports mismatches as events. But event handlers lengthen every wait of the node, and no
     event reports the end of a mismatch.
 
-    Args:
-        node: owner of the topics.
-        odometry: its subscription to odometry.
-        velocity: its publisher of commands; None without commands.
-
     Attributes:
         sources: message if there are several publishers of odometry; otherwise empty.
         rivals: message if another node commands the vehicle as well; otherwise empty.
@@ -91,17 +86,15 @@ class EndpointMonitor:
 def _mismatch(node: Node, end: Publisher | Subscription) -> str:
     """Return which other end is incompatible with ``end``, and why; empty if none is."""
     topic = end.topic_name
-    message: Any = end.msg_type
-    kind = f'{message.__module__.split(".")[0]}/msg/{message.__name__}'
     ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
     same, others = ends if isinstance(end, Publisher) else ends[::-1]
-    # The profile of the own end comes from DDS, with defaults filled in, like any other's.
-    own = [each.qos_profile for each in same if each.node_name == node.get_name()]
+    # The own end comes from DDS, with the defaults of its profile filled in, like any other.
+    own = [each for each in same if full_name(each) == node.get_fully_qualified_name()]
     for other in others if own else ():
-        who = f'{topic} of {full_name(other)}'
+        who, kind = f'{topic} of {full_name(other)}', own[0].topic_type
         if other.topic_type != kind:
             return f'{who} is a {other.topic_type}, not a {kind}'
-        pair = (own[0], other.qos_profile)
+        pair = (own[0].qos_profile, other.qos_profile)
         verdict, why = qos_check_compatible(*(pair if same is ends[0] else pair[::-1]))
         if verdict == QoSCompatibility.ERROR:
             errors = [each for each in why.split(';') if each.startswith(INCOMPATIBLE)]

@@ -116,13 +116,10 @@ def prices(decision: Decision) -> dict[str, float]:
 def condition(
     wrong: Iterable[str], waiting: str, decision: Decision | None, notices: Iterable[str]
 ) -> tuple[bytes, list[str]]:
-    """Return a planner's condition: a level, and its reasons.
+    """Return a planner's condition, a level and its reasons, after its last decision, if any.
 
-    Args:
-        wrong: external problems; empty strings are ignored.
-        waiting: why it does not plan; empty if it does.
-        decision: the last one, if any.
-        notices: warnings in normal operation; empty strings are ignored.
+    External problems may be ``wrong``; ``waiting`` says why it does not plan, ``notices`` are
+    warnings in normal operation. Empty strings are ignored.
     """
     errors, warnings = [*filter(None, wrong)], [*filter(None, notices)]
     if errors:
@@ -155,12 +152,8 @@ def report_messages(
 ) -> Iterator[tuple[str, Any]]:
     """Yield the messages to all receivers but the vehicle, with their topics.
 
-    Args:
-        settings: source of the problem.
-        stamp: of the answered odometry.
-        decision: the answer.
-        node: name of the planner.
-        heard: topics with subscribers, for others nothing is computed; by default all.
+    ``stamp`` is that of the answered odometry, ``node`` the name of the planner. Nothing is
+    computed for topics that are not ``heard``; by default all are.
     """
     heard = outputs(settings) if heard is None else heard
     for name, number in numbers(decision).items():
@@ -221,12 +214,7 @@ DEFAULTS = {spec.name: spec.default for spec in PLANNER}
 
 
 def summary(settings: PlannerSettings, simulated: bool) -> str:
-    """Return a one-line summary of the vehicle and the task, as configured.
-
-    Args:
-        settings: of the planner.
-        simulated: whether time comes from /clock.
-    """
+    """Return a one-line summary of vehicle and task; ``simulated`` time comes from /clock."""
     problem, response = settings.problem, settings.response
     every = 'step' if settings.period == problem.step else f'{settings.period:g} s'
     at_odometry = settings.trigger == 'odom'
@@ -253,9 +241,7 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     """Return warnings about settings that are allowed but probably unintended.
 
-    Args:
-        settings: of the planner.
-        given: values given at the start, by parameter.
+    ``given`` are the values given at the start, by parameter.
     """
     problem, found = settings.problem, []
     rate, floor = problem.max_rate, problem.floor

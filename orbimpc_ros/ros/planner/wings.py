@@ -38,11 +38,9 @@ REFUSALS = 5.0  # [s] after which an unanswered command counts as lost
 
 
 class Wing(ABC):
-    """The autopilot of a wing.
+    """The autopilot of a wing, on topics of a node, with the frames of its odometry.
 
     Args:
-        node: makes publishers and subscriptions.
-        frames: of odometry.
         switched: called with a line when sending of setpoints becomes possible or impossible.
         warn: called with a line about any other problem.
 
