@@ -72,7 +72,7 @@ def test_transforms_are_interpolated_from_one_end_to_the_other(seed):
 
 
 def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
-    found = stated([f'map odom 1 2 3 {QUARTER} 0 {QUARTER}'])['odom'].at(0, 0.0, '')
+    found = stated([f'map odom 1 2 3 {QUARTER} 0 {QUARTER}'])['odom'].at(0, 0.0)
     np.testing.assert_allclose(found @ [0, 1, 0, 1], [1, 2, 4, 1], atol=1e-12)
 
 

@@ -14,7 +14,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any
 
 import numpy as np
@@ -34,29 +34,31 @@ ON = 'set tf: true, or give transforms'
 FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
 
 
-@dataclass
+@dataclass(eq=False)
 class Edge:
     """The transform of a frame to its parent.
 
     Attributes:
-        parent: frame.
+        parent, child: frames.
         fixed: whether it is permanent.
         samples: stamps [ns] and transforms, in order of time.
     """
 
     parent: str
+    child: str
     fixed: bool
     samples: deque[tuple[int, Transform]] = field(
         default_factory=lambda: deque(maxlen=MOST_SAMPLES)
     )
 
-    def at(self, stamp: int, patience: float, name: str) -> Array:
+    def at(self, stamp: int, patience: float) -> Array:
         """Return the matrix at a stamp [ns]; the latest one for a stamp of 0, as in tf2.
 
         Raises:
             BadInput: the stamp is before the first sample or too long after the last, or the
                 transform is not valid.
         """
+        name = f'{self.parent} -> {self.child}'
         if self.fixed or not stamp:
             stamp = self.samples[-1][0]
         k = bisect_right(self.samples, stamp, key=lambda sample: sample[0])
@@ -98,7 +100,7 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
         roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
         turned = messages.quaternion(yaw @ pitch @ roll)
         transform = Transform(translation=messages.vector(numbers[:3]), rotation=turned)
-        found[child] = Edge(parent, True, deque([(0, transform)]))
+        found[child] = Edge(parent, child, True, deque([(0, transform)]))
     return found
 
 
@@ -146,7 +148,7 @@ class Transforms:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
             stamp = messages.nanoseconds(each.header.stamp, 'header.stamp')
             if known is None or fixed or known.fixed or known.parent != parent:
-                known = self._edges[child] = Edge(parent, fixed)
+                known = self._edges[child] = Edge(parent, child, fixed)
             if not known.samples or stamp > known.samples[-1][0]:
                 known.samples.append((stamp, each.transform))
 
@@ -177,34 +179,25 @@ class Transforms:
             BadInput: no transform leads from one to the other, or none at that time.
         """
         up, down = self._ancestry(source), self._ancestry(target)
-        common = next((frame for frame in up if frame in down), None)
+        above = {target, *(edge.parent for edge in down)}
+        frames = (source, *(edge.parent for edge in up))
+        common = next((frame for frame in frames if frame in above), None)
         if common is None:
             hint = 'publish it on /tf, or give it in transforms' if self.settings.tf else ON
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)
-        rise, fall = (self._product(line[: line.index(common)], stamp) for line in (up, down))
-        return np.asarray(np.linalg.solve(fall, rise))
+        moves = [np.eye(4), np.eye(4)]
+        for k, line in enumerate((up, down)):
+            for edge in takewhile(lambda edge: edge.child != common, line):
+                moves[k] = edge.at(stamp, self.settings.transform_timeout) @ moves[k]
+        return np.asarray(np.linalg.solve(moves[1], moves[0]))
 
-    def _ancestry(self, frame: str) -> list[str]:
-        """Return a frame, its parent, and so on to the root; a cycle is followed only once."""
-        line = [frame]
-        while (edge := self._edge(line[-1])) is not None and edge.parent not in line:
-            line.append(edge.parent)
-        return line
-
-    def _edge(self, child: str) -> Edge | None:
-        return self.settings.stated_transforms.get(child) or self._edges.get(child)
-
-    def _product(self, children: list[str], stamp: int) -> Array:
-        """Return the matrix from the first frame of a chain to the parent of the last."""
-        product = np.eye(4)
-        for child in children:
-            edge = self._edge(child)
-            assert edge is not None
-            product = (
-                edge.at(stamp, self.settings.transform_timeout, f'{edge.parent} -> {child}')
-                @ product
-            )
-        return product
+    def _ancestry(self, frame: str) -> list[Edge]:
+        """Return the transforms from a frame up to the root; a cycle is followed only once."""
+        found, known = list[Edge](), self._edges | self.settings.stated_transforms
+        while frame in known and known[frame] not in found:
+            found.append(known[frame])
+            frame = known[frame].parent
+        return found
 
 
 def _moved(message: Any, move: Array, head: Any) -> PoseStamped:
