@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_856,
+    'orbimpc_ros': 31_849,
     'orbimpc_ros/mpc': 16_432,
     'orbimpc_ros/loop': 3_664,
-    'orbimpc_ros/ros': 4_555,
+    'orbimpc_ros/ros': 4_548,
     'orbimpc_ros/sim': 2_499,
     'orbimpc_ros/tool': 4_526,
     'benchmarks': 3_472,
