@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.geometry.rotations import exp, skew
+from orbimpc_ros.mpc.geometry.rotations import skew
 
 NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
 STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
@@ -74,11 +74,6 @@ def layout(n: int) -> tuple[Array, Array, Array]:
     return sealed(used), sealed(precision), sealed(constant)
 
 
-def shape_rows(family: int, n: int) -> tuple[int, int]:
-    """Return the first row of an oscillation's shape, and the row after its last."""
-    return 2 * n, 2 * n + 1 + n * (n - 1) // 2 if family == TURN else 4 * n
-
-
 def shape_precision(family: int, rate: float) -> float:
     """Return the prior precision of an oscillation's shape at a frequency [rad/s], in 1/m^2.
 
@@ -121,23 +116,6 @@ def jacobian(family: int, coefficients: Array) -> Array:
     return rows
 
 
-def stepped(family: int, coefficients: Array, step: Array) -> Array:
-    """Return coefficients after a step of all parameters except frequency and damping."""
-    n = coefficients.shape[1]
-    place, velocity, first, second = step[: 4 * n].reshape(4, n)
-    moved = coefficients.copy()
-    moved[ONE] += place
-    moved[LINEAR] += velocity
-    if family == TURN:
-        rim = step[2 * n :] / max(float(np.linalg.norm(moved[COSINE])), TINY)
-        turned = exp(rim[1 : 1 + n * (n - 1) // 2])
-        moved[COSINE : SINE + 1] = (1.0 + rim[0]) * moved[COSINE : SINE + 1] @ turned.T
-    else:
-        moved[COSINE] += first
-        moved[SINE] += second
-    return moved
-
-
 def circle(coefficients: Array) -> Array:
     """Return the circle nearest to an ellipse, as coefficients, shape (7, n)."""
     u, sizes, v = np.linalg.svd(coefficients[COSINE : SINE + 1], full_matrices=False)
@@ -165,19 +143,6 @@ def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
     turn[ONE] = place - outward
     turn[COSINE], turn[SINE] = c * outward - s * along, s * outward + c * along
     return rate, turn
-
-
-def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Array:
-    """Return the same oscillations with a later time origin [s], shape (K, 7, n).
-
-    Their centres are left unchanged: the next fit determines them.
-    """
-    moved = coefficients.copy()
-    turn, fade = rates[:, None] * by, np.exp(-dampings[:, None] * by)
-    a, b = coefficients[:, COSINE], coefficients[:, SINE]
-    moved[:, COSINE] = fade * (a * np.cos(turn) + b * np.sin(turn))
-    moved[:, SINE] = fade * (b * np.cos(turn) - a * np.sin(turn))
-    return moved
 
 
 Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
@@ -248,9 +213,10 @@ class Fits:
     """The families fitted to a sequence of sightings in n dimensions.
 
     Attributes:
-        known: which families have been placed, shape (K,).
-        weighed: which have also been moved since, so that evidence covers the frequency, (K,).
-        rates: angular frequencies, shape (K,) [rad/s].
+        prior: noise known before.
+        weighed: families without a frequency, or moved since they were placed, so that evidence
+            covers the frequency, shape (K,).
+        rates: angular frequencies, shape (K,) [rad/s]; 0 without one, or before it is placed.
         dampings: shape (K,) [1/s].
         coefficients: linearisation points, shape (K, 7, n).
         count: number of sightings.
@@ -261,12 +227,11 @@ class Fits:
     """
 
     def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
-        self._n, self._noise = n, noise
+        self._n, self.prior = n, noise
         self._used, prior, constant = layout(n)
         size, rows = self._used.shape
-        self.known = np.ones(size, dtype=bool)
-        self.known[list(OSCILLATING)] = False
-        self.weighed = self.known.copy()
+        self.weighed = np.ones(size, dtype=bool)
+        self.weighed[list(OSCILLATING)] = False
         self.rates, self.dampings = np.zeros(size), np.zeros(size)
         self.coefficients = np.zeros((size, COLUMNS, n))
         self._jacobian = constant.copy()
@@ -283,16 +248,18 @@ class Fits:
         self._free = precision  # with the place unconstrained
         self._free[:, :n] = TINY * noise.variance
 
-    def rows(self, time: float) -> Array:
-        """Return the columns of every family at a time, shape (K, 7)."""
-        return columns(np.full(len(NAMES), time), self.rates, self.dampings)
+    def rows(self, times: Array) -> Array:
+        """Return the columns of every family at times, shape (M,) [s], as shape (K, M, 7)."""
+        return columns(times, self.rates[:, None], self.dampings[:, None])
 
-    def add(self, rows: Array, position: Array) -> None:
-        """Add a sighting with its ``rows``, shape (K, 7)."""
-        self._gram += rows[:, :, None] * rows[:, None, :]
-        self._moments += rows[:, :, None] * position
-        self._square += float(position @ position)
-        self.count += 1
+    def add(self, past: Past) -> None:
+        """Add sightings."""
+        x = self.rows(past[0])
+        turned = x.transpose(0, 2, 1)
+        self._gram += turned @ x
+        self._moments += turned @ past[1]
+        self._square += float(np.sum(past[1] * past[1]))
+        self.count += len(past[0])
 
     def place(self, to: Placement, past: Past) -> None:
         """Linearise a family anew; ``solve`` must follow."""
@@ -301,15 +268,15 @@ class Fits:
         self._gram[family], self._moments[family] = x.T @ x, x.T @ past[1]
         self.rates[family], self.dampings[family] = rate, damping
         self.coefficients[family] = coefficients
-        self.known[family], self.weighed[family] = True, weighed
+        self.weighed[family] = weighed
         self._jacobian[family] = jacobian(family, coefficients)
-        first, last = shape_rows(family, n)
-        size = self._noise.variance * shape_precision(family, rate)
-        self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
-        self._free[family, first:last] = size
+        shape = 2 * n + np.flatnonzero(self._used[family, 2 * n : 4 * n])
+        size = self.prior.variance * shape_precision(family, rate)
+        self._prior[family] += 0.5 * len(shape) * math.log(size / self._free[family, shape[0]])
+        self._free[family, shape] = size
         if family != TURN:
             self._pull[family, n : 2 * n] = coefficients[LINEAR]
-            self._pull[family, first:last] = coefficients[COSINE : SINE + 1].ravel()
+            self._pull[family, shape] = coefficients[COSINE : SINE + 1].ravel()
 
     def moved(self, family: int, past: Past) -> Placement:
         """Return a family after a Gauss-Newton step, shortened to where linearity holds."""
@@ -320,22 +287,11 @@ class Fits:
         step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
         rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
         damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
-        coefficients = stepped(family, self.coefficients[family], step)
+        change = np.tensordot(step[: 4 * n], self._jacobian[family, : 4 * n], 1)
+        coefficients = self.coefficients[family] + change
+        if family == TURN:
+            coefficients = circle(coefficients)
         return Placement(family, rate, damping, coefficients, moved=True)
-
-    def begin_later(self, by: float, past: Past) -> None:
-        """Move the time origin by ``by`` [s], and recompute the sums over ``past``, the rest.
-
-        The origin of places may move as well: every family is linear in its place.
-        """
-        kept = later(self.fitted, self.rates, self.dampings, by)
-        self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
-        x = columns(past[0], 0.0, 0.0)  # of families without a frequency, or not placed yet
-        self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
-        for family in OSCILLATING:
-            if self.known[family]:
-                where = self.rates[family], self.dampings[family], kept[family]
-                self.place(Placement(family, *where, bool(self.weighed[family])), past)
 
     @property
     def _transposed(self) -> Array:
@@ -361,7 +317,7 @@ class Fits:
         explained = np.sum(white * white, axis=1)
         misfit = unexplained + np.sum(pulled * self._pull, axis=1) - explained
         self.misfit = np.maximum(misfit, 0.0)
-        share, scale = self._noise
+        share, scale = self.prior
         self.noises = (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * self._n)
         spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
         data = data_evidence(self.misfit, self.count * self._n, share, scale)
@@ -369,7 +325,7 @@ class Fits:
         self.evidence[~self.weighed] = -np.inf
         if self.count < BENT_FROM:
             self.evidence[ACCELERATION] = -np.inf
-        self.gain = np.where(self.known, explained / self.noises, 0.0)
+        self.gain = np.where(self.rates > 0.0, explained / self.noises, 0.0)
 
     def noise(self) -> Noise:
         """Return the noise estimated by the likeliest family, as a prior for later motions.
@@ -379,8 +335,8 @@ class Fits:
         best = int(np.argmax(self.evidence))
         left = 0.5 * (self.count * self._n - int(self._used[best].sum()))
         if left <= 0.0:
-            return self._noise
-        share, scale = self._noise.share + left, self._noise.scale + 0.5 * float(self.misfit[best])
+            return self.prior
+        share, scale = self.prior.share + left, self.prior.scale + 0.5 * float(self.misfit[best])
         kept = min(share, RECALLED)
         return Noise(kept, kept * max(scale / share, LEAST))
 

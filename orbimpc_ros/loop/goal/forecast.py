@@ -25,6 +25,7 @@ from orbimpc_ros.loop.goal.fits import (
     DAMPED,
     DRIFTING,
     FIXED,
+    LINEAR,
     NAMES,
     ONE,
     OSCILLATING,
@@ -98,6 +99,7 @@ FAR = 1e7  # [m] distance beyond which a sighting is of another goal
 SWINGS_FROM = 6  # sightings
 YOUNG = 16  # sightings up to which each is fully processed, later every other one
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
+BENDING = [ONE, LINEAR, COSINE, SINE]  # columns of oscillations
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
 PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting per additional task, and their largest number
 STEPS = 4  # Gauss-Newton steps of a closer analysis
@@ -110,7 +112,6 @@ class Bank:
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self._n = 0
         self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
         self._lately: list[tuple[float, Array]] = []
         self._fastest = 0.0  # highest observed speed [m/s]
@@ -123,7 +124,7 @@ class Bank:
             return
         if self._last is not None and time <= self._last:
             return
-        if self._last is None or len(position) != self._n or time - self._last > LOST:
+        if self._last is None or len(position) != len(self._origin) or time - self._last > LOST:
             self._begin(np.array([time]), position[None])
         else:
             self._learn(time, position, time - self._last)
@@ -143,9 +144,8 @@ class Bank:
         assert self._last is not None
         used, fits = np.flatnonzero(self._shares > NEGLIGIBLE), self._fits
         shares, fitted = self._shares[used] / self._shares[used].sum(), self._fitted[used]
-        now = fits.rows(self._last - self._epoch)[used, None] @ fitted
-        rates, dampings = fits.rates[used, None], fits.dampings[used, None]
-        places = columns((times - self._epoch)[None], rates, dampings) @ fitted
+        now = fits.rows(np.array([self._last - self._epoch]))[used] @ fitted
+        places = fits.rows(times - self._epoch)[used] @ fitted
         moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
         size = np.linalg.norm(moved, axis=2)
         share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
@@ -166,15 +166,13 @@ class Bank:
     # --- taking in
 
     def _learn(self, time: float, position: Array, waited: float) -> None:
-        rows = self._fits.rows(time - self._epoch)
-        if not self._expected(position, rows, waited):
+        if not self._expected(time, position, waited):
             self._doubt(time, position)
             return
         self._apart = []
-        if self._waiting:
-            self._place_waiting()
-            rows = self._fits.rows(time - self._epoch)
-        self._append(time, position, rows)
+        self._place_waiting()
+        self._note_speed(time, position)
+        self._append(np.array([time]), position[None])
         self._work(waited)
         if self._count == MEMORY:
             self._shorten()
@@ -202,12 +200,13 @@ class Bank:
         """Apply the placements requested by tasks, now that a fit to all sightings follows."""
         for each in self._waiting:
             self._fits.place(each, self._past())
-        self._waiting = []
+        self._waiting.clear()
 
-    def _expected(self, position: Array, rows: Array, waited: float) -> bool:
+    def _expected(self, time: float, position: Array, waited: float) -> bool:
         """Return True if any motion with a considerable share predicts the goal near there."""
         if _far(position, self._origin):
             return False
+        rows = self._fits.rows(np.array([time - self._epoch]))[:, 0]
         off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
         spread = self._fits.noises * (1.0 + self._fits.spread(rows))
         allowed = GATE**2 * (spread + (0.5 * AGILE * waited * waited) ** 2)
@@ -218,24 +217,28 @@ class Bank:
         """Start anew with the first sightings of a motion: times, (M,), and positions, (M, n)."""
         together = [not _far(each, seen[-1]) for each in seen]
         times, seen = times[together], seen[together]
-        self._n = seen.shape[1]
-        self._epoch, self._origin = float(times[0]), seen[0].copy()
-        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, self._n))
-        # Of one motion through all sightings up to each, and its noise.
-        self._evidence, self._noises = np.full(MEMORY + 1, -np.inf), np.ones((MEMORY + 1, 2))
-        self._fits = Fits(self._n, noise)
-        self._count, self._tasks, self._searched = 0, 0, 0
-        self._apart, self._waiting = [], []
-        for time, position in zip(times, seen, strict=True):
-            self._append(float(time), position, self._fits.rows(time - self._epoch))
+        self._start_from(float(times[0]), seen[0].copy(), noise)
+        for time, position in zip(times.tolist(), seen, strict=True):
+            self._note_speed(time, position)
+            self._append(np.array([time]), position[None])
             self._conclude()
 
-    def _append(self, time: float, position: Array, rows: Array) -> None:
-        self._note_speed(time, position)
-        since, place = time - self._epoch, position - self._origin
-        self._times[self._count], self._seen[self._count] = since, place
-        self._count += 1
-        self._fits.add(rows, place)
+    def _start_from(self, epoch: float, origin: Array, noise: Noise) -> None:
+        """Forget all sightings; later ones are relative to a time [s] and a position, (n,)."""
+        self._epoch, self._origin = epoch, origin
+        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, len(origin)))
+        # Of one motion through all sightings up to each, and its noise.
+        self._evidence, self._noises = np.full(MEMORY + 1, -np.inf), np.ones((MEMORY + 1, 2))
+        self._fits = Fits(len(origin), noise)
+        self._count, self._tasks, self._searched = 0, 0, 0
+        self._apart, self._waiting = [], []
+
+    def _append(self, times: Array, seen: Array) -> None:
+        """Add sightings: times, shape (M,) [s], and positions, shape (M, n) [m]."""
+        past, latest = (times - self._epoch, seen - self._origin), self._count + len(times)
+        self._times[self._count : latest], self._seen[self._count : latest] = past
+        self._count = latest
+        self._fits.add(past)
 
     def _conclude(self) -> None:
         """Fit the families and compute their shares."""
@@ -272,13 +275,17 @@ class Bank:
 
     def _shorten(self) -> None:
         """Drop the oldest sightings, but keep the present estimates."""
-        times, seen = (each[-KEPT:].copy() for each in self._past())
-        by, offset = float(times[0]), seen[0].copy()
-        self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
-        self._epoch, self._origin = self._epoch + by, self._origin + offset
-        self._count, self._searched, self._evidence[:] = KEPT, 0, -np.inf
-        self._waiting = []  # relative to the previous epoch
-        self._fits.begin_later(by, self._past())
+        before, (times, seen) = self._fits, (each[-KEPT:] for each in self._past())
+        ways = before.rows(times) @ self._fitted
+        self._start_from(self._epoch + times[0], self._origin + seen[0], before.prior)
+        self._append(self._epoch + times - times[0], self._origin + seen - seen[0])
+        for family in np.flatnonzero(before.rates).tolist():
+            rate, damping = before.rates[family], before.dampings[family]
+            x = columns(times - times[0], rate, damping)[:, BENDING]
+            coefficients = np.zeros_like(before.coefficients[family])
+            coefficients[BENDING] = np.linalg.lstsq(x, ways[family] - seen[0], rcond=None)[0]
+            moved = bool(before.weighed[family])
+            self._fits.place(Placement(family, rate, damping, coefficients, moved), self._past())
         self._conclude()
 
     def _past(self) -> Past:
@@ -318,7 +325,7 @@ class Bank:
     def _move(self) -> None:
         """Step the next oscillation whose fit would gain by it, new placements first."""
         turn, fits = self._tasks // 2 % len(OSCILLATING), self._fits
-        raw = [family for family in OSCILLATING if fits.known[family] > fits.weighed[family]]
+        raw = [each for each in OSCILLATING if fits.rates[each] and not fits.weighed[each]]
         for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
             if fits.gain[family] > WORTHWHILE:
                 self._waiting.append(fits.moved(family, self._past()))
@@ -335,7 +342,7 @@ class Bank:
         times, seen = self._past()
         rate, misfit = best_swing((times[: self._searched], seen[: self._searched]), middle)
         fits = self._fits
-        if not fits.known[family] or misfit < BETTER * fits.misfit[family]:
+        if not fits.rates[family] or misfit < BETTER * fits.misfit[family]:
             still = np.zeros_like(fits.coefficients[family])
             self._waiting.append(Placement(family, rate, 0.0, still))
 
@@ -357,7 +364,7 @@ class Bank:
 
     def _worse(self, family: int, other: int) -> bool:
         fits = self._fits
-        return not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[other]
+        return not fits.rates[family] or fits.misfit[family] > WORSE * fits.misfit[other]
 
     def _start(self, family: int, rate: float, coefficients: Array) -> None:
         if coefficients[COSINE].any():
