@@ -44,7 +44,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -202,30 +202,25 @@ class Interception:
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
-        self.problem = lru_cache(maxsize=MEMORY)(self._problem)
+        self._costliest = (1.0 + EFFORT) * radius**2  # of catches
+        caught = partial(catching, problem, radius)
+        self.problem = lru_cache(maxsize=MEMORY)(caught)
         self.solver = lru_cache(maxsize=MEMORY)(self._solver)
         for end in range(1, self._horizon + 1):  # used by nearly every search
             for narrow in (False, True) if self._coned else (False,):
                 self.solver(end, narrow)
 
-    def _problem(self, end: float, narrow: bool = False) -> Problem:
-        """Return the problem of :func:`catching` the goal, possibly in the narrower cone."""
-        made = catching(self._tracked, self._radius, end)
-        if not narrow:
-            return made
-        return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
-
-    def enough(self, end: float) -> Enough:
-        """Return the bounds that decide whether the goal is caught at an end.
+    def _solver(self, end: float, narrow: bool) -> Solver:
+        """Return the solver for an end, possibly in the narrower cone.
 
         Past the horizon, any plan well within the radius will do; within it, the best is wanted.
         """
-        squared = self._radius**2
+        problem = self.problem(end)
+        if narrow:
+            approach = replace(problem.approach, cone=NARROW * problem.approach.cone)
+            problem = replace(problem, approach=approach)
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
-        return Enough(well, (1.0 + EFFORT) * squared)
-
-    def _solver(self, end: float, narrow: bool) -> Solver:
-        return self._solver_for(self.problem(end, narrow), enough=self.enough(end))
+        return self._solver_for(problem, enough=Enough(well, self._costliest))
 
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
         """Return the task of the earliest catch with its answer, and bounds of its time.
@@ -236,26 +231,22 @@ class Interception:
         # Past the horizon this takes a search and comes first; else it may be unnecessary.
         held = self._held(query) if query.expected > self._horizon else None
         best, bound, counted = self._in_view(query)
-        near = self._radius < best.miss <= self._near
-        goals = self._goals(query, self._horizon)
-        sought = Sought(self._tracked, query.task.state, goals, self._radius)
-        never = Intercept(math.nan, self._step * bound, sought, self._step * counted)
-        if near and 0 < query.expected <= self._horizon:
-            return best.found, never
-        if best.miss > self._radius:  # not even narrowly
+        lost = best.miss <= self._near and 0 < query.expected <= self._horizon
+        if best.miss > self._radius and not lost:
             rest, kept = held or self._held(query)
             best = self._sooner(query, kept) if kept.plan else self._beyond(query)
-            if best.plan is None:
-                lost = rest if rest.miss <= self._near else MISSED
-                return lost.found, never
+            if best.plan is None and rest.miss <= self._near:
+                best = rest
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(query, best)
         if self._centred and self._is_well(best):
             best = self._through_the_middle(query, best)
-        first = min(bound, best.end)
-        known = self._step * min(counted, first)
-        when = best.end if best.miss <= self._radius else math.nan
-        catch = Intercept(self._step * when, self._step * first, sought, known)
+        caught = best.miss <= self._radius
+        first = min(bound, best.end) if caught else bound
+        goals = self._goals(query, self._horizon)
+        sought = Sought(self._tracked, query.task.state, goals, self._radius)
+        when, known = best.end if caught else math.nan, min(counted, first)
+        catch = Intercept(self._step * when, self._step * first, sought, self._step * known)
         return best.found, catch
 
     def _goals(self, query: InterceptQuery, end: float) -> Array:
@@ -427,9 +418,7 @@ class Interception:
 
     def _surely(self, query: InterceptQuery, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""
-        if end <= self._horizon:
-            return MISSED
-        attempt = self._at(query, end)
+        attempt = self._at(query, end) if end > self._horizon else MISSED
         return attempt if self._is_well(attempt) else MISSED
 
     def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
@@ -469,7 +458,7 @@ class Interception:
             astray = defect(solver.problem, query.task.state, plan, self._lag)
             miss = float(np.linalg.norm(place + astray - goals[-1]))
             if aims is goals:  # only this proof concerns the goal itself
-                never = plan.proof.lower_bound > self.enough(end).bound
+                never = plan.proof.lower_bound > self._costliest
                 found = _Attempt((task, answer), end, miss, never, plan.proof.checked)
             elif miss < found.miss:
                 found = found._replace(found=(task, answer), miss=miss)
