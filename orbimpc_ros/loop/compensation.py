@@ -299,8 +299,7 @@ class Start(NamedTuple):
     odometry: Odometry  # initial motion of the plan
     state: dict[str, Any]  # the same as arguments of State.at
     told: dict[str, Any]  # fields of a decision on how it was found
-    limited: str  # message if the estimate was limited; otherwise empty
-    odd: str  # message if the speed is outside the range of the model; otherwise empty
+    odd: tuple[str, ...]  # messages if the estimate was limited, or the speed is out of range
 
 
 class Compensator:
@@ -394,7 +393,7 @@ class Compensator:
             'disturbance': self.disturbance,
             'innovation': self.innovation if self._estimated else None,
         }
-        return Start(odometry, self.state(odometry), told, limited, self.odd_speed(odometry))
+        return Start(odometry, self.state(odometry), told, (self.odd_speed(odometry), limited))
 
     def _settled(self, measured: Odometry) -> Odometry:
         """Return the state from which a vehicle without lags would fly the same path, a lag later.

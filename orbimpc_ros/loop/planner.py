@@ -112,13 +112,11 @@ class Decision(ByContent):
 class _Memory:
     """Memory of a planner between decisions."""
 
-    aim: Array  # goal at the end of the last plan, shape (n,) [m]
-    pace: float  # duration of a step of the previous plan [s]
+    aim: Array  # goal at the end of the last plan found, shape (n,) [m]
     flown: float  # steps since the start
     reached: float | None = None  # share of full speed reached by following commands
-    previous: Plan | None = None
-    goals: Array | None = None  # goals of the previous plan
-    wanted: Array | None = None  # attitude at its end
+    decision: Decision | None = None  # the last one from fresh odometry
+    wanted: Array | None = None  # attitude of the last goal
     fallbacks: int = 0  # decisions since a plan was found
     until: float = 0.0  # end of the last plan found, in steps since the start; 0 before the first
     last: float | None = None  # stamp of the last decision [s]
@@ -232,7 +230,7 @@ class Planner:
     def _fresh(self, reached: float | None = None) -> _Memory:
         problem = self.problem
         led = self._compensator.response.lead(problem) / problem.step
-        return _Memory(np.zeros(problem.dimension), problem.step, led, reached)
+        return _Memory(np.zeros(problem.dimension), led, reached)
 
     def reset(self) -> None:
         """Forget everything, for instance before another flight."""
@@ -272,9 +270,9 @@ class Planner:
         That takes longer than most solves: call this when the command has been sent.
         """
         memory = self._memory
-        if self._shrinking and memory.last is not None and memory.pace == self.problem.step:
+        if self._shrinking and memory.last is not None:
             count, step = self._steps(memory.flown + 1.0)
-            if count:
+            if count and step == self.problem.step:  # shortened steps differ each time
                 self._solver(count, step)
 
     # --- steps of the horizon
@@ -307,17 +305,6 @@ class Planner:
         if steps <= 0.0 or abs(steps - 1.0) <= SNAP:
             return 1.0
         return steps
-
-    def _begin(self, time: float, passed: float) -> Array:
-        """Advance to a decision at a time [s]; return its step ends in the previous plan."""
-        memory = self._memory
-        memory.last = time
-        memory.flown += passed
-        count, step = self._steps(memory.flown)
-        before, memory.pace = memory.pace, step
-        if before == step == self.problem.step:
-            return passed + self._counted[:count]
-        return (passed * self.problem.step + step * self._counted[:count]) / before
 
     def _made(self, count: int, step: float, *, soft: bool = False) -> Solver:
         """Return the solver for ``count`` steps of length ``step`` [s], or for a soft arrival."""
@@ -357,28 +344,30 @@ class Planner:
             self._change_speed(1.0)
             return self._safe(known, Status.FAILED, unsafe or WAITING)
         start = self._compensator.start(known, snapshot.latency, now, snapshot.wind)
-        memory, time = self._memory, start.odometry.time
         hazards, left_out = self._hazards(snapshot, start.odometry)
-        passed, lost = self._passed(time), ''
+        passed, lost = self._passed(start.odometry.time), ''
         if snapshot.goal is None:
             lost = 'there is no goal'
         elif snapshot.goal_age > self._timeouts[1]:
             lost = f'the goal is {snapshot.goal_age:.2f} s old'
         self._change_speed(passed)
-        knots = self._begin(time, passed)
-        if not lost:
-            memory.wanted = snapshot.wanted
+        memory = self._memory
+        memory.wanted = memory.wanted if lost else snapshot.wanted
         wanted = memory.wanted if self._wants_attitude else None  # otherwise unused
         reached = memory.reached  # base of limited changes of speed
         state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
+        memory.last, memory.flown = start.odometry.time, memory.flown + passed
+        task = self._task(state, passed, late)
         if lost:
-            decision = self._hold(state, knots, lost)
+            decision = self._hold(state, task, lost)
+        elif task is None:
+            reason = Reason(Cause.HORIZON, 'the horizon has run out')
+            decision = self._safe(state, Status.FEASIBLE, reason)
         else:
-            decision = self._planned(snapshot, start, state, knots, passed, late)
-        memory.previous = decision.plan
-        if start.limited:
-            decision = replace(decision, reason=joined(decision.reason, start.limited))
-        return replace(decision, **start.told, left_out=left_out)
+            decision = self._planned(snapshot.goal, start, task, passed)
+        memory.decision = decision
+        words = joined(decision.reason, *start.odd)
+        return replace(decision, reason=words, **start.told, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -400,32 +389,33 @@ class Planner:
         before = max(before, min(asked, self.problem.least_speed))
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
+    def _task(self, state: State, passed: float, late: Late | None) -> Task | None:
+        """Return the task without goals, ``passed`` steps after the last; None without any steps.
+
+        Its knots are the ends of its steps in the previous plan.
+        """
+        count, step = self._steps(self._memory.flown)
+        if not count:
+            return None
+        solver, before = self._solver(count, step), self._memory.decision
+        pace = before.problem.step if before and before.problem else self.problem.step
+        knots = passed * (self.problem.step / pace) + step / pace * self._counted[:count]
+        plan, none = before.plan if before else None, np.zeros((0, state.dimension))
+        return Task(solver.problem, state, none, knots, solver, plan, self._projection, late)
+
     def _planned(
-        self,
-        snapshot: Snapshot,
-        start: Start,
-        state: State,
-        knots: Array,
-        passed: float,
-        late: Late | None,
+        self, given: Array | GoalMotion | None, start: Start, task: Task, passed: float
     ) -> Decision:
         """Return the decision for a known goal, ``passed`` steps after the last one."""
-        memory, given, odometry = self._memory, snapshot.goal, start.odometry
+        memory, state, odometry = self._memory, task.state, start.odometry
         assert given is not None
-        if not len(knots):
-            reason = Reason(Cause.HORIZON, 'the horizon has run out')
-            return self._safe(state, Status.FEASIBLE, reason)
-        ends = odometry.time + memory.pace * self._counted[: len(knots)]
+        ends = odometry.time + task.problem.step * self._counted[: len(task.knots)]
         motion = None if isinstance(given, np.ndarray) else given
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
         goals = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals.setflags(write=False)
-        goals, shortened = clamp_goal(self.problem, state, goals)
-        solver = self._solver(len(knots), memory.pace)
-        before = memory.previous, self._projection
-        task = Task(solver.problem, state, goals, knots, solver, *before, late)
-        memory.goals = goals
+        goals, shortened = clamp_goal(self.problem, state, sealed(goals))
+        task = replace(task, goals=goals)
         held, catch = '', None
         if state.hazards or self.problem.obstacles:
             held = held_goal(task.problem, state, goals)
@@ -434,11 +424,9 @@ class Planner:
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        elif state.hazards:
-            task, (plan, status, words) = self._tracked(task)
         else:
-            plan, status, words = task.solved()
-        reason = Reason(Cause.NONE, joined(words, held, shortened, start.odd))
+            task, (plan, status, words) = self._tracked(task)
+        reason = Reason(Cause.NONE, joined(words, held, shortened))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
@@ -521,7 +509,6 @@ class Planner:
             chosen, answer = replace(found[0], state=task.state), found[1]
             if not task.state.hazards or cheapest_clear(chosen, filter(None, answer[:1])):
                 memory.catch = now + chosen.problem.step * chosen.problem.horizon
-                memory.pace, memory.goals = chosen.problem.step, chosen.goals
                 return chosen, answer, catch
             words = f'the catch at {catch.time:.4g} s leads through traffic'
             catch = replace(catch, time=math.nan)
@@ -530,18 +517,15 @@ class Planner:
 
     # --- without a new plan
 
-    def _hold(self, state: State, knots: Array, words: str) -> Decision:
+    def _hold(self, state: State, task: Task | None, words: str) -> Decision:
         """Continue without a goal: on the previous plan while allowed, then by the safe command."""
-        memory, reason = self._memory, Reason(Cause.GOAL, words)
-        unknown = memory.goals is None or (self._wants_attitude and memory.wanted is None)
-        if unknown or memory.goals is None or not len(knots):
+        before, reason = self._memory.decision, Reason(Cause.GOAL, words)
+        unknown = self._wants_attitude and state.wanted is None
+        if before is None or before.goals is None or task is None or unknown:
             return self._safe(state, Status.FAILED, reason)
-        before = memory.goals
-        memory.goals = sealed(interpolated(knots - 1.0, np.arange(0.0, len(before)), before))
-        solver = self._solver(len(knots), memory.pace)
-        known = state, memory.goals, knots, solver, memory.previous, self._projection
-        task = Task(solver.problem, *known)
-        return self._fall_back(task, Status.FAILED, reason)
+        kept = np.arange(0.0, len(before.goals))
+        goals = sealed(interpolated(task.knots - 1.0, kept, before.goals))
+        return self._fall_back(replace(task, goals=goals), Status.FAILED, reason)
 
     def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
@@ -572,7 +556,7 @@ class Planner:
 
     def _arrive_softly(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
-        solver = self._solver(len(task.knots), memory.pace, soft=True)
+        solver = self._solver(task.problem.horizon, task.problem.step, soft=True)
         eased = replace(task, problem=solver.problem, solver=solver)
         plan, _, _ = eased.solved(guessing=True)
         if plan is None:
