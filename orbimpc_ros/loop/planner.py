@@ -366,8 +366,9 @@ class Planner:
         else:
             decision = self._planned(snapshot.goal, start, task, passed)
         memory.decision = decision
-        words = joined(decision.reason, *start.odd)
-        return replace(decision, reason=words, **start.told, left_out=left_out)
+        if any(start.odd):
+            decision = replace(decision, reason=joined(decision.reason, *start.odd))
+        return replace(decision, **start.told, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -400,7 +401,7 @@ class Planner:
         solver, before = self._solver(count, step), self._memory.decision
         pace = before.problem.step if before and before.problem else self.problem.step
         knots = passed * (self.problem.step / pace) + step / pace * self._counted[:count]
-        plan, none = before.plan if before else None, np.zeros((0, state.dimension))
+        plan, none = before.plan if before else None, np.zeros((0, 0))
         return Task(solver.problem, state, none, knots, solver, plan, self._projection, late)
 
     def _planned(
@@ -414,7 +415,8 @@ class Planner:
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
         goals = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals, shortened = clamp_goal(self.problem, state, sealed(goals))
+        goals.setflags(write=False)
+        goals, shortened = clamp_goal(self.problem, state, goals)
         task = replace(task, goals=goals)
         held, catch = '', None
         if state.hazards or self.problem.obstacles:
@@ -424,8 +426,10 @@ class Planner:
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
-        else:
+        elif state.hazards:
             task, (plan, status, words) = self._tracked(task)
+        else:
+            plan, status, words = task.solved()
         reason = Reason(Cause.NONE, joined(words, held, shortened))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
