@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_849,
+    'orbimpc_ros': 31_788,
     'orbimpc_ros/mpc': 16_432,
-    'orbimpc_ros/loop': 3_664,
+    'orbimpc_ros/loop': 3_603,
     'orbimpc_ros/ros': 4_548,
     'orbimpc_ros/sim': 2_499,
     'orbimpc_ros/tool': 4_526,
