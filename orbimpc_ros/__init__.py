@@ -30,24 +30,11 @@ if TYPE_CHECKING:
 
 __version__ = '0.1.0'
 
-_HOMES = {
-    'mpc.errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
-    'loop.planner': ('Decision', 'Planner', 'Snapshot'),
-    'loop.compensation': ('Odometry',),
-    'mpc.outcome': ('Fallback', 'Status'),
-    'mpc.plan': ('Command', 'Plan', 'Proof'),
-    'mpc.problem': (
-        'Approach',
-        'Ball',
-        'Box',
-        'Floor',
-        'MovingObstacle',
-        'Problem',
-        'State',
-        'Weights',
-    ),
-    'mpc.solve.solver': ('Solver',),
-}
+# Where the names are, in the order in which these modules import each other.
+_HOMES = (
+    *('mpc.errors', 'mpc.outcome', 'mpc.problem', 'mpc.plan', 'mpc.solve.solver'),
+    *('loop.compensation', 'loop.planner'),
+)
 
 __all__ = [
     'Approach',
@@ -78,9 +65,10 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Return a name of the interface."""
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(f'orbimpc_ros.{home}'), name)
+    for home in _HOMES if name in __all__ else ():
+        module = import_module(f'orbimpc_ros.{home}')
+        if hasattr(module, name):
+            return getattr(module, name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
 
 

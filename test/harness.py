@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.tool.processes import Child, claimed
@@ -82,7 +83,8 @@ class LaunchedProcess(Child):
             words += ['-p', f'{name}:={value}']
         for name, other in remapped.items():
             words += ['-r', f'{name}:={other}']
-        super().__init__(str(module), words, log, domain)
+        with mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)):
+            super().__init__(str(module), words, log)
 
     def wait(self, timeout: float | None = PATIENCE) -> int:
         return super().wait(timeout)

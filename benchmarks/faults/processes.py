@@ -76,7 +76,7 @@ def flooded(harness: Harness, rate: float) -> Iterator[None]:
     words = [sys.executable, '-m', 'benchmarks.faults.stimulus', str(rate)]
     log = harness.folder / 'flood.log'
     with harness.muted():
-        child = Child('the flood', words, log, harness.domain)
+        child = Child('the flood', words, log)
         try:
             harness.until(lambda: harness.node.count_publishers('odom') > 0, 'the flood')
             harness.spin(SETTLED)

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.entry import COMPILING, PACKAGES
 from orbimpc_ros.ros.messages import SECOND, time_message
 from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
@@ -45,12 +45,9 @@ SPIN = 0.05  # [s]
 # The simulator exits after its flight, and begins once planner and recorder have subscribed.
 OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
 QUIET, LAST_WORDS = 0.1, 1.0  # [s] of silence that completes a bag, and at most until then
-AGAIN = 0.2  # [s] between repetitions of a time on /clock, since messages may be lost
-PATIENCE = 120.0  # [s] for the answers to a step
-STARTING = 600.0  # [s] for the answers to the first step, which may need compilation
+AGAIN = 0.2  # [s] between repetitions of calls, and of a time on /clock: messages may be lost
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts once this topic has its subscribers
-CALL_AGAIN = 5.0  # [s] until a planner that has not answered is called again
 
 
 def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -> int:
@@ -183,20 +180,19 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {shown(folder)}')
     names, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
-    with interruptions() as received:
-        with Processes() as started:
+    with interruptions() as received, Processes() as started:
 
-            def begun(node: str, namespace: str) -> Child:
-                log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
-                return started.start(PACKAGES[node], parameters, log, namespace)
+        def begun(node: str, namespace: str) -> Child:
+            log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
+            return started.start(PACKAGES[node], parameters, log, namespace)
 
-            planners, sims = (
-                {each: begun(node, each) for each in namespaces} for node in ('planner', 'sim')
-            )
-            with closing(Recorder(folder / 'bag', topics_of(namespaces), notes, names)) as recorder:
-                _watch(planners, sims, recorder, received, values)
-        if received:
-            raise KeyboardInterrupt
+        planners, sims = (
+            {each: begun(node, each) for each in namespaces} for node in ('planner', 'sim')
+        )
+        with closing(Recorder(folder / 'bag', topics_of(namespaces), notes, names)) as recorder:
+            _watch(planners, sims, recorder, received, values)
+    if received:
+        raise KeyboardInterrupt
 
 
 def _watch(
@@ -210,10 +206,7 @@ def _watch(
     progress, pacer = ProgressLine(values['max_ticks']), None
     if values['clock'] == 'shared':
         pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
-    while not received:
-        flying = [namespace for namespace, sim in sims.items() if sim.running]
-        if not flying:
-            break
+    while not received and (flying := [name for name, sim in sims.items() if sim.running]):
         recorder.spin(SPIN)
         if pacer is not None:
             pacer.look(flying)
@@ -244,6 +237,7 @@ class Pacer:
     """The clock of a fleet in lock-step: it advances when every vehicle has its command.
 
     On a machine that is too slow for real time the flight takes longer, but no command is missed.
+    A simulator whose planner does not answer gives up by itself, and the others fly on.
 
     Args:
         recorder: of the fleet.
@@ -253,25 +247,19 @@ class Pacer:
 
     def __init__(self, recorder: Recorder, begin: float, step: float) -> None:
         self._recorder, self._begin, self._step = recorder, begin, step
-        self._count, self._since, self._sent = 0, time.monotonic(), 0.0
+        self._count, self._sent = 0, -math.inf
 
     def look(self, flying: Sequence[str]) -> None:
-        """Advance by a step if the vehicles of these namespaces have answered the last one.
+        """Advance by a step if the vehicles of these namespaces have answered the last one."""
+        stamps = [self._recorder.latest.get(f'{name}/cmd_vel', -math.inf) for name in flying]
+        if min(stamps) >= self._time(self._count - 0.5):  # half a step: more than rounding errors
+            self._count, self._sent = self._count + 1, -math.inf
+        if time.monotonic() - self._sent > AGAIN:
+            self._sent = time.monotonic()
+            self._recorder.clock.publish(Clock(clock=time_message(self._time(self._count))))
 
-        Raises:
-            OrbimpcError: an answer is overdue.
-        """
-        now, wall = round((self._begin + self._count * self._step) * SECOND), time.monotonic()
-        early = now - 0.5 * self._step * SECOND  # more than rounding errors
-        answers = {name: self._recorder.latest.get(f'{name}/cmd_vel', -math.inf) for name in flying}
-        silent = [name for name, stamp in answers.items() if stamp < early]
-        if not silent:
-            self._count, self._since, self._sent = self._count + 1, wall, 0.0
-        elif wall - self._since > (PATIENCE if self._count else STARTING):
-            raise OrbimpcError(f'{", ".join(silent)}: no command for {wall - self._since:.0f} s')
-        if wall - self._sent > AGAIN:
-            self._sent = wall
-            self._recorder.publish_clock(self._begin + self._count * self._step)
+    def _time(self, steps: float) -> int:
+        return round((self._begin + steps * self._step) * SECOND)
 
 
 # --- the bag: serialised messages as they arrive, under their own stamps
@@ -323,18 +311,16 @@ class Recorder:
             name: self._node.create_client(GetParameters, f'{name}/get_parameters')
             for name in planners
         }
-        self._clock: Any = None
-        self._called = dict.fromkeys(planners, -math.inf)  # when, on the steady clock [s]
+        self._node.create_timer(AGAIN, self._meet)
+        self._meet()
 
     def _meet(self) -> None:
         """Call planners that have not answered yet; when all have, subscribe to odometry, too.
 
-        A planner answers once it is configured. Calls are repeated, since a restart would lose one.
+        A planner answers once it is configured.
         """
-        now = time.monotonic()
         for name, client in self._unmet.items():
-            if now - self._called[name] >= CALL_AGAIN and client.service_is_ready():
-                self._called[name] = now
+            if client.service_is_ready():
                 answer = client.call_async(GetParameters.Request())
                 answer.add_done_callback(lambda _, name=name: self._unmet.pop(name, None))
         while self._held and not self._unmet:
@@ -352,25 +338,23 @@ class Recorder:
         if self._now != UNDATED:
             self._bag.write(topic.name, self._now, data, about['source_timestamp'])
 
-    def publish_clock(self, seconds: float) -> None:
-        """Publish a time on /clock, for fleets, whose simulators do not."""
-        if self._clock is None:
-            self._clock = self._node.create_publisher(Clock, '/clock', DEPTH)
-        self._clock.publish(Clock(clock=time_message(round(seconds * SECOND))))
+    @cached_property
+    def clock(self) -> Any:
+        """Return a publisher of /clock, for fleets, whose simulators have none."""
+        return self._node.create_publisher(Clock, '/clock', DEPTH)
 
     def spin(self, seconds: float) -> None:
         """Record one message, if one arrives within this time."""
-        self._meet()
         self._executor.spin_once(timeout_sec=seconds)
 
     def drain(self, quiet: float, limit: float) -> None:
         """Record until no message has come for ``quiet`` seconds, but at most ``limit`` seconds."""
-        last = time.monotonic()
-        end, heard = last + limit, sum(self.counts.values())
-        while time.monotonic() < min(end, last + quiet):
-            self.spin(quiet / 4)
+        heard, now = -1, time.monotonic()
+        last, end = now, now + limit
+        while (now := time.monotonic()) < min(end, last + quiet):
             if sum(self.counts.values()) != heard:
-                last, heard = time.monotonic(), sum(self.counts.values())
+                last, heard = now, sum(self.counts.values())
+            self.spin(quiet / 4)
 
     def close(self) -> None:
         """Stop recording and finish the bag; the node ends even if the disk is full."""

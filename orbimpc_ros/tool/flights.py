@@ -17,6 +17,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ import numpy as np
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import sim_settings
@@ -62,7 +63,11 @@ def flown(
     :func:`_of_way` and :func:`_of_ticks`.
     """
     simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
-    pilot = _pilot(study, controller, given)
+    if controller == OURS:
+        _, pilot = _planner_of(given)
+        pilot.reset()
+    else:
+        pilot = baselines().baseline_named(controller, given, study)
     # Ticks are measured in processor time, because other processes may load the machine.
     planner = OfflinePlanner(given, clock=time.thread_time, planner=pilot)
     way, ticks, failed = list[Flight](), list[Decision](), ''
@@ -77,26 +82,16 @@ def flown(
                 pilot.steer(flight)
     except EngineFailure as error:
         failed = str(error)
-    caught = flight.captured
     return {
         'controller': controller,
         'index': index,
-        'caught': caught,
-        'time': flight.missed_at if caught else None,
+        'caught': flight.captured,
+        'time': flight.missed_at if flight.captured else None,
         'touched': bool(flight.touched),
         'failed': failed,
         **_of_way(way),
         **_of_ticks(ticks),
     }
-
-
-def _pilot(study: str, controller: str, given: PlannerSettings) -> Any:
-    """Return the controller of a flight, reset."""
-    if controller != OURS:
-        return baselines().baseline_named(controller, given, study)
-    _, known = _planner_of(given)
-    known.reset()
-    return known
 
 
 def baselines() -> Any:
@@ -124,10 +119,10 @@ def _of_way(way: Sequence[Flight]) -> Row:
     if last.settings.finish == 'arrival':
         row |= {'missed': last.distance, 'speed': last.speed}
     if last.vehicle.engine is not None:
-        trail = [vehicle for flight in way for vehicle in flight.trail if not vehicle.caught]
-        facts = [fact for each in trail for fact in each.facts.items()]
-        row |= {'airspeed': last.least_airspeed}
-        row |= {name: max(abs(v) for n, v in facts if n == name) for name in dict(facts)}
+        row['airspeed'] = last.least_airspeed
+        trail = (vehicle.facts for flight in way for vehicle in flight.trail if not vehicle.caught)
+        for name, value in chain.from_iterable(facts.items() for facts in trail):
+            row[name] = max(row.get(name, 0.0), abs(value))
     return row
 
 
@@ -171,17 +166,17 @@ def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Ro
     if file.exists() != resumed:
         there = 'no study to continue' if resumed else 'a study already'
         raise BadInput(str(file), there, 'another -o DIR' if resumed else '--resume')
-    kept, differ = dict[Key, Row](), list[str]()
+    kept: dict[Key, Row] = {}
     if resumed:
         try:
             whole = file.read_text().rpartition('\n')[0]
             head, *rows = map(json.loads, whole.splitlines())
-            kept = {(row['controller'], row['index']): row for row in rows}
             differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
+            kept = {(row['controller'], row['index']): row for row in rows}
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
             raise BadInput(str(file), 'damaged', 'the results of a study') from None
-    if differ:
-        raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
+        if differ:
+            raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
     file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))
     return kept
 

@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from orbimpc_ros.install import shared
 from orbimpc_ros.mpc.errors import OrbimpcError
@@ -44,15 +45,11 @@ class Child(subprocess.Popen):
         name: for error messages.
         words: the program to run, and its arguments.
         log: for the output of the process.
-        domain: of ROS; this process's by default.
     """
 
-    def __init__(
-        self, name: str, words: Sequence[str], log: Path, domain: int | None = None
-    ) -> None:
+    def __init__(self, name: str, words: Sequence[str], log: Path) -> None:
         self._name, self._log = name, log
         tether = TETHER if shutil.which(TETHER[0]) else ()
-        own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # In its own session: Ctrl-C reaches only the tool, which then stops its children.
             super().__init__(
@@ -61,7 +58,6 @@ class Child(subprocess.Popen):
                 stdout=stream,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=os.environ | own,
             )
 
     @property
@@ -107,17 +103,17 @@ class Processes(list[Child]):
             process.stop()
 
     def start(self, module: str, parameters: Path, log: Path, namespace: str = '') -> Child:
-        """Start a node.
+        """Start a module, such as ``orbimpc_ros.sim``, as a node in a namespace, such as ``/uav1``.
 
         Args:
-            module: to run, such as ``orbimpc_ros.sim``.
+            module: to run.
             parameters: file of ROS parameters.
             log: for the output of the process.
-            namespace: of the node, such as ``/uav1``.
+            namespace: of the node.
         """
         words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
-        remapped = ['-r', f'__ns:={namespace}'] if namespace else []
-        self.append(Child(module.rpartition('.')[2], [*words, *remapped], log))
+        words += ['-r', f'__ns:={namespace}'] if namespace else []
+        self.append(Child(module.rpartition('.')[2], words, log))
         return self[-1]
 
 
@@ -134,10 +130,10 @@ def isolate(folder: Path) -> int:
     domain = next(filter(claimed, candidates), candidates[0])
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    profile = shared(PROFILE)
-    for variable in PROFILE_VARIABLES if profile else ():
-        os.environ.setdefault(variable, str(profile))
-    if not any(os.environ.get(variable) for variable in LOG_VARIABLES):
+    if profile := shared(PROFILE):
+        for variable in PROFILE_VARIABLES:
+            os.environ.setdefault(variable, str(profile))
+    if not any(map(os.environ.get, LOG_VARIABLES)):
         os.environ[LOG_VARIABLES[0]] = str(folder / 'log')
     return domain
 
@@ -171,10 +167,9 @@ def claimed(domain: int) -> bool:
 def interruptions() -> Iterator[list[int]]:
     """Record SIGINT and SIGTERM instead of being interrupted; yield the list of those received."""
     received: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _frame: received.append(number))
-        for number in SIGNALS
-    }
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number in SIGNALS:
+        signal.signal(number, lambda number, _frame: received.append(number))
     try:
         yield received
     finally:
@@ -193,26 +188,22 @@ class ProgressLine:
     """
 
     def __init__(self, total: int) -> None:
-        self._total = max(1, total)
-        self._stream = sys.stderr
-        self._live = self._stream.isatty()
-        self._shown: tuple[int, str] | None = None
+        self._total, self._live = max(1, total), sys.stderr.isatty()
+        self._shown: Any = None
 
     def show(self, done: int, text: str) -> None:
         """Draw ``done`` and a text, if the bar has changed; without a terminal, in coarse steps."""
         share = min(1.0, done / self._total)
-        shown = (done, text) if self._live else (int(share * LINES), '')
+        shown = (done, text) if self._live else int(share * LINES)
         if shown == self._shown:
             return
-        self._shown = shown
-        filled = int(share * WIDTH)
+        self._shown, filled = shown, int(share * WIDTH)
         line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
         line = line[: shutil.get_terminal_size().columns - 1]  # a wrapped line could not be redrawn
-        self._stream.write(f'\r{line}\x1b[K' if self._live else f'{line}\n')
-        self._stream.flush()
+        line = f'\r{line}\x1b[K' if self._live else f'{line}\n'
+        print(line, end='', file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """End the line of the bar."""
         if self._live and self._shown is not None:
-            self._stream.write('\n')
-            self._stream.flush()
+            print(file=sys.stderr)

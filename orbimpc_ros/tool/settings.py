@@ -40,11 +40,7 @@ def config(name: str) -> Path:
 
 
 def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
-    """Return every parameter's value for a run.
-
-    Args:
-        file: of ROS parameters; one file serves both nodes.
-        changes: ``name=value``, as given on the command line.
+    """Return every parameter's value for a run: a file's and defaults, :func:`changed`.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
@@ -53,11 +49,7 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
 
 
 def changed(values: Values, changes: Sequence[str]) -> Values:
-    """Return values with some of them changed, validated together.
-
-    Args:
-        values: of every parameter.
-        changes: ``name=value``, as given on the command line.
+    """Return the values of all parameters with changes, ``name=value``, validated together.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
@@ -78,15 +70,12 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
 
 
 def of_sim(values: Values) -> Values:
-    """Return the values for the simulator, without prefix."""
-    common, own = _parted(values)
-    return common | own
+    """Return the values for the simulator: without prefix its own, which precede those for both."""
+    return values | _own(values)
 
 
-def _parted(values: Values) -> tuple[Values, Values]:
-    """Return the values for both nodes, and those for the simulator only."""
-    own = {name.removeprefix(OF_SIM): v for name, v in values.items() if name.startswith(OF_SIM)}
-    return {name: v for name, v in values.items() if not name.startswith(OF_SIM)}, own
+def _own(values: Values) -> Values:
+    return {name.removeprefix(OF_SIM): v for name, v in values.items() if name.startswith(OF_SIM)}
 
 
 def text(values: Values, own: Mapping[str, Values] = {}) -> str:
@@ -97,10 +86,10 @@ def text(values: Values, own: Mapping[str, Values] = {}) -> str:
         own: values that differ between vehicles, by namespace, such as ``/uav1``.
     """
     differ = {name for each in own.values() for name in each}
-    common, alone = _parted({n: value for n, value in values.items() if n not in differ})
-    sections = {'/**': common} | ({'/**/sim': alone} if alone else {})
+    common = {n: v for n, v in values.items() if n not in differ and not n.startswith(OF_SIM)}
+    sections = {'/**': common, '/**/sim': _own(values)}
     sections |= {f'{namespace}/**': each for namespace, each in own.items()}
-    plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items()}
+    plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items() if each}
     return yaml.safe_dump(plain, sort_keys=False)
 
 
@@ -111,17 +100,12 @@ def _plain(values: Values) -> Values:
 
 
 def of_bag(path: Path, namespace: str = '') -> Values:
-    """Return the values in the recorder's notes of a bag, and defaults for all others.
-
-    Args:
-        path: path of the bag.
-        namespace: of the vehicle, in the bag of a fleet.
+    """Return the values in the notes of a bag, as :func:`read` does.
 
     Raises:
         BadInput: no bag, or malformed notes.
     """
-    noted = bags.notes(path).get('parameters', '{}')
-    return read(noted, namespace, f'{path}: parameters')
+    return read(bags.notes(path).get('parameters', '{}'), namespace, f'{path}: parameters')
 
 
 def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
@@ -135,14 +119,15 @@ def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    return _completed(files.parse(written, name), name, namespace)
-
-
-def _completed(content: Any, name: str, namespace: str = '') -> Values:
-    """Return the values in a parameter file, and defaults for all others."""
+    content = files.parse(written, name)
     if namespace and isinstance(content, dict):
         wanted = ('/**', f'{namespace}/')
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
+    return _completed(content, name)
+
+
+def _completed(content: Any, name: str) -> Values:
+    """Return the values in a parameter file, and defaults for all others."""
     values: Values = {}
     for given, value in parameters_of(content, name):
         if given in ROWS:

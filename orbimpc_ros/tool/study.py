@@ -57,17 +57,6 @@ TURN = [-math.pi, math.pi]
 LARGEST_DRAWN = 2**31 - 1  # for seeds of the noise
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
 MOST_NAMED = 20
-COLUMNS = (
-    'controller',
-    'caught (95 %)',
-    'touched',
-    'median [s]',
-    'mean [s]',
-    f'{OURS} sooner / later',
-    'proved optimal',
-    'without a plan',
-    'tick, p50 / longest [ms]',
-)
 
 
 def run(
@@ -329,11 +318,15 @@ def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
 
 def report(draws: Draws, rows: Rows) -> str:
     """Return the report in Markdown: a row for each controller, and the flights that it missed."""
-    count = len(next(iter(rows.values())))
-    lines = [f'# {draws.name}: {draws.about}', '', f'{count} flights by each controller.', '']
-    lines += [_cells(*COLUMNS), '|' + ' --- |' * len(COLUMNS)]
-    lines += [_row(draws, name, rows) for name in rows]
-    return '\n'.join([*lines, '', *_missed(rows)]) + '\n'
+    table = [_row(draws, name, rows) for name in rows]
+    lines = [
+        *(f'# {draws.name}: {draws.about}', ''),
+        *(f'{len(next(iter(rows.values())))} flights by each controller.', ''),
+        *(_cells(*table[0]), '|' + ' --- |' * len(table[0])),
+        *(_cells(*each.values()) for each in table),
+        *('', *_missed(rows)),
+    ]
+    return '\n'.join(lines) + '\n'
 
 
 def times_of(draws: Draws, rows: Sequence[Row]) -> Array:
@@ -341,7 +334,8 @@ def times_of(draws: Draws, rows: Sequence[Row]) -> Array:
     return np.array([row['time'] if row['caught'] else draws.limit for row in rows])
 
 
-def _row(draws: Draws, name: str, rows: Rows) -> str:
+def _row(draws: Draws, name: str, rows: Rows) -> dict[str, str]:
+    """Return a controller's cells by column."""
     flights, times = rows[name], times_of(draws, rows[name])
     ticks = max(1, sum(row['ticks'] for row in flights))
     caught = stats.binomtest(sum(bool(row['caught']) for row in flights), len(flights))
@@ -350,18 +344,18 @@ def _row(draws: Draws, name: str, rows: Rows) -> str:
     if name != OURS and OURS in rows:
         apart = times_of(draws, rows[OURS]) - times
         beside = f'{np.mean(apart < 0.0):.0%} / {np.mean(apart > 0.0):.0%}'
-    return _cells(
-        f'`{name}`',
-        f'{caught.statistic:.1%} ({share.low:.1%} to {share.high:.1%})',
-        f'{np.mean([bool(row["touched"]) for row in flights]):.1%}',
-        f'{np.median(times):.2f}' if caught.statistic > 0.5 else 'never',
-        f'{times.mean():.2f}',
-        beside,
-        f'{sum(row["optimal"] for row in flights) / ticks:.1%}',
-        f'{sum(row["unplanned"] for row in flights) / ticks:.1%}',
-        f'{np.median([row["p50_ms"] for row in flights]):.1f} / '
-        f'{max(row["longest_ms"] for row in flights):.0f}',
-    )
+    p50, longest = ([row[each] for row in flights] for each in ('p50_ms', 'longest_ms'))
+    return {
+        'controller': f'`{name}`',
+        'caught (95 %)': f'{caught.statistic:.1%} ({share.low:.1%} to {share.high:.1%})',
+        'touched': f'{np.mean([bool(row["touched"]) for row in flights]):.1%}',
+        'median [s]': f'{np.median(times):.2f}' if caught.statistic > 0.5 else 'never',
+        'mean [s]': f'{times.mean():.2f}',
+        f'{OURS} sooner / later': beside,
+        'proved optimal': f'{sum(row["optimal"] for row in flights) / ticks:.1%}',
+        'without a plan': f'{sum(row["unplanned"] for row in flights) / ticks:.1%}',
+        'tick, p50 / longest [ms]': f'{np.median(p50):.1f} / {max(longest):.0f}',
+    }
 
 
 def _missed(rows: Rows) -> Iterator[str]:
