@@ -64,7 +64,7 @@ def flown(
     """
     simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
     if controller == OURS:
-        _, pilot = _planner_of(given)
+        pilot: Any = _planner_of(given)[1]
         pilot.reset()
     else:
         pilot = baselines().baseline_named(controller, given, study)
