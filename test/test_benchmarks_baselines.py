@@ -15,7 +15,7 @@ from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import flights, settings
 from orbimpc_ros.tool.flights import flown
-from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner, closed_loop
+from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 from orbimpc_ros.tool.study import draws_of
 
 STEERING = [name for name in BASELINES if name != 'waypoint']
@@ -109,7 +109,7 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     assert sorted(each.body.radius for each in state.hazards) == pytest.approx(sorted(radii + 0.3))
     for each in state.hazards:
         own = int(np.argmin(np.abs(radii + 0.3 - each.body.radius)))
-        now = time - EPOCH / SECOND
+        now = time - OfflinePlanner.epoch / SECOND
         np.testing.assert_allclose(
             each.body.centre, centres[own] + now * velocities[own], atol=1e-4
         )

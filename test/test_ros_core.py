@@ -36,7 +36,7 @@ from orbimpc_ros.ros.planner.outputs import (
 )
 from orbimpc_ros.ros.process import NodeClock
 from orbimpc_ros.sim.vehicle import Model, measured
-from orbimpc_ros.tool.offline import EPOCH, OfflinePlanner
+from orbimpc_ros.tool.offline import OfflinePlanner
 
 
 class Driven(OfflinePlanner):
@@ -69,7 +69,7 @@ class Driven(OfflinePlanner):
 
 
 def stamp(seconds):
-    return EPOCH + round(seconds * SECOND)
+    return OfflinePlanner.epoch + round(seconds * SECOND)
 
 
 def flown_on(driven):
@@ -430,7 +430,7 @@ def test_another_forecast_begins_with_the_last_goal():
     driven.inputs.adopt(settings(step=0.1, goal_prediction='auto'))
     assert driven.inputs.heard['goal_model'] != ''
     held = np.tile(carried(1.0), (5, 1))
-    np.testing.assert_allclose(targets(driven.inputs, EPOCH / SECOND + ahead, 1.0), held)
+    np.testing.assert_allclose(targets(driven.inputs, driven.epoch / SECOND + ahead, 1.0), held)
     driven.inputs.latest.clear()
     driven.inputs.start_afresh()
     assert 'goal_model' not in driven.inputs.heard

@@ -103,7 +103,7 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, mon
     def unproved(*_):
         raise Unproved('no certificate: one tangent proves 3')
 
-    monkeypatch.setattr('orbimpc_ros.tool.solve.certificate_of', unproved)
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.document.certificate_of', unproved)
     _, made, (code, out, error) = solve(tool, tmp_path, CASES['uav_square_0'])
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'

@@ -23,7 +23,6 @@ from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
-Ticks = tuple[tuple[float, dict[str, Any]], ...]
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
@@ -48,11 +47,11 @@ class History:
     velocities: Array  # in the world, shape (M, 3) [m/s]
     rates: Array  # about the body's axes, shape (M, 3) [rad/s]
     ropes: Array  # positions of the rope at these times, shape (M, 3) [m]
-    plans: tuple[
-        tuple[float, Array], ...
-    ]  # times [s], increasing, and points, shape (N + 1, 3) [m]
+    # times [s], increasing, and points, shape (N + 1, 3) [m]
+    plans: tuple[tuple[float, Array], ...]
     forces: tuple[tuple[float, float], ...]  # times [s] and forces [N] of the topic ``cmd_thrust``
-    ticks: Ticks  # times [s] and fields of the topic ``tick``, up to the last odometry
+    # times [s] and fields of the topic ``tick``, up to the last odometry
+    ticks: tuple[tuple[float, dict[str, Any]], ...]
     captured: bool  # whether the simulator reported the job as done
     values: dict[str, Any]  # parameters of the run, by name
     # last fields of the topic ``truth``, which is published for continuous-time vehicles

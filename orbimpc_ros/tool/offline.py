@@ -24,8 +24,6 @@ from orbimpc_ros.sim.outputs import View, future, sensed, traffic_markers
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.world import Flight, departure
 
-EPOCH = 1_700_000_000 * SECOND  # start of flights in this process, so that stamps are dates
-
 
 class OfflinePlanner(Core):
     """The planner's core with an explicit clock.
@@ -42,7 +40,7 @@ class OfflinePlanner(Core):
         decision: behind the last answer; None before the first.
     """
 
-    epoch = EPOCH
+    epoch = 1_700_000_000 * SECOND  # so that stamps are dates
 
     def __init__(
         self,

@@ -15,14 +15,8 @@ import numpy as np
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
-from orbimpc_ros.mpc.proof.document import (
-    WORD,
-    OutOfTime,
-    Unproved,
-    certificate_of,
-    holds,
-    text_of,
-)
+from orbimpc_ros.mpc.proof import document
+from orbimpc_ros.mpc.proof.document import Unproved, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import files
@@ -54,11 +48,11 @@ def run(
     else:
         print(table(case, plan, found))
     if certificate:
-        Path(certificate).write_text(text_of(certificate_of(*case, plan.proof)) + '\n')
+        Path(certificate).write_text(text_of(document.certificate_of(*case, plan.proof)) + '\n')
     return 0
 
 
-def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> None:
+def _refute(case: Case, path: str | None, why: Infeasible, late: document.OutOfTime) -> None:
     """Prove infeasibility, and write the certificate if a path is given.
 
     Raises:
@@ -66,10 +60,10 @@ def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> N
     """
     try:
         made = refutation_of(Sought(*case), out_of_time=late)
-        if not holds(made):
+        if not document.holds(made):
             raise Unproved('the proof found does not hold in exact arithmetic')
     except (Unproved, BadInput) as error:  # BadInput if Clarabel is not installed
-        raise Infeasible(f'{why}; {WORD}; {error}') from None
+        raise Infeasible(f'{why}; {document.WORD}; {error}') from None
     if path:
         Path(path).write_text(text_of(made) + '\n')
 

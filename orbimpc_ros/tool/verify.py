@@ -46,17 +46,17 @@ class TickVerdict(NamedTuple):
     proved: float | None = None  # bound that the certificate proves, if any
     leaves: int = 0  # of the certificate
     outcome: str = NOTHING  # verdict in a word or two
-    words: str = ''  # verdict with its reason, if it has one
+    more: str = ''  # what is written after it, such as a reason
 
     def __str__(self) -> str:
         name = '' if self.tick is None else f'{self.tick:>6}  '
         shown = ('' if each is None else repr(each) for each in (self.claimed, self.proved))
         claimed, proved = (f'{each:<24}' for each in shown)
-        return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
+        return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.outcome}{self.more}'
 
     def because(self, outcome: str, why: str) -> TickVerdict:
         """Return the verdict with another outcome, and its reason."""
-        return self._replace(outcome=outcome, words=f'{outcome}: {why}')
+        return self._replace(outcome=outcome, more=f': {why}')
 
 
 def run(
@@ -106,10 +106,9 @@ def _is_of(known: Any, case: Case) -> bool:
 def _verified(tick: int | None, known: Any) -> TickVerdict:
     verdict = document.verified(known)
     catch = 'radius' in known.get('refuted', ())
-    outcome = HOLDS if verdict.holds else FAILS
-    of = CATCH if catch else COST
-    words = f'{outcome}, within {known["refuted"]["radius"]!r} m' if catch else ''
-    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, words)
+    more = f', within {known["refuted"]["radius"]!r} m' if catch else ''
+    outcome, of = HOLDS if verdict.holds else FAILS, CATCH if catch else COST
+    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, more)
 
 
 def _bag(
@@ -184,7 +183,7 @@ def _certified(row: TickVerdict, out: str | None, make: Callable[[], Document]) 
         made = text_of(make())
         found = _verified(row.tick, document.parsed(made.encode()))
     except Unproved as error:
-        return row._replace(outcome=NONE, words=str(error))
+        return row.because(NONE, str(error).removeprefix(f'{NONE}: '))
     except document.Refused as error:
         return row.because(NONE, f'refused: {error}')
     if out:

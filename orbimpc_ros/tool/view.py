@@ -40,12 +40,10 @@ if TYPE_CHECKING:
     from orbimpc_ros.tool.scene import Scene
 
 SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY', 'BROWSER')
-PAUSE = 0.1  # [s] between checks of the server
+PAUSE = 0.05  # [s] between checks of the server
 HOST = '127.0.0.1'
 PORT = 9090  # of the page, unless it is in use
 PATIENCE = 30.0  # [s] for the page to come up
-LOOK = 0.05  # [s] between checks for the page
-SPIN = 0.05  # [s]
 ASK = 2.0  # [s] between requests for parameters: they may change, nodes may start later
 DEPTH = 20  # a slow viewer loses messages; it never delays a controller
 NODES = {'sim': SIM, 'planner': PLANNER}
@@ -114,7 +112,7 @@ def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
                 node.create_subscription(topic.message, topic.name, take, profile)
         watch_parameters(node, scene)
         while going():
-            executor.spin_once(timeout_sec=SPIN)
+            executor.spin_once(timeout_sec=PAUSE)
 
 
 def watch_parameters(node: Node, scene: Scene) -> None:
@@ -171,7 +169,7 @@ def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
                 child.require_health()
                 if time.monotonic() > end:
                     raise OrbimpcError(f"no answer of rerun's server at {page}")
-                time.sleep(LOOK)
+                time.sleep(PAUSE)
             yield page, source, child
         finally:
             child.stop(signal.SIGTERM)
