@@ -71,7 +71,8 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
 
 def of_sim(values: Values) -> Values:
     """Return the values for the simulator: without prefix its own, which precede those for both."""
-    return values | _own(values)
+    found = values | _own(values)
+    return {name: value for name, value in found.items() if not name.startswith(OF_SIM)}
 
 
 def _own(values: Values) -> Values:
