@@ -14,7 +14,7 @@ from pathlib import Path
 
 from orbimpc_ros.sim.fleet import FLEETS, vehicles
 from orbimpc_ros.tool import cli, history
-from orbimpc_ros.tool.plot import PATH, in_both_looks, look, of_runs, write_gif
+from orbimpc_ros.tool.plot import in_both_looks, look, paths, write_gif
 
 DOCS = Path(__file__).resolve().parent
 COUNT = 8  # vehicles of a fleet
@@ -57,7 +57,7 @@ def draw(name: str, place: Path) -> None:
         render(place / 'bag', pictures / 'rope.gif')
     else:
         for file in in_both_looks(pictures / f'{name}.png'):
-            of_runs(flown)[PATH].savefig(file)
+            paths(flown).savefig(file)
     if name == 'retrieval':
         with look():
             write_gif(flown['retrieval'], DOCS / 'retrieval.gif')

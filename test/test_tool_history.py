@@ -187,10 +187,6 @@ def line(end, count):
     return np.linspace([0.0, 0.0, 0.0], end, count)
 
 
-def paths(flown):
-    return plot.of_runs(flown)['trajectory.png']
-
-
 def labels(figure):
     return {text.get_text() for legend in figure.legends for text in legend.get_texts()}
 
@@ -259,7 +255,7 @@ def test_a_single_sighting_is_no_flight(tool, tmp_path, monkeypatch, caught):
 def test_short_flights_and_those_without_plans_are_drawn(name, tmp_path):
     flown = replace(of_bag(GOLDEN / name), captured=False)
     for each in (first(flown, 2), replace(first(flown, 5), plans=(), ticks=(), forces=())):
-        assert set(plot.of_runs({'': each})) == STILL
+        assert set(plot.written({'': each}, tmp_path)) == STILL
         plot.write_gif(each, tmp_path / 'short.gif')
 
 
@@ -267,7 +263,7 @@ def test_short_flights_and_those_without_plans_are_drawn(name, tmp_path):
 @pytest.mark.parametrize('shape', ['none', 'polygon'])
 def test_paths_have_equal_axes_units_and_a_legend(caught, captured, shape):
     values = caught.values | {'floor.shape': shape}
-    figure = paths({'': replace(caught, captured=captured, values=values)})
+    figure = plot.paths({'': replace(caught, captured=captured, values=values)})
     whole = figure.axes[0]
     assert whole.get_aspect() == 1.0
     assert whole.get_xlabel() == 'x [m]'
@@ -284,7 +280,7 @@ def test_two_flights_are_told_apart_by_name_and_dashes():
         name: flight('dubins', line([5.0, 10.0, 0.0], 21), f'floor.shape={name}')
         for name in ('none', 'polygon')
     }
-    (figure,) = plot.of_runs(both).values()
+    figure = plot.paths(both)
     assert {'flown path, none', 'flown path, polygon', 'goal'} <= labels(figure)
     drawn = [each for each in figure.axes[0].get_lines() if 'flown' in each.get_label()]
     assert len({each.get_linestyle() for each in drawn}) == 2
@@ -297,14 +293,14 @@ def test_two_flights_are_told_apart_by_name_and_dashes():
 )
 def test_a_flight_along_x_is_drawn_above_its_charts(aside, boxes, wide):
     box = f'obstacles=[4.0, 0.5, 5.0, {0.6 + boxes}]'
-    figure = paths({'': flight('retrieval', line([5.0, aside, 0.0], 21), box)})
+    figure = plot.paths({'': flight('retrieval', line([5.0, aside, 0.0], 21), box)})
     rows = [axes.get_subplotspec().rowspan for axes in figure.axes]
     assert [(each.start, each.stop) for each in rows][::2] == [(0, 1 if wide else 2), (1, 2)]
 
 
 def test_obstacles_are_where_the_parameters_say():
     flown = of_bag(GOLDEN / 'obstacles')
-    patches = paths({'': flown}).axes[0].patches
+    patches = plot.paths({'': flown}).axes[0].patches
     corners = [p.get_bbox().extents for p in patches]
     for box in np.reshape(flown.values['obstacles'], (-1, 4)):
         assert any(np.allclose(box, corner) for corner in corners)
@@ -314,7 +310,7 @@ def test_obstacles_are_where_the_parameters_say():
 
 
 def panels(flight):
-    return charts(plot.of_runs({'': flight})['data.png'])
+    return charts(plot.data(flight))
 
 
 def test_thrust_is_shown_as_it_was_applied():

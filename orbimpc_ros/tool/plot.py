@@ -131,18 +131,15 @@ def halo() -> list[withStroke]:
     return [withStroke(linewidth=2.5, foreground=paper())]
 
 
-def of_runs(flown: Flights) -> dict[str, Figure]:
-    """Return the figures of flights by file name: paths and, for a single flight, time series.
-
-    Call this and all functions below within a :func:`look`.
-    """
-    found = {PATH: paths(flown)}
-    return found if len(flown) > 1 else found | {DATA: data(*flown.values())}
-
-
 def written(flown: Flights, folder: Path) -> list[str]:
-    """Draw the pictures of flights into a folder, and return their file names."""
-    pictures = of_runs(flown)
+    """Draw the pictures of flights into a folder, and return their file names.
+
+    They are paths and, for a single flight, time series. Call this and all functions below within a
+    :func:`look`.
+    """
+    pictures = {PATH: paths(flown)}
+    if len(flown) == 1:
+        pictures[DATA] = data(*flown.values())
     for name, figure in pictures.items():
         figure.savefig(folder / name)
     return [*pictures]
