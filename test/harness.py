@@ -66,26 +66,6 @@ def new_domain() -> int:
 class LaunchedProcess(Child):
     """A node in its own process: an executable of the package, or a test's script."""
 
-    def __init__(
-        self,
-        module: str | Path,
-        domain: int,
-        log: Path,
-        parameters: dict,
-        files: list[Path],
-        remapped: dict,
-    ) -> None:
-        script = [str(module)] if isinstance(module, Path) else ['-m', PACKAGES[module]]
-        words = [sys.executable, *script, '--ros-args']
-        for file in files:
-            words += ['--params-file', str(file)]
-        for name, value in parameters.items():
-            words += ['-p', f'{name}:={value}']
-        for name, other in remapped.items():
-            words += ['-r', f'{name}:={other}']
-        with mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)):
-            super().__init__(str(module), words, log)
-
     def wait(self, timeout: float | None = PATIENCE) -> int:
         return super().wait(timeout)
 
@@ -115,15 +95,21 @@ def launching(domain: int, folder: Path):
             domain: int = domain,
             remapped: dict | None = None,
         ) -> LaunchedProcess:
-            files = [
-                name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
-                for name in names
-            ]
             if '\n' in str(module):
                 text, module = textwrap.dedent(str(module)), folder / f'script-{next(_numbers)}.py'
                 module.write_text(text)
+            script = [str(module)] if isinstance(module, Path) else ['-m', PACKAGES[module]]
+            words = [sys.executable, *script, '--ros-args']
+            for name in names:
+                file = name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
+                words += ['--params-file', str(file)]
+            for parameter, value in (parameters or {}).items():
+                words += ['-p', f'{parameter}:={value}']
+            for name, other in (remapped or {}).items():
+                words += ['-r', f'{name}:={other}']
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
-            process = LaunchedProcess(module, domain, log, parameters or {}, files, remapped or {})
+            with mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)):
+                process = LaunchedProcess(str(module), words, log)
             stack.callback(process.stop)
             return process
 

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
-from orbimpc_ros.ros.entry import in_a_line
+from orbimpc_ros.ros.entry import in_a_line, report_compilation, without_compiler
 from orbimpc_ros.tool.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
@@ -75,8 +75,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _report_on_machine_code(command: str) -> None:
     """Report a missing compiler or, on a terminal, the progress of compilation."""
-    from orbimpc_ros.ros.entry import report_compilation, without_compiler
-
     if find_spec('numba') is None:
         if command in PLANNING:
             _complain(without_compiler())

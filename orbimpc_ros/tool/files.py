@@ -8,7 +8,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Hashable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -79,21 +79,16 @@ StrictLoader.add_implicit_resolver(
 
 
 def read(source: str) -> Any:
-    """Return the content of a JSON or YAML file, or of standard input for ``-``.
-
-    Args:
-        source: the file's path, or ``-``.
+    """Return the content of a JSON or YAML file by its path, or of standard input for ``-``.
 
     Raises:
         BadInput: the file is not readable, larger than 256 KiB, or malformed.
     """
     name = 'standard input' if source == '-' else source
+    given = nullcontext(sys.stdin.buffer) if source == '-' else opened(Path(source), LARGEST)
+    with given as stream:
+        raw = stream.read(LARGEST + 1)
     try:
-        if source == '-':
-            raw = sys.stdin.buffer.read(LARGEST + 1)
-        else:
-            with opened(Path(source), LARGEST) as stream:
-                raw = stream.read()
         if len(raw) > LARGEST:
             raise BadInput.stating(name, 'too large', f'at most {LARGEST} bytes are read')
         return parse(raw.decode(), name)
@@ -104,12 +99,8 @@ def read(source: str) -> Any:
 def parse(text: str, name: str) -> Any:
     """Return the content of JSON or YAML text.
 
-    Args:
-        text: the document.
-        name: of the source, for error messages.
-
     Raises:
-        BadInput: malformed.
+        BadInput: malformed; it names the source.
     """
     try:
         content = None
