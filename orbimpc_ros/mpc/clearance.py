@@ -17,8 +17,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
-from orbimpc_ros.mpc.problem.obstacle import Traffic
-from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 
 PIECES = 16  # chords per curved step
 

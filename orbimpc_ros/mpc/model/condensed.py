@@ -22,7 +22,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.dynamics import (
-    STARTED,
     attitude_weight,
     first_length,
     input_map,
@@ -30,6 +29,7 @@ from orbimpc_ros.mpc.model.dynamics import (
     position_weights,
     velocity_weight,
 )
+from orbimpc_ros.mpc.model.translation import STARTED
 from orbimpc_ros.mpc.problem import Problem, State
 
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones

@@ -86,7 +86,6 @@ def input_map(problem: Problem) -> Array:
     return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h
 
 
-STARTED = [0, -2, -1]  # columns of R_0 e1, p_0 and w in a translation's maps
 KINK = 1e-5  # below it |R e1| counts as zero, where the length term has a kink
 
 
@@ -205,32 +204,3 @@ def flown(problem: Problem, state: State, goals: Array, turned: Array) -> Trajec
         off = (rotations[-1] - state.wanted).ravel()
         cost += w.attitude * (off @ off)
     return Trajectory(positions, velocities, rotations, inputs, float(cost))
-
-
-def controls(degree: int, step: float, positions: Array, velocities: Array) -> Array:
-    """Return the control points of each step, shape (N, degree + 1, ...).
-
-    A step of explicit Euler moves along a straight line, one that is integrated exactly along a
-    curve of degree 2 or 3, determined by positions and velocities at its ends (Bernstein, Bezier).
-    It stays in the hull of its control points (docs/mathematics.md, 3.7).
-
-    Args:
-        degree: of the motion within a step, 1 to 3.
-        step: h [s].
-        positions: s_0..s_N, shape (N + 1, ...).
-        velocities: p_0..p_N, shape (N + 1, ...).
-    """
-    begin, end = positions[:-1], positions[1:]
-    leave, arrive = step / degree * velocities[:-1], step / degree * velocities[1:]
-    between = [[], [begin + leave], [begin + leave, end - arrive]][degree - 1]
-    return np.stack([begin, *between, end], axis=1)
-
-
-def control_maps(problem: Problem) -> tuple[Array, Array]:
-    """Return each control point's dependence on R_1 e1..R_N e1, and on R_0 e1, p_0 and w.
-
-    Relative to s_0; shapes (N, degree + 1, N) and (N, degree + 1, 3).
-    """
-    maps = problem.maps
-    found = controls(problem.translation.degree, problem.step, maps.places, maps.speeds)
-    return found[:, :, 1:-2], found[:, :, STARTED]

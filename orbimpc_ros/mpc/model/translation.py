@@ -57,6 +57,9 @@ HELD = {2: Translation((0, 0), (2, 1), degree=2)}
 DISCRETISATIONS = {'euler': TRANSLATIONS, 'exact': EXACT, 'held': HELD}
 
 
+STARTED = [0, -2, -1]  # columns of R_0 e1, p_0 and w in the maps of a horizon
+
+
 class Step(NamedTuple):
     """One step of a model: y_{k+1} = A y_k + b (R_k e1) + c (R_{k+1} e1) + e w.
 
@@ -88,6 +91,25 @@ def step_of(model: Translation, step: float, forward: float) -> Step:
     return Step(*map(sealed, (transition, push, follow, blow)))
 
 
+def controls(degree: int, step: float, positions: Array, velocities: Array) -> Array:
+    """Return the control points of each step, shape (N, degree + 1, ...).
+
+    A step of explicit Euler moves along a straight line, one that is integrated exactly along a
+    curve of degree 2 or 3, determined by positions and velocities at its ends (Bernstein, Bezier).
+    It stays in the hull of its control points (docs/mathematics.md, 3.7).
+
+    Args:
+        degree: of the motion within a step, 1 to 3.
+        step: h [s].
+        positions: s_0..s_N, shape (N + 1, ...).
+        velocities: p_0..p_N, shape (N + 1, ...).
+    """
+    begin, end = positions[:-1], positions[1:]
+    leave, arrive = step / degree * velocities[:-1], step / degree * velocities[1:]
+    between = [[], [begin + leave], [begin + leave, end - arrive]][degree - 1]
+    return np.stack([begin, *between, end], axis=1)
+
+
 class Maps:
     """The maps of a model over a horizon of N steps.
 
@@ -96,6 +118,9 @@ class Maps:
             shape (N + 1, N + 3).
         speeds: the same in p_0..p_N, without inertia in the velocities z R_k e1 + w.
         reach: those of R_0 e1..R_N e1 in s_1..s_N, shape (N, N + 1) [m].
+        controls: those of R_1 e1..R_N e1 in the control points of steps, less s_0, shape
+            (N, degree + 1, N).
+        started: those of R_0 e1, p_0 and w in the same, shape (N, degree + 1, 3).
         arrival: those of R_0 e1..R_N e1 in s_N, and with inertia in p_N, shape (m, N + 1).
         lasting: share of a step for which each R_j e1 acts, shape (N + 1,).
         unit: a step's length, the longest from rest: h z, or h^2 z with inertia [m].
@@ -114,6 +139,8 @@ class Maps:
         self.places = rolled[:, 0].copy()
         self.speeds = rolled[:, 1].copy() if model.inertial else forward * np.array(axes) + wind
         self.reach = self.places[1:, :-2].copy()
+        points = controls(model.degree, step, self.places, self.speeds)
+        self.controls, self.started = points[:, :, 1:-2], points[:, :, STARTED]
         self.arrival = rolled[-1, :, :-2].copy()
         late = once.follow[-1] / (once.push[-1] + once.follow[-1])
         self.lasting = np.ones(horizon + 1)

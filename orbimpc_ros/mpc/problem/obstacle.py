@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -180,31 +179,6 @@ class MovingObstacle(ByContent):
     def turns(self) -> Array:
         """Return the times at which its velocity may change, shape (K - 2,) [s]."""
         return self.times[1:-1]
-
-
-class Traffic(NamedTuple):
-    """Balls and moving obstacles, which plans stay clear of throughout every step.
-
-    Attributes:
-        names: of the J bodies: ``obstacle 0`` (its index among the obstacles), ``hazard 0``.
-        bodies: shapes and places at the start of the plan.
-        shifts: displacement of each at times 0, h, .., N h, shape (J, N + 1, n) [m].
-        strays: largest deviation of each from uniform motion in each step, shape (J, N) [m].
-        kept: margin around each in each step, shape (J, N) [m].
-        eased: depth inside of each that a plan is allowed in each step, shape (J, N) [m].
-    """
-
-    names: tuple[str, ...]
-    bodies: tuple[Box | Ball, ...]
-    shifts: Array
-    strays: Array
-    kept: Array
-    eased: Array
-
-    @property
-    def grown(self) -> Array:
-        """Return the total by which each body is enlarged in each step, shape (J, N) [m]."""
-        return self.strays + self.kept - self.eased
 
 
 def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Array:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.model.dynamics import controls
+from orbimpc_ros.mpc.model.translation import controls
 from orbimpc_ros.mpc.proof.arithmetic import Number, generic
 from orbimpc_ros.mpc.proof.tree import POINTS
 

@@ -33,7 +33,6 @@ from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, solve_factored
 from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
-from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
@@ -374,7 +373,7 @@ class PlaceProgram:
         self._inverse = 0.5 * (self._inverse + self._inverse.T)
         turned = np.diff(np.eye(steps + 1), axis=0)[int(problem.turns_are_angles) :, 1:]
         turned = turned if problem.max_rate else turned[:0]
-        maps = np.concatenate([np.eye(steps), control_maps(problem)[0].reshape(-1, steps), turned])
+        maps = np.concatenate([np.eye(steps), problem.maps.controls.reshape(-1, steps), turned])
         last = len(maps) - len(turned)
         balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T

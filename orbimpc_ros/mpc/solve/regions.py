@@ -30,7 +30,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.model.dynamics import control_maps
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.flight import DECIDED, control_points
 from orbimpc_ros.mpc.proof.splits import (
@@ -96,7 +95,7 @@ class Regions:
     ) -> None:
         self.problem, self._statement, self._turns = problem, Statement(problem), turns
         n, count, floor = problem.dimension, problem.horizon, problem.floor
-        controls, started = control_maps(problem)
+        controls, started = problem.maps.controls, problem.maps.started
         self._controls, still = controls.shape[1], np.zeros((count, 3))
         # Of headings, and then of the control points of all steps: the coefficients of R_1 e1..
         # R_N e1, those of R_0 e1, p_0 and w, and a.H^-1 a, infinite where nothing moves the point.

@@ -37,7 +37,6 @@ from orbimpc_ros.mpc.model.condensed import (
     suits_dense_code,
 )
 from orbimpc_ros.mpc.model.dynamics import (
-    control_maps,
     first_length,
     length_weights,
     wanted_coordinates,
@@ -86,7 +85,7 @@ class SO3Multipliers:
             self._pulls = np.linalg.pinv(condensed.arrival[0][:, self._given :].T)
         self._thrust, self._others = minimisers(problem, condensed)
         self._length = float(length_weights(problem)[1])
-        reach = control_maps(problem)[0].reshape(-1, problem.horizon)
+        reach = problem.maps.controls.reshape(-1, problem.horizon)
         self._reach = reach if beside else reach[:0]
         self._make_room()
         self._request: Request | None = None

@@ -16,8 +16,7 @@ from orbimpc_ros.mpc.geometry.rotations import aside_of, carried
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
-from orbimpc_ros.mpc.problem.leaving import ways_out
-from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.problem.traffic import traffic_of, ways_out
 from orbimpc_ros.mpc.solve.arrivals import WITHIN, arc_of, arriving
 
 # [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
