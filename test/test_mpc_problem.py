@@ -27,8 +27,7 @@ from orbimpc_ros.mpc.problem import (
 )
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.reach import constraints_in_force
-from orbimpc_ros.mpc.problem.scaling import weighed
-from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.problem.units import Units, weighed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 STILL, GOALS = State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2))

@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, followed, stop
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Box, MovingObstacle, Problem
-from orbimpc_ros.mpc.problem.pace import moved_towards
+from orbimpc_ros.mpc.problem.reach import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SURE_STEPS = 4  # first steps of a steered plan that must be clear

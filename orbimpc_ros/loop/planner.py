@@ -37,8 +37,7 @@ from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case, Sought
-from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
-from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
+from orbimpc_ros.mpc.problem.reach import clamp_goal, entry_speed, held_goal, moved_towards
 from orbimpc_ros.mpc.solve.solver import Solver
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one

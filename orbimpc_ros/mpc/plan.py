@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, matrix, pr
 from orbimpc_ros.mpc.model.dynamics import flown
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.proof.tree import ProofTree
 
 TINY = 1e-12  # smaller vectors have no direction

@@ -95,7 +95,7 @@ class Problem:
             speeds: see :attr:`turns_are_angles`.
         max_acceleration: limit on the change of speed at translation order 1 [m/s^2], 0 for none:
             ||R_{k+1} e1| - |R_k e1|| <= h max_acceleration / z. For initial speeds below the floor
-            see :func:`orbimpc_ros.mpc.problem.pace.entry_speed`.
+            see :func:`orbimpc_ros.mpc.problem.reach.entry_speed`.
         obstacles: bodies to stay outside of: boxes at every s_k, balls at all times.
         no_corner_cutting: whether consecutive points must share a free face of every box.
         arrival_weight: weight on |s_N - g_N|^2 (and on h^2 |p_N|^2 at translation order 2), which

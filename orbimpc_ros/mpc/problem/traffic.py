@@ -110,7 +110,7 @@ def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
     eased, nothing = np.zeros_like(traffic.kept), INSIDE * problem.length_unit
     deep = _decided_depths(problem, state, traffic)
     at = [0, *range(deep.shape[1] - 1)]  # the margin at the start is that of the first step
-    held = (deep + traffic.grown[:, at] > nothing).any(axis=1)
+    held = np.any(deep + traffic.grown[:, at] > nothing, axis=1)
     if not held.any():
         return eased
     every = np.maximum(_depths(problem, state, traffic, directions(problem.dimension)), 0.0)

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief
-from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, as_fractions, direction, root, roots
 from orbimpc_ros.mpc.proof.flight import (

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.dynamics import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
-from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ROW, ProofTree
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.search.relax import Posed, room_for

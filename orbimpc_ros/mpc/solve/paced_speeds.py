@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
-from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
+from orbimpc_ros.mpc.problem.reach import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.search.engine import Engine
 from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH

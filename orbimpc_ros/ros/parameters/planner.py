@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.problem import STEEPEST_GLIDE
-from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
+from orbimpc_ros.mpc.problem.units import SCALINGS, weighed
 from orbimpc_ros.ros.firmware import AUTOPILOTS
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
