@@ -119,13 +119,7 @@ def fleet(
 
 
 def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) -> int:
-    """Summarise the flights of a demo, draw pictures, and return the exit code.
-
-    Args:
-        folder: takes the pictures.
-        paths: of the bags.
-        flown: the flights, by name; those of a fleet by namespace.
-    """
+    """Summarise flights by name, or a fleet's by namespace; draw pictures; return the exit code."""
     from orbimpc_ros.tool import plot  # its import is slow and would delay the start of nodes
 
     clear = True
@@ -228,9 +222,8 @@ def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:
     if ticks:
         time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
         return f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
-    printed = (each.output.splitlines() for each in planners.values())
-    lines = [line for each in printed for line in each if COMPILING in line]
-    return f'{COMPILING}{lines[-1].rpartition(COMPILING)[2]}' if lines else 'starting nodes'
+    _, found, rest = '\n'.join(each.output for each in planners.values()).rpartition(COMPILING)
+    return found + rest.partition('\n')[0] if found else 'starting nodes'
 
 
 class Pacer:

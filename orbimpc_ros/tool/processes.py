@@ -103,13 +103,9 @@ class Processes(list[Child]):
             process.stop()
 
     def start(self, module: str, parameters: Path, log: Path, namespace: str = '') -> Child:
-        """Start a module, such as ``orbimpc_ros.sim``, as a node in a namespace, such as ``/uav1``.
+        """Start the node of a module such as ``orbimpc_ros.sim``, with its output in a log.
 
-        Args:
-            module: to run.
-            parameters: file of ROS parameters.
-            log: for the output of the process.
-            namespace: of the node.
+        It has a file of ROS parameters, and a namespace, such as ``/uav1``.
         """
         words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
         words += ['-r', f'__ns:={namespace}'] if namespace else []
