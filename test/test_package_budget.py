@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_657,
+    'orbimpc_ros': 31_646,
     'orbimpc_ros/mpc': 16_390,
     'orbimpc_ros/loop': 3_602,
     'orbimpc_ros/ros': 4_548,
     'orbimpc_ros/sim': 2_499,
-    'orbimpc_ros/tool': 4_450,
+    'orbimpc_ros/tool': 4_439,
     'benchmarks': 3_472,
     'test': 17_905,
 }
