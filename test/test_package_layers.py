@@ -70,8 +70,8 @@ def test_a_pure_layer_imports_without_ros(layer):
     assert python(script).stdout.strip() == '[]'
 
 
-# Packages that a node's process must not load: the other node, and the tool.
-FOREIGN = {'ros.planner': ('sim', 'tool'), 'sim': ('ros.planner', 'tool')}
+# Packages that a node's process must not load: the other node, the tool, and the compiler.
+FOREIGN = {'ros.planner': ('sim', 'tool'), 'sim': ('ros.planner', 'tool', 'mpc.kernels')}
 HEAVY = {'cvxpy', 'clarabel', 'scipy.linalg', 'matplotlib', 'PIL', 'rosbags', 'mcap'}
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import told
-from orbimpc_ros.mpc.solve.solver import Solver
+
+if TYPE_CHECKING:  # slow to import, and the simulator, which reads these parameters, needs none
+    from orbimpc_ros.mpc.solve.solver import Solver
 
 Answer = tuple[Plan | None, Status, str]  # a checked plan, the status of the solve, and the reason
 Late = Callable[[], bool]
