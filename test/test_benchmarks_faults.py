@@ -99,34 +99,25 @@ def test_a_row_is_as_good_as_its_worst_case(outcome, ok):
 
 @pytest.fixture(scope='module')
 def short(tmp_path_factory):
-    """Return the finished halves of the short form, run one after the other, and all rows by name.
-
-    In parallel, next to other tests, two cores are too few to start their nodes.
-    """
-    files = [tmp_path_factory.mktemp('faults') / f'{half}.json' for half in ('even', 'odd')]
-    done = []
-    for first, file in enumerate(files):
-        rows = [case.name for case in MATRIX[first::2]]
-        half = orbimpc('faults', '--json', file, '--only', *rows)
-        done.append((half, half.stdout, half.stderr))
-    halves = [json.loads(file.read_text())['rows'] for file in files]
-    return done, halves, {found['name']: found for half in halves for found in half}
+    """Return the finished short form, and its rows by name."""
+    file = tmp_path_factory.mktemp('faults') / 'rows.json'
+    done = orbimpc('faults', '--json', file)
+    return done, {found['name']: found for found in json.loads(file.read_text())['rows']}
 
 
 @pytest.mark.parametrize('name', [case.name for case in MATRIX])
 def test_under_every_fault_commands_are_safe(short, name):
     """However busy the machine is; whether reactions are in time, the command itself judges."""
-    done, _, rows = short
+    done, rows = short
     found = rows[name]
-    assert found['cases'], [err for _, _, err in done]
+    assert found['cases'], done.stderr
     assert found['unsafe'] == 0, found['failures']
     assert [case['failure'] for case in found['cases'] if case['failure']] == []
     assert all(case['reaction'] != 'never' for case in found['cases']), found['failures']
 
 
 def test_the_table_says_what_the_rows_say(short):
-    done, halves, _ = short
-    for (half, out, err), rows in zip(done, halves, strict=True):
-        assert half.returncode == (0 if all(found['ok'] for found in rows) else 1)
-        assert all(found['title'] in out for found in rows)
-        assert 'Traceback' not in err
+    done, rows = short
+    assert done.returncode == (0 if all(found['ok'] for found in rows.values()) else 1)
+    assert all(found['title'] in done.stdout for found in rows.values())
+    assert 'Traceback' not in done.stderr

@@ -114,7 +114,9 @@ def test_installed_nodes_fly_with_the_shared_configuration(workspace, domain, mo
 
 
 def test_colcon_test_runs_pytest(workspace):
-    one = 'test/test_mpc_geometry.py'
+    one = (
+        'test/test_mpc_geometry.py::test_planar_rotation_of_a_tilted_body_is_its_heading_from_above'
+    )
     done = colcon(
         'test', '--event-handlers', 'console_direct+', '--pytest-args', one, cwd=workspace
     )

@@ -5,6 +5,7 @@ The simulator's engines import no other part of the package.
 """
 
 import ast
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -17,31 +18,33 @@ LAYERS = ('mpc', 'loop', 'ros', 'sim', 'tool')
 ROS = ('rclpy', 'rosidl_runtime_py', 'std_msgs', 'geometry_msgs', 'nav_msgs', 'rosbags')
 
 
+@cache
 def imports_of(file):
+    found = []
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, file
-            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+            found += [f'{node.module}.{alias.name}' for alias in node.names]
+    return found
 
 
+@cache
 def all_modules():
-    """Yield the name of every module; a package counts as a module."""
-    for file in PACKAGE.rglob('*.py'):
-        parts = file.relative_to(PACKAGE.parent).with_suffix('').parts
-        yield '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
+    """Return the names of all modules; a package counts as a module."""
+    files = (file.relative_to(PACKAGE.parent).with_suffix('') for file in PACKAGE.rglob('*.py'))
+    return {'.'.join(file.parts).removesuffix('.__init__') for file in files}
 
 
 def imported_by(module):
     """Return the modules of the package that a module imports, also inside functions."""
     place = PACKAGE.parent / module.replace('.', '/')
     file = place / '__init__.py' if place.is_dir() else place.with_suffix('.py')
-    known = set(all_modules())
     found = set()
     for name in imports_of(file):
         # A name imported from a module may be a module itself.
-        found |= {name} & known or {name.rpartition('.')[0]} & known
+        found |= {name} & all_modules() or {name.rpartition('.')[0]} & all_modules()
     return found - {module}
 
 

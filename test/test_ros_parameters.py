@@ -142,12 +142,12 @@ def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
 
 
 BAD_STARTS = [
-    ('planner', {'step': '.nan'}, 'step is nan; allowed: a double in [0.001, 1000]'),
+    ('sim', {'step': '.nan'}, 'step is nan; allowed: a double in [0.001, 1000]'),
     ('planner', {'horizn': 5}, "unknown parameter 'horizn'; did you mean 'horizon' or "),
     ('sim', {'rope.center': '[5, 0]'}, 'rope.center is [5, 0]; allowed: doubles'),
     ('planner', {'use_sim_time': 1}, 'use_sim_time is 1; allowed: true | false'),
     (
-        'planner',
+        'sim',
         {'qos_overrides./cmd_vel.publisher.depth': 5},
         'parameter qos_overrides./cmd_vel.publisher.depth: 5 would have no effect; leave it out',
     ),

@@ -71,7 +71,7 @@ def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, 
     ('node', 'words', 'said'),
     [
         ('planner', ['--params-file', 'x.yaml'], 'x.yaml must follow --ros-args; allowed: --ros'),
-        ('planner', ['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
+        ('sim', ['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
         ('sim', ['--ros-args', '--params-file', 'x.yaml'], '^x.yaml: no such file; --params-file'),
         ('sim', ['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file'),
     ],

@@ -50,9 +50,13 @@ def place(message):
     'faults',
     [
         {'faults.clock_jump': -20.0, 'faults.clock_jump_tick': 3},
-        {'faults.clock_jump': 500.0, 'faults.clock_jump_tick': 3},
+        {
+            'faults.clock_jump': 500.0,
+            'faults.clock_jump_tick': 3,
+            'faults.occlusion_length': 3.0,
+            'faults.occlusion_period': 6.0,
+        },
         {'faults.delay': 0.3, 'faults.reorder': 0.1, 'faults.nan': 0.1, 'faults.duplicate': 0.2},
-        {'faults.occlusion_length': 3.0, 'faults.occlusion_period': 6.0},
     ],
 )
 def test_no_fault_brings_lock_step_to_a_standstill(launch, faults):

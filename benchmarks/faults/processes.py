@@ -92,7 +92,7 @@ def _flood(nodes: str, long: bool) -> Iterator[Outcome]:
         with flooded(harness, FLOOD):
             begin = time.monotonic()
             harness.until_planned()
-            harness.spin(30.0 if long else 4.0)
+            harness.spin(30.0 if long else 2.0)
             ticks = [each.at for each in harness.monitor.ticks if each.at >= begin]
             harness.until_planned()
         late = 1e3 * (np.percentile(np.diff(ticks), 99) - STEP)
@@ -106,7 +106,7 @@ def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
         with flooded(harness, SOAK):
             begin = time.monotonic()
             harness.until_planned()
-            harness.spin(120.0 if long else 4.0)
+            harness.spin(120.0 if long else 2.0)
             settled = resident(harness.planner.pid)
             harness.spin(600.0 if long else 4.0)
             grown = (resident(harness.planner.pid) - settled) / MEBIBYTE
