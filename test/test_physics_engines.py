@@ -76,7 +76,7 @@ BLAME = {
 
 
 def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
-    monkeypatch.setitem(engines.ENGINES, 'glider', Kind(2, 1, ()))
+    monkeypatch.setitem(engines.ENGINES, 'glider', Kind(2, 1))
     module = SimpleNamespace(Glider=Straight)
     monkeypatch.setitem(sys.modules, 'orbimpc_ros.sim.engines.glider', module)
     vehicle = aircraft(wind=STILL, vehicle='glider').after(0.9, np.zeros(1)).vehicle

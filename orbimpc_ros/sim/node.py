@@ -19,7 +19,6 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
-from orbimpc_ros.sim.outputs import Seen
 from orbimpc_ros.sim.parameters import SIM, Faults, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
@@ -69,8 +68,6 @@ class LockStep(FlightSimulation):
         self._newest = -np.inf  # true time of the newest odometry sent [s]
         self._goal_sent = False
         self._heard = -np.inf  # simulated arrival time of the last command [s]
-        self._sent: list[Seen] = []
-        self._progress = self._asked_at = self.node.steady_now()
         self._wait()
 
     @property

@@ -27,11 +27,16 @@ from orbimpc_ros.ros.parameters.spec import (
     specs_of,
     vector,
 )
-from orbimpc_ros.sim.vehicle import ENGINES, PLAIN, EnginePlant, Model, Plant, Rope, Vehicle
+from orbimpc_ros.sim.vehicle import ENGINES, EnginePlant, Model, Plant, Rope, Vehicle
 
 ALONG_AXES = (0.0, 0.0, 0.0)
-# Parameters that do not apply, by vehicle without an engine.
-LACKING = {'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'), 'continuous': ()}
+PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # in continuous time
+LACKING = {  # parameters that do not apply to a vehicle, or that its engine sets
+    'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'),
+    'cessna': PLAIN,
+    'hummingbird': (*PLAIN, 'goal_path_steps', 'rope.frequency', 'rope.velocity'),
+    'servicer': (*PLAIN, 'gust', 'stall_speed'),
+}
 
 
 @dataclass(frozen=True)
@@ -241,7 +246,7 @@ class SimSettings(VehicleParameters):
 
     def _refuse_unused(self) -> None:
         """Reject parameters that do not apply to the vehicle, unless zero or at their default."""
-        lacking = ENGINES[self.vehicle].lacks if self.vehicle in ENGINES else LACKING[self.vehicle]
+        lacking = LACKING.get(self.vehicle, ())
         for each in fields(self):
             spec, value = each.metadata.get('parameter'), getattr(self, each.name)
             name = spec.name if spec else ''

@@ -295,19 +295,15 @@ class Plant(Model):
         lag, apart = self.rate_lag, now.body_rate - body_rate
         left = math.exp(-dt / lag) if lag else 0.0
         turned = dt * body_rate + lag * (1.0 - left) * apart
-        rate, lag, slower = body_rate + left * apart, self.speed_lag, now.fraction - fraction
+        rate, lag, beyond = body_rate + left * apart, self.speed_lag, now.fraction - fraction
         if self.max_acceleration:
             limit = self.max_acceleration / (self.forward * self.gain)
-            ramp = min(dt, max(0.0, abs(slower) / limit - lag))
-            slower, dt = slower - math.copysign(limit * ramp, slower), dt - ramp
+            ramp = min(dt, max(0.0, abs(beyond) / limit - lag))
+            beyond, dt = beyond - math.copysign(limit * ramp, beyond), dt - ramp
         if dt or not self.max_acceleration:
-            slower *= math.exp(-dt / lag) if lag else 0.0
-        return replace(
-            now,
-            attitude=now.attitude @ exp(turned),
-            body_rate=rate,
-            fraction=fraction + slower,
-        )
+            beyond *= math.exp(-dt / lag) if lag else 0.0
+        attitude = now.attitude @ exp(turned)
+        return replace(now, attitude=attitude, body_rate=rate, fraction=fraction + beyond)
 
 
 # --- in an engine
@@ -318,17 +314,10 @@ class Kind(NamedTuple):
 
     dimension: int  # of its flight
     translation_order: int  # 1: commanded by speed; 2: by thrust
-    lacks: tuple[str, ...]  # parameters that do not apply, or that the engine sets
     extra: str = 'physics'  # of this package, which installs the libraries
 
 
-PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # of plants without engine
-ROPE = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # of goals moved without engine
-ENGINES = {
-    'cessna': Kind(2, 1, PLAIN),
-    'hummingbird': Kind(2, 1, (*PLAIN, *ROPE)),
-    'servicer': Kind(3, 2, (*PLAIN, 'gust', 'stall_speed'), extra='basilisk'),
-}
+ENGINES = {'cessna': Kind(2, 1), 'hummingbird': Kind(2, 1), 'servicer': Kind(3, 2, 'basilisk')}
 
 
 @dataclass(frozen=True)
@@ -386,8 +375,7 @@ class EnginePlant(Model):
         n, height, climb = self.dimension, 0.0, 0.0
         attitude, rate = motion.attitude, motion.body_rate
         if n == 2:
-            yaw = math.atan2(attitude[1, 0], attitude[0, 0])
-            attitude = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+            attitude = exp(np.array([math.atan2(attitude[1, 0], attitude[0, 0])]))
             height, rate = float(motion.position[2]), np.array([motion.facts['turn']])
             climb = float((motion.velocity - motion.air)[2])
         return Vehicle(
