@@ -161,18 +161,16 @@ def best_swing(past: Past, middle: int) -> tuple[float, float]:
     """
     thinned = slice(None, None, math.ceil(len(past[0]) / SOUGHT_IN))  # to bound the cost
     times, seen = past[0][thinned], past[1][thinned]
-    line, _ = np.linalg.qr(np.vander(times, middle, increasing=True))
-    left = seen - line @ (line.T @ seen)  # beyond what a line explains
-    phase = GRID[:, None] * times
-    swings = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    along, moments = swings @ line, swings @ left
-    gram = swings @ swings.transpose(0, 2, 1) - along @ along.transpose(0, 2, 1)
-    gram += (ASSUMED / SIZE) ** 2 * np.eye(2)
+    x = np.empty((len(GRID), middle + 2, len(times)))
+    x[:, :middle] = np.vander(times, middle, increasing=True).T
+    x[:, -2], x[:, -1] = np.cos(GRID[:, None] * times), np.sin(GRID[:, None] * times)
+    moments = x @ seen
+    gram = x @ x.transpose(0, 2, 1) + np.diag([0.0] * middle + 2 * [(ASSUMED / SIZE) ** 2])
     explained = np.sum(moments * np.linalg.solve(gram, moments), axis=(1, 2))
     span = math.sqrt(3.0 * float(np.mean(times * times)))  # for times spread evenly from 0
     explained[GRID * span > 2.0 * math.pi * NYQUIST * len(times)] = -np.inf
     found = int(np.argmax(explained))
-    misfit = float(np.sum(left * left) - explained[found])
+    misfit = float(np.sum(seen * seen) - explained[found])
     return float(GRID[found]), misfit * len(past[0]) / len(times)
 
 
