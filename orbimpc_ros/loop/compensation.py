@@ -1,22 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Compensation of delay, lags and disturbances.
+"""Compensation of delay, lags and disturbances.
 
 *Delay.* A measurement is propagated with the commands in force to the time of the next command.
 
-*Lags.* With a first-order lag of the body rate, :math:`\tau\dot\omega = c - \omega`, the vehicle
-flies, a time :math:`\tau` later, the path of a vehicle without lag that starts from
-:math:`\hat\theta = \theta + \tau\omega` with :math:`\dot{\hat\theta} = c`. A plan that starts from
-there, at that time, consists of commands that the vehicle follows within all limits.
+*Lags.* A vehicle with lags flies, a time tau later, the path of one without that starts from
+another state (7.8a). A plan from there, at that time, has commands that the vehicle follows within
+all limits.
 
-*Disturbance.* A Kalman filter with a constant disturbance w makes the loop offset-free:
-
-.. math::
-    \dot s = v + w + \xi, \quad \dot w = \zeta \qquad\text{(order 1)}, \qquad
-    \dot s = p, \quad \dot p = a + w + \xi, \quad \dot w = \zeta \qquad\text{(order 2)}
-
-where v or a is the commanded value along the measured attitude. The position is measured, at order
-2 also the velocity; all axes share one covariance. At order 1, another state is the excess airspeed
-before the first command, which decays with the lag of the speed.
+*Disturbance.* A Kalman filter with a constant disturbance makes the loop offset-free (7.9a). The
+position is measured, at order 2 also the velocity; all axes share one covariance. At order 1,
+another state is the excess airspeed before the first command, which decays with the lag.
 
 Mathematics: docs/mathematics.md, 7.1, 7.3, 7.8 and 7.9.
 """

@@ -2,13 +2,9 @@
 """Interception: the earliest step at which a plan can catch the goal, with a proof of none before.
 
 Tracking a goal on average does not guarantee a catch. For each step k at which the goal is within
-reach, a problem of k steps minimises the miss |s_k - g_k|, and next to nothing else:
-
-    minimise |s_k - g_k|^2 + r (|u_0|^2 + ... + |u_{k-1}|^2),
-
-with r so small that the inputs of no trajectory cost more than a share of the squared radius. Any
-catch at step k costs at most (1 + share) radius^2: a greater lower bound proves that there is none.
-The aim is the first step whose plan ends well within the radius, or else the one with the smallest
+reach, a problem of k steps minimises the miss (7.10a); the inputs of no trajectory cost more than a
+share of the squared radius, so that a lower bound above (1 + share) radius^2 refutes a catch. The
+aim is the first step whose plan ends well within the radius, or else the one with the smallest
 miss, if that is within the radius.
 
 If there is no catch within the horizon, later ones are sought with the same number of longer steps:
@@ -276,12 +272,10 @@ class Interception:
         out_of_reach, too_far = (missed(*known, within) for within in (self._radius, near))
         for end in range(1, self._horizon + 1):
             attempt = MISSED if too_far[end - 1] else self._tried(query, end, goals[:end])
-            if self._is_well(attempt):
-                return attempt, bound, counted
             surely = bool(out_of_reach[end - 1])
             bound += bound == end and (surely or attempt.never)
             counted += counted == end and (surely or (attempt.never and attempt.checked))
-            if attempt.miss <= near:
+            if attempt.miss <= near and not self._is_well(attempt):
                 attempt = min(attempt, self._passing(query, end), key=_miss)
             best = min(best, attempt, key=_miss)
             if self._is_well(best):

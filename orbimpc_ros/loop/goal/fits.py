@@ -1,12 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Families of goal motion over one basis, and their fits to a sequence of sightings.
 
-Every family is :math:`g(t) = \sum_i x_i(t)\,\theta_i` over the seven columns
-
-.. math:: 1,\ t,\ t^2,\ C = e^{-\delta t}\cos\omega t,\ S = e^{-\delta t}\sin\omega t,\ tC,\ tS,
-
-whose last two are the directions in which :math:`\omega` and :math:`\delta` move coefficients. A
-family is defined by its Jacobian B, the derivatives of the coefficients by its parameters.
+Every family is a combination of the seven columns of (7.4a), whose last two are the directions in
+which frequency and damping move coefficients. A family is defined by its Jacobian B, the
+derivatives of the coefficients by its parameters.
 
 A fit is Bayesian and linear about the present coefficients: with the columns X, the residuals E and
 prior precisions \Gamma relative to the noise, A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E.
