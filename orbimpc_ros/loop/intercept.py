@@ -290,9 +290,7 @@ class Interception:
         goals = self._goals(query, end)
         task = query.task.within(self.problem(end), goals)
         plan = task.rest
-        if plan is None or not holds(*task.known, plan):
-            return MISSED
-        if _turns_too_far(plan, end):
+        if plan is None or not holds(*task.known, plan) or _turns_too_far(plan, end):
             return MISSED
         answer = plan, plan.status, 'the previous plan to the catch is continued'
         miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
@@ -317,20 +315,14 @@ class Interception:
         """
         last, away, found = self._last(query), 1, MISSED
         missed: float = max(self._horizon, min(math.ceil(query.expected), last))
-        while found.plan is None:
-            if missed >= last:
-                return MISSED
+        while found.plan is None and missed < last:
             end = min(missed + away, last)
-            found = self._surely(query, end)
+            found, away = self._surely(query, end), 2 * away
             missed = missed if found.plan else end
-            away *= 2
         while found.end - missed > 1:
             middle = (missed + found.end) // 2
             sooner = self._surely(query, middle)
-            if sooner.plan is None:
-                missed = middle
-            else:
-                found = sooner
+            found, missed = (sooner, missed) if sooner.plan else (found, middle)
         return found
 
     def _sooner(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
@@ -366,12 +358,11 @@ class Interception:
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
         through = self._attempted(query, end, before, narrow=self._coned)
-        if through.plan is None or not self._is_well(through):
-            return found
-        miss = float(np.linalg.norm(self._off(query, end, through.plan, goals)))
-        if miss > self._radius:
-            return found
-        return found._replace(found=through.found, miss=miss)
+        if through.plan and self._is_well(through):
+            miss = float(np.linalg.norm(self._off(query, end, through.plan, goals)))
+            if miss <= self._radius:
+                return found._replace(found=through.found, miss=miss)
+        return found
 
     def _off(self, query: InterceptQuery, end: float, plan: Plan, goals: Array) -> Array:
         """Return the final position error of a vehicle that flies a plan, shape (n,) [m]."""
