@@ -138,20 +138,3 @@ def _comparable(value: object) -> object:
     if not isinstance(value, np.ndarray):
         return value
     return value.shape, (value + 0.0).tobytes()  # adding zero turns -0.0 into 0.0, which it equals
-
-
-def within(checked: object, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Check that attributes are numbers in their ranges, integers if both ends are.
-
-    Args:
-        checked: the object with the attributes.
-        ranges: least and greatest value allowed, by attribute.
-
-    Raises:
-        BadInput: a value of another type or out of range.
-    """
-    for name, (low, high) in ranges.items():
-        if isinstance(low, int) and isinstance(high, int):
-            whole(getattr(checked, name), name, low, high)
-        else:
-            number(getattr(checked, name), name, low, high)

@@ -25,8 +25,8 @@ from orbimpc_ros.mpc.problem.obstacle import tracked
 from orbimpc_ros.mpc.problem.units import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
-EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation')
-CONES = ('tilt', 'glide_slope')
+EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation',
+          'tilt', 'glide_slope')  # fmt: skip
 PARTS = ('floor', 'obstacles', 'approach')
 BODIES = 'boxes {min, max} and balls {centre, radius}'
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
@@ -83,7 +83,7 @@ def case_of(mapping: Any) -> Case:
         BadInput: a field is unknown, missing, of another type or out of range.
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
-    optional = (*EXTRAS, *CONES, *PARTS, 'hazards', 'goal_attitude')
+    optional = (*EXTRAS, *PARTS, 'hazards', 'goal_attitude')
     known = fields_of(mapping, 'case', needed, optional)
     problem = _problem(known)
     state = _state(problem, known['state'], known.get('goal_attitude'))
@@ -94,7 +94,7 @@ def case_of(mapping: Any) -> Case:
 def _problem(known: Mapping[str, Any]) -> Problem:
     weights = dict(fields_of(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
     scaling = weights.pop('scaling', 'paper')
-    plain = {name: known[name] for name in (*MODEL, *EXTRAS, *CONES) if name in known}
+    plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
     problem = Problem(
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
-from orbimpc_ros.mpc.arrays import number, whole, within
+from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import (
     DISCRETISATIONS,
@@ -38,10 +38,8 @@ LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones underflow
 MAX_OBSTACLES = 64
 STEEPEST_GLIDE = 1.5  # [rad]: 14 m up per horizontal metre
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
-RANGES: dict[str, tuple[float, float]] = {
-    'dimension': (2, 3),
-    'rotation_order': (1, 2),
-    'horizon': (1, MAX_HORIZON),
+COUNTS = {'dimension': (2, 3), 'rotation_order': (1, 2), 'horizon': (1, MAX_HORIZON)}
+RANGES = {
     'step': (LEAST, 1e3),
     'forward': (LEAST, 1e3),
     'max_acceleration': (0.0, math.inf),
@@ -136,7 +134,10 @@ class Problem:
         for each in _instance(self.obstacles, tuple, 'obstacles'):
             if not isinstance(each, (Box, Ball)):
                 raise BadInput('obstacles', f'a {type(each).__name__}', 'a Box or a Ball')
-        within(self, RANGES)
+        for name, limits in COUNTS.items():
+            whole(getattr(self, name), name, *limits)
+        for name, ends in RANGES.items():
+            number(getattr(self, name), name, *ends)
         whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
         for name, words in (('terminal', TERMINALS), ('discretisation', tuple(DISCRETISATIONS))):
             if getattr(self, name) not in words:

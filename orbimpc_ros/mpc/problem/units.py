@@ -68,19 +68,15 @@ class Units:
         if self.length == self.time == 1.0:
             return state
         inverse = 1.0 / self.length, 1.0 / self.time
+        pushing = self.time ** (2 if self.problem.inertial else 1) / self.length
         return replace(
             state,
             position=state.position * inverse[0],
             velocity=state.velocity * (self.time / self.length),
             rotation_rate=state.rotation_rate * self.time,
-            disturbance=state.disturbance * self.pushing,
+            disturbance=state.disturbance * pushing,
             hazards=tuple(each.scaled(*inverse) for each in state.hazards),
         )
-
-    @property
-    def pushing(self) -> float:
-        """Return the factor that converts disturbances (speeds or accelerations) to these units."""
-        return self.time ** (2 if self.problem.inertial else 1) / self.length
 
     def lengths(self, values: Array) -> Array:
         """Return lengths [m] in these units."""
