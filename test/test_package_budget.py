@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_612,
-    'orbimpc_ros/mpc': 16_390,
+    'orbimpc_ros': 31_592,
+    'orbimpc_ros/mpc': 16_370,
     'orbimpc_ros/loop': 3_578,
     'orbimpc_ros/ros': 4_548,
     'orbimpc_ros/sim': 2_489,
