@@ -38,9 +38,8 @@ from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
-from orbimpc_ros.mpc.proof.flight import STEP, control_of
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
-from orbimpc_ros.mpc.proof.stated import Body, Statement
+from orbimpc_ros.mpc.proof.stated import STEP, Body, Statement, rows_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import region_of, tree_in_fractions
 
@@ -528,7 +527,7 @@ class Part:
 
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return the bound that a leaf proves on the part, and True if it is sound."""
-        set_hessian(self.stated, leaf, self.work.squares)
+        set_hessian(self.stated, leaf, self.work)
         known = self.stated, self.region, self.depth, tree_in_fractions(leaf), 0, empty, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
@@ -547,5 +546,4 @@ class Part:
 
 def _on_side(body: Body, k: int, degree: int) -> list[int]:
     """Return the control points of step k that are on one side of a body."""
-    every = (control_of(body.of, k, degree, at) for at in range(trees.POINTS))
-    return [i for i in every if i >= 0]
+    return [i for i in rows_of((body.of,), k + 1, degree)[0, k].tolist() if i >= 0]

@@ -243,11 +243,11 @@ def test_the_least_beyond_a_face_and_within_a_cone(seed):
     points = units * rng.uniform(size=(20000, 1)) ** 0.2
     beyond = np.concatenate([points, units])
     beyond = beyond[beyond @ axis >= floor]
-    least = sets.beyond_face(g, axis, floor, 1.0)
+    least = sets.over_face(g, -2.0 * sum(abs(g)), axis, floor, (floor, 1.0), 0.0, 0.0, 3)
     assert 0.0 <= held_against(least, beyond, g) + 1e-12 < 0.2
     angle = rng.uniform(0.1, 3.0)
     within = units[units @ axis >= math.cos(angle)]
-    least = sets.in_cone(g, np.array([*axis, math.cos(angle), math.sin(angle)]), 3)
+    least = sets.in_cone(g, axis, math.cos(angle), math.sin(angle), 3)
     assert held_against(least, within, g) < 0.2
 
 

@@ -20,15 +20,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
-from orbimpc_ros.mpc.proof.flight import (
-    DECIDED,
-    FIRST,
-    TIED,
-    WANTED,
-    pulled_back,
-    rolled,
-    set_arrival,
-)
+from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, TIED, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
@@ -39,6 +31,24 @@ ENDED, UNSOUND, PAUSED = range(3)  # the walk has ended; the tree is invalid; th
 DEPTH, PARENT, WAITING = range(3)  # rows of a walk: of each node, and the stack of nodes to visit
 
 
+class Axis(NamedTuple):
+    """Work arrays of unit headings along one axis, from zeros, for the Hessian of the cost.
+
+    Attributes:
+        start: zeros, shape (6, 1).
+        goals: zeros, shape (N, 2).
+        point: shape (N, 1).
+        flown: shape (4, N + 1, 1).
+        slopes: shape (N, 1).
+    """
+
+    start: Any
+    goals: Any
+    point: Any
+    flown: Any
+    slopes: Any
+
+
 class Work(NamedTuple):
     """Work arrays.
 
@@ -47,8 +57,9 @@ class Work(NamedTuple):
         slopes: shape (N, d).
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
-        squares: the Hessian of the cost, its remainder, the rows of an arrival, and one more,
-            shape (2 N + 3, N).
+        squares: the Hessian of the cost, its remainder, the rows of an arrival, and two more,
+            shape (2 N + 4, N).
+        axis: for the Hessian.
     """
 
     flown: Any
@@ -56,6 +67,7 @@ class Work(NamedTuple):
     vectors: Any
     matrix: Any
     squares: Any
+    axis: Axis
 
 
 @generic
@@ -64,21 +76,15 @@ def _turned(order, costs, start, point, slopes):
     count, weight = len(point), costs.turned
     value = 0 * weight
     for c in range(point.shape[1]):
-        for k in range(count + 1 - order if weight != 0 else 0):
-            before = start[FIRST, c] if k == 0 else point[k - 1, c]
-            turned = point[k, c] - before
-            if order == 2:
-                turned = point[k + 1, c] - 2 * point[k, c] + before
+        for last in range(order - 1, count if weight != 0 else 0):
+            turned = 0 * weight  # a difference, by coefficients 1, -1 or 1, -2, 1
+            for a in range(order + 1):
+                z = point[last - a, c] if last >= a else start[FIRST, c]
+                turned = turned + (1 if a != 1 else -order) * z
             value = value + weight * turned * turned
-            push = 2 * weight * turned
-            if order == 2:
-                slopes[k + 1, c] = slopes[k + 1, c] + push
-                slopes[k, c] = slopes[k, c] - 2 * push
-                push = -push
-            else:
-                slopes[k, c] = slopes[k, c] + push
-            if k > 0:
-                slopes[k - 1, c] = slopes[k - 1, c] - push
+            for a in range(min(order, last) + 1):
+                push = 2 * weight * turned * (1 if a != 1 else -order)
+                slopes[last - a, c] = slopes[last - a, c] + push
         off = point[count - 1, c] - start[WANTED, c]
         value = value + costs.aimed * off * off
         slopes[count - 1, c] = slopes[count - 1, c] + 2 * costs.aimed * off
@@ -86,86 +92,85 @@ def _turned(order, costs, start, point, slopes):
 
 
 @generic
-def _flown(costs, goals, point, shor, work):
-    """Add forces of the cost of positions, less a leaf's curvature; return it, and its size."""
-    flown, slopes, count, n = work.flown, work.slopes, len(point), goals.shape[1] - 1
-    value, size = 0 * costs.turned, 0 * costs.turned
-    for c in range(n):
-        for k in range(count):
-            z, weight = point[k, c], costs.weights[0, k + 1]
-            miss, kept = flown[0, k + 1, c] - goals[k, c], shor[k] * z * z / 2
-            value = value + weight * miss * miss - kept
-            size = size + weight * miss * miss + abs(kept)
-            flown[2, k + 1, c] = flown[2, k + 1, c] + 2 * weight * miss
-            slopes[k, c] = slopes[k, c] - shor[k] * z
+def _flown(costs, goals, point, flown):
+    """Add forces of the costs of positions and of the last velocity; return these costs."""
+    count, value = len(point), 0 * costs.turned
+    for c in range(flown.shape[2]):
+        for k in range(1, count + 1):
+            weight, miss = costs.weights[0, k], flown[0, k, c] - goals[k - 1, c]
+            value = value + weight * miss * miss
+            flown[2, k, c] = flown[2, k, c] + 2 * weight * miss
         fast = flown[1, count, c]
-        value, size = value + costs.braked * fast * fast, size + costs.braked * fast * fast
+        value = value + costs.braked * fast * fast
         flown[3, count, c] = flown[3, count, c] + 2 * costs.braked * fast
-    return value, size
+    return value
 
 
 @generic
-def _least_decided(n, decided, known, g, length, shor, slowest, fastest):
+def _of_decided(stated, span, g, length, shor):
     """Return the least cost of the first step if R_1 is decided up to its length, and its size."""
-    size, speed, along = abs(length) + abs(shor), size_of(known, n), 0 * length
+    known = stated.start[DECIDED]
+    size, speed, along = abs(length) + abs(shor), size_of(known, stated.n), 0 * length
     for c in range(len(g)):
         along, size = along + g[c] * known[c], size + abs(g[c] * known[c])
-    if decided != SEGMENT:
-        return along + length * speed + shor * speed * speed / 2, size * (1 + speed * speed)
-    return over_speeds(along / speed + length, shor, slowest, fastest), 2 * size
+    if stated.decided == SEGMENT:
+        return over_speeds(along / speed + length, shor, span[0], span[1]), 2 * size
+    return along + length * speed + shor * speed * speed / 2, size * (1 + speed * speed)
 
 
 @generic
-def _of_step(sets, known, corners, k, g, share, shor, length, work):
+def _of_step(stated, known, k, tree, leaf, length, shor, work):
     """Return the least contribution of a step to a bound, and the size of its terms.
 
     If a share of the slope is bounded by the limits on R e1 alone, the share and the remainder are
     minimised separately.
 
     Args:
-        sets: data of stage sets.
+        stated: the problem.
         known: restrictions of all choices.
-        corners: of the step's patch.
         k: the step, from 0 on.
-        g: its slope, shape (d,).
-        share: part of the slope, shape (n,).
-        shor: its own curvature.
+        tree: whose shares are used.
+        leaf: its row.
         length: weight of its length.
-        work: work arrays.
+        shor: its own curvature.
+        work: work arrays, with the slopes.
     """
-    n, rest, size, split = len(share), work.vectors[1], abs(length) + abs(shor), len(g) == 9
+    n, sets, g, zero = stated.n, stated.sets, work.slopes[k], 0 * length
+    own, rest = work.vectors[0], work.vectors[1]
+    split, size = len(g) == 9, abs(length) + abs(shor)
     for c in range(len(g)):
-        size = size + abs(g[c])
-        rest[c] = g[c]
-    for c in range(n):
-        split = split or share[c] != 0
+        own[c] = tree.share[leaf, k, c] if c < n and tree.share.size > 0 else zero
+        rest[c], split = g[c] - own[c], split or own[c] != 0
+        size = size + abs(g[c]) + 2 * abs(own[c])
     if not split:
-        return over_stage(sets, known, corners, k, g[:n], length, shor, n), size
-    for c in range(n):
-        rest[c] = g[c] - share[c]
-        g[c] = share[c]
-        size = size + 2 * abs(share[c])
+        return over_stage(sets, known, k, g[:n], length, shor, n), size
     if len(g) == 9:
         value = over_orbitope(rest, work.matrix)
     else:
-        value = over_stage(sets, known, corners, k, rest[:n], 0 * length, 0 * shor, n)
-    return value + over_stage(sets, known, corners, k, g[:n], length, shor, n), size
+        value = over_stage(sets, known, k, rest[:n], zero, zero, n)
+    return value + over_stage(sets, known, k, own[:n], length, shor, n), size
 
 
 @generic
-def _at_point(stated, tree, leaf, empty, work):
-    """Set slopes and forces of the cost at a leaf's point; return the cost, and its size."""
-    start, costs, zero = stated.start, stated.costs, 0 * stated.sets.full
-    point = tree.point[leaf]
-    rolled(stated.motion, start, point, work.flown)
-    work.flown[2:] = zero
-    work.slopes[:] = zero
-    if empty:
-        return zero, zero
-    value = _turned(stated.order, costs, start, point, work.slopes)
-    more, terms = _flown(costs, stated.ends.goals, point, tree.shor[leaf], work)
-    first = costs.weights[1, 0] * size_of(start[FIRST], stated.n)
-    return value + more + first, value + terms + first
+def _at_point(stated, start, goals, point, flown, slopes):
+    """Set the trajectory of a point, and slopes and forces of its cost, which is returned."""
+    rolled(stated.motion, start, point, flown)
+    slopes[:] = 0 * stated.sets.full
+    turned = _turned(stated.order, stated.costs, start, point, slopes)
+    return turned + _flown(stated.costs, goals, point, flown)
+
+
+@generic
+def _tangent(n, point, shor, slopes):
+    """Subtract a leaf's curvature from slopes; return the tangent's value at 0, and its size."""
+    value = size = 0 * shor[0]
+    for k in range(len(point)):
+        for c in range(point.shape[1]):
+            bent = shor[k] * point[k, c] if c < n else 0 * value
+            along, kept = slopes[k, c] * point[k, c], bent * point[k, c] / 2
+            slopes[k, c] = slopes[k, c] - bent
+            value, size = value + kept - along, size + abs(along) + abs(kept)
+    return value, size
 
 
 @generic
@@ -191,13 +196,6 @@ def _held(stated, region, depth, tree, leaf, work):
 
 
 @generic
-def _set_share(shares, leaf, k, share):
-    """Set the part of a step's slope that is bounded by the limits on R e1 alone."""
-    for c in range(len(share)):
-        share[c] = shares[leaf, k, c] if shares.size > 0 else 0 * share[c]
-
-
-@generic
 def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     """Return the bound that a leaf proves, and whether its multipliers are sound.
 
@@ -210,37 +208,34 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
         empty: whether to prove that the leaf is empty: by a positive bound without any cost.
         work: work arrays; the Hessian is set.
     """
-    point, shor, slopes, n = tree.point[leaf], tree.shor[leaf], work.slopes, stated.n
-    count, zero, sets = len(point), 0 * stated.sets.full, stated.sets
-    span, corners = region.span[depth], region.corners[depth]
-    known = region.part[depth], span, count
-    value, size = _at_point(stated, tree, leaf, empty, work)
+    point, shor, slopes, zero = tree.point[leaf], tree.shor[leaf], work.slopes, 0 * stated.sets.full
+    count, value = len(point), zero
+    known = region.part[depth], region.span[depth], region.corners[depth], count
+    if empty:
+        rolled(stated.motion, stated.start, point, work.flown)
+        slopes[:] = zero
+    else:
+        value = _at_point(stated, stated.start, stated.ends.goals, point, work.flown, slopes)
+        value = value + stated.costs.weights[1, 0] * size_of(stated.start[FIRST], stated.n)
+    size = value
     more, terms, held = _held(stated, region, depth, tree, leaf, work)
+    value, size = value + more, size + terms
     if not held:
         return value, False
     pulled_back(stated.motion, work.flown, slopes)
+    more, terms = _tangent(0 if empty else stated.n, point, shor, slopes)
     value, size = value + more, size + terms
-    for k in range(count):
-        for c in range(stated.width):
-            along = slopes[k, c] * point[k, c]
-            value, size = value - along, size + abs(along)
     if not empty:
-        convex, off = _lost(stated.motion, stated.ends, shor, point, work)
+        convex, off = _lost(stated.ends, shor, point, work)
         value = value - off
         if not convex:
             return value, False
-    share = work.vectors[0, :n]
     for k in range(count):
-        kept, length = (zero, zero) if empty else (shor[k], stated.costs.weights[1, k + 1])
+        length, kept = (zero, zero) if empty else (stated.costs.weights[1, k + 1], shor[k])
         if k == 0 and stated.decided != FREE:
-            slow, fast, decided = span[count, 0], span[count, 1], stated.start[DECIDED]
-            more, terms = _least_decided(
-                n, stated.decided, decided, slopes[0], length, kept, slow, fast
-            )
+            more, terms = _of_decided(stated, known[1][count], slopes[0], length, kept)
         else:
-            _set_share(tree.share, leaf, k, share)
-            patch = corners[k if n == 3 else 0]
-            more, terms = _of_step(sets, known, patch, k, slopes[k], share, kept, length, work)
+            more, terms = _of_step(stated, known, k, tree, leaf, length, kept, work)
         value, size = value + more, size + terms
     return value - slack(size) * (count + 4), True
 
@@ -272,7 +267,7 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
         known = begin(stated, tree, region.part[0], region.span[0])
         if known != HELD:
             return least, 0, 0, ENDED if known == GONE else UNSOUND
-        set_hessian(stated, tree, work.squares)
+        set_hessian(stated, tree, work)
         number, waiting[0] = 1, 0
     while number > 0:
         if seen == most:
@@ -364,31 +359,25 @@ def depths_of(nodes, walk):
 
 
 @generic
-def set_hessian(stated, tree, squares):
-    """Set the Hessian of the cost in z_1..z_N along an axis, in the first rows of (2 N + 3, N).
+def set_hessian(stated, tree, work):
+    """Set the Hessian of the cost in z_1..z_N along an axis, and the rows of an arrival.
 
-    It is not needed if no leaf assigns curvature to its steps.
+    Column by column: the gradient at a unit heading. They are not needed if no leaf assigns
+    curvature to its steps.
     """
     if not is_bent(tree.shor):
         return
-    order, motion, costs, count = stated.order, stated.motion, stated.costs, squares.shape[1]
-    h, arrival, twice = squares[:count], squares[2 * count :], 2 * costs.turned
-    set_arrival(motion, arrival)
-    for i in range(count):
-        for j in range(i + 1):
-            entry = 2 * costs.braked * arrival[1, i] * arrival[1, j]
-            for k in range(i, count):  # only the number of steps from z_{i+1} to s_{k+1} matters
-                own = arrival[0, count - 1 - k + i] * arrival[0, count - 1 - k + j]
-                entry = entry + 2 * costs.weights[0, k + 1] * own
-            h[i, j] = entry
-    for k in range(count + 1 - order):
-        last = k + order - 1  # coefficients of differences: 1, -1 or 1, -2, 1
-        for a in range(order + 1):
-            for b in range(a, order + 1):
-                share = (1 if a != 1 else -order) * (1 if b != 1 else -order)
-                if last - b >= 0:
-                    h[last - a, last - b] = h[last - a, last - b] + share * twice
-    h[count - 1, count - 1] = h[count - 1, count - 1] + 2 * costs.aimed
+    axis, squares, zero = work.axis, work.squares, 0 * stated.sets.full
+    count = len(axis.point)
+    for j in range(count):
+        axis.point[:] = zero
+        axis.point[j, 0] = zero + 1
+        _at_point(stated, axis.start, axis.goals, axis.point, axis.flown, axis.slopes)
+        for r in range(2):
+            squares[2 * count + r, j] = axis.flown[r, count, 0]
+        pulled_back(stated.motion, axis.flown, axis.slopes)
+        for i in range(count):
+            squares[i, j] = axis.slopes[i, 0]
 
 
 @generic
@@ -401,14 +390,13 @@ def is_bent(shor):
 
 
 @generic
-def _lost(motion, ends, shor, point, work):
+def _lost(ends, shor, point, work):
     """Return whether the cost less a leaf's curvature is convex, and the error of its tangent.
 
     If plans must arrive, convex on the null space of the arrival's rows. The tangent has an error
     if its point misses the arrival by rounding.
 
     Args:
-        motion: of a step.
         ends: data of the arrival.
         shor: curvature assigned to steps, shape (N,).
         point: tangent point, shape (N, d).
@@ -425,7 +413,7 @@ def _lost(motion, ends, shor, point, work):
             m[i, j] = squares[i, j] - (shor[i] if i == j else zero)
             m[j, i] = m[i, j]
             top = max(top, abs(m[i, j]))
-    off = _arrived(motion, ends, m, top, work) if ends.arrives > 0 else zero
+    off = _arrived(ends, m, top, work) if ends.arrives > 0 else zero
     for k in range(count):
         for c in range(n):
             longest = max(longest, abs(point[k, c]))
@@ -434,7 +422,7 @@ def _lost(motion, ends, shor, point, work):
 
 
 @generic
-def _arrived(motion, ends, m, top, work):
+def _arrived(ends, m, top, work):
     """Make a matrix steep across the rows of an arrival, and leave it as it is along them.
 
     With a a row, orthogonal to the one before, and P the projection onto its null space, M becomes
@@ -444,12 +432,11 @@ def _arrived(motion, ends, m, top, work):
         How far the point misses the arrival.
     """
     flown, arrival, count = work.flown, work.squares[2 * len(m) :], len(m)
-    u, off, ratio = arrival[2], 0 * ends.chord, 0 * ends.chord
-    set_arrival(motion, arrival)
+    a, u, off, ratio = arrival[2], arrival[3], 0 * ends.chord, 0 * ends.chord
     for r in range(ends.arrives):
-        a, largest, square = arrival[r], 0 * off, 0 * off
+        largest = square = 0 * off
         for i in range(count):
-            a[i] = a[i] - ratio * arrival[0, i]
+            a[i] = arrival[r, i] - ratio * arrival[0, i]
             largest, square = max(largest, abs(a[i])), square + a[i] * a[i]
         if largest == 0:
             continue
@@ -485,7 +472,10 @@ def _is_convex(m, margin):
 def work_of(problem: Problem, width: int, kind: Any) -> Work:
     """Return the work arrays for the bounds of leaves."""
     count, n = problem.horizon, problem.dimension
-    flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
-    squares = np.zeros((2 * count + 3, count), kind)
-    vectors, matrix = np.zeros((2, width), kind), np.zeros((4, 4), kind)
-    return Work(flown, slopes, vectors, matrix, squares)
+
+    def zeros(*shape: int) -> Any:
+        return np.zeros(shape, kind)
+
+    along = zeros(6, 1), zeros(count, 2), zeros(count, 1), zeros(4, count + 1, 1), zeros(count, 1)
+    flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
+    return Work(flown, slopes, vectors, zeros(4, 4), zeros(2 * count + 4, count), Axis(*along))

@@ -24,8 +24,7 @@ from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Sought
-from orbimpc_ros.mpc.proof.flight import END, ENDS, STEP
-from orbimpc_ros.mpc.proof.stated import UP, Body, Cone, Limits, Statement
+from orbimpc_ros.mpc.proof.stated import END, ENDS, STEP, UP, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
     EMPTY,

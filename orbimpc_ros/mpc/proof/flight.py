@@ -8,16 +8,12 @@ Mathematics: docs/mathematics.md, 1.1, and docs/proofs.md.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.model.translation import controls
 from orbimpc_ros.mpc.proof.arithmetic import Number, generic
-from orbimpc_ros.mpc.proof.tree import POINTS
 
-END, ENDS, STEP = range(3)  # the part of a step that is on one side of a body
 # Rows of a start, with the d coordinates that are in the cost, shape (6, d).
 VELOCITY, WIND, FIRST, WANTED, DECIDED, TIED = range(6)
 
@@ -48,7 +44,8 @@ class Motion(NamedTuple):
 
 @generic
 def rolled(motion, start, point, flown):
-    """Set positions relative to s_0 and velocities at the ends of steps, shape (4, N + 1, n)."""
+    """Set positions relative to s_0, velocities, and no forces on them, shape (4, N + 1, n)."""
+    flown[2:] = 0 * motion.drift
     for c in range(flown.shape[2]):
         before, fast = start[FIRST, c], start[VELOCITY, c]
         flown[0, 0, c] = 0 * fast
@@ -82,19 +79,6 @@ def pulled_back(motion, flown, slopes):
             on_p = motion.keep * on_p + motion.drift * on_s
 
 
-@generic
-def set_arrival(motion, arrival):
-    """Set the coefficients of z_1..z_N in s_N and in p_N along an axis, shape (2, N)."""
-    count = arrival.shape[1]
-    s, p = motion.follow, motion.after
-    for i in range(count):  # steps before the end
-        if i > 0:
-            s, p = s + motion.drift * p, motion.keep * p
-        if i == 1:
-            s, p = s + motion.push, p + motion.add
-        arrival[0, count - 1 - i], arrival[1, count - 1 - i] = s, p
-
-
 def flown_by(motion: Motion, start: Any, point: Any) -> Any:
     """Return positions relative to s_0 and velocities at the ends of steps, shape (2, N + 1, n).
 
@@ -106,35 +90,3 @@ def flown_by(motion: Motion, start: Any, point: Any) -> Any:
     flown = np.zeros((4, len(point) + 1, point.shape[1]), point.dtype)
     rolled(motion, start, point, flown)
     return flown[:2]
-
-
-def controls_of(motion: Motion, flown: Any) -> Any:
-    """Return the control points of steps, shape (N, degree + 1, n).
-
-    Args:
-        motion: of a step.
-        flown: positions and velocities at the ends of steps, shape (2, N + 1, n).
-    """
-    return controls(motion.degree, motion.degree * motion.lead, *flown)
-
-
-@generic
-def control_of(of, k, degree, i):
-    """Return the control point of step k that row i constrains; -1 if there is no such row."""
-    if of == STEP:
-        return i if i <= degree else -1
-    if of == ENDS and k > 0:
-        return i * degree if i < 2 else -1
-    return degree if i == 0 else -1
-
-
-@lru_cache(maxsize=64)
-def control_points(of: tuple[int, ...], count: int, degree: int) -> np.ndarray:
-    """Return the control points that rows of N steps constrain, by body; -1 for missing rows.
-
-    Shape (J, N, 4).
-    """
-    known = [
-        [control_of(each, k, degree, i) for k in range(count) for i in range(POINTS)] for each in of
-    ]
-    return np.array(known, np.int64).reshape(-1, count, POINTS)

@@ -10,7 +10,6 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
-from orbimpc_ros.mpc.proof.flight import control_of
 from orbimpc_ros.mpc.proof.sets import cone_of, cross, dot, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
 from orbimpc_ros.mpc.proof.tree import POINTS
@@ -59,7 +58,7 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
         The least distance of a control point from the moved body's position along the normal; by
         how much less that of the others may be; the size of both terms, negative without a side.
     """
-    count, n = bodies.centres.shape[1], bodies.centres.shape[3]
+    count, n = bodies.places.shape[1], bodies.places.shape[3]
     j, k, side, zero = choice // count - 2, choice % count, part[choice], 0 * sets.full
     radius, grown = bodies.extents[j, 2 * n], bodies.margins[0, j, k]
     if side == WHOLE:
@@ -91,7 +90,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
     motion, sets, bodies, zero = stated.motion, stated.sets, stated.bodies, 0 * stated.sets.full
     value, size, normal, n = zero, zero, work.vectors[0], stated.n
     count, degree, flown = len(work.slopes), motion.degree, work.flown
-    end, rows = tree.press_end[leaf], POINTS * count * len(bodies.of)
+    end, rows = tree.press_end[leaf], POINTS * count * len(bodies.at)
     for e in range(begun, end):
         y, row = tree.press[e], tree.press_row[e]
         if not (y >= 0 and 0 <= row < rows * (depth + 1)):
@@ -101,7 +100,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
         d, row = depth - row // rows, row % rows
         choice, at = row // POINTS + 2 * count, row % POINTS
         j, k = choice // count - 2, choice % count
-        i = control_of(bodies.of[j], k, degree, at)
+        i = bodies.at[j, k, at]
         part, span, corners = region.part[d], region.span[d], region.corners[d]
         out, off, terms = side_of(sets, bodies, choice, part, span, corners, normal)
         if i < 0 or terms < 0:
@@ -112,7 +111,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
         if 0 < i < degree:
             led = -motion.lead if late == 1 else motion.lead
         for c in range(n):
-            force, middle = y * normal[c], bodies.centres[j, k, at, c]
+            force, middle = y * normal[c], bodies.places[j, k, at, c]
             place = flown[0, k + late, c] + led * flown[1, k + late, c]
             value = value + force * (middle - place)
             size = size + abs(force) * (abs(middle) + abs(place))

@@ -61,18 +61,12 @@ def along_and_across(g, axis, n):
 
 
 @generic
-def in_cone(g, cone, n):
-    """Return the least g . u over unit vectors u within an angle of an axis.
-
-    Args:
-        g: slope, shape (n,).
-        cone: its axis, a unit vector, and the angle's cosine and sine, n + 2 numbers or more.
-        n: dimension.
-    """
-    size, (along, square) = size_of(g, n), along_and_across(g, cone, n)
-    if along <= TOLERANCE * slack(size) - cone[n] * size:  # downhill is within it
+def in_cone(g, axis, cosine, sine, n):
+    """Return the least g . u over unit vectors u within an angle of an axis, a unit vector."""
+    size, (along, square) = size_of(g, n), along_and_across(g, axis, n)
+    if along <= TOLERANCE * slack(size) - cosine * size:  # downhill is within it
         return -size
-    return cone[n] * along - cone[n + 1] * root(square)
+    return cosine * along - sine * root(square)
 
 
 @generic
@@ -88,7 +82,8 @@ def in_sector(g, low, high, sets):
     """Return the least g . (cos, sin) over the directions of a sector."""
     if high - low >= sets.full - sets.narrow:
         return -size_of(g, 2)
-    return in_cone(g, cone_of(low, high), 2)
+    cone = cone_of(low, high)
+    return in_cone(g, cone, cone[2], cone[3], 2)
 
 
 @generic
@@ -109,24 +104,23 @@ def nearest_floor(low, high, least, sets):
 
 
 @generic
-def over_polygon(g, along, known, k, fastest, sets):
-    """Return the least g . z over a step's sector, from a polygonal floor to the fastest speed.
+def over_polygon(g, along, known, k, slowest, length, curve, sets):
+    """Return a bound over a step's sector beyond a polygonal floor; see :func:`over_stage`.
 
     A linear function is least on the rim, or at an end or a corner of the floor; on the rim if it
-    is not positive there.
-
-    Args:
-        g: slope, shape (2,).
-        along: the least g . u over directions u of the sector.
-        known: restrictions of all choices.
-        k: the step, from 0 on.
-        fastest: speed.
-        sets: data of stage sets.
+    is not positive there, as in wide sectors, unless a cone leaves only directions uphill.
     """
-    low, high, best = known[1][k, 0], known[1][k, 1], along * fastest
-    if along <= 0:  # so it is in wide sectors, unless a cone leaves only directions uphill
+    low, high, fastest = known[1][k, 0], known[1][k, 1], known[1][known[3] + k, 1]
+    share, best = sets.full / sets.polygon, over_speeds(along + length, curve, slowest, fastest)
+    if length != 0 or curve != 0:
+        middle = share * round((low + high) / (2 * share))
+        if max(middle - low, high - middle) - share / 2 > sets.narrow:  # beyond several faces
+            return best
+        face, least = direction(middle), sets.least - 4 * sets.narrow
+        return over_face(g, along, face, least, (slowest, fastest), length, curve, 2)
+    if along <= 0:
         return best
-    share = sets.full / sets.polygon
+    best = along * fastest
     first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
     for i in range(first - 1, last + 2):  # the ends of the sector, and corners in it
         angle = low if i < first else high if i > last else (2 * i + 1) * share / 2
@@ -181,14 +175,6 @@ def in_patch(g, corners):
 
 
 @generic
-def beyond_face(g, normal, least, fastest):
-    """Return the least g . z over the part of a ball, of radius ``fastest``, beyond a face."""
-    share = min(least / fastest, 1)  # beyond it the set is empty
-    cone = normal[0], normal[1], normal[2], share, root(1 - share * share)
-    return fastest * in_cone(g, cone, 3)
-
-
-@generic
 def on_face(g, normal, least, fastest, length, n):
     """Return the least g . z + length |z| over a face within a disk, or a ball."""
     along, square = along_and_across(g, normal, n)
@@ -222,20 +208,13 @@ def over_orbitope(g, matrix):
 
 
 @generic
-def steepest(sets, known, corners, k, g, n):
-    """Return the least g . u over the directions u that step k may have at a node."""
-    best, part = -size_of(g, n), known[0][k]
-    if part >= 0:
-        if n == 2:
-            best = in_sector(g, known[1][k, 0], known[1][k, 1], sets)
-        elif len(sets.faces) == 0:
-            best = in_patch(g, corners)
-    for q in range(len(sets.cone_step)):
-        if sets.cone_step[q] == k:
-            best = max(best, in_cone(g, sets.cones[q], n))
-            if part >= 0 and n == 3 and len(sets.faces) == 0:
-                best = max(best, in_both(g, sets.cones[q], corners))
-    return best
+def in_part(sets, known, k, g, n):
+    """Return the least g . u over the directions u in the sector or patch of step k."""
+    if known[0][k] < 0 or (n == 3 and len(sets.faces) > 0):
+        return -size_of(g, n)
+    if n == 2:
+        return in_sector(g, known[1][k, 0], known[1][k, 1], sets)
+    return in_patch(g, known[2][k])
 
 
 @generic
@@ -270,7 +249,7 @@ def in_both(g, cone, corners):
 
 
 @generic
-def over_stage(sets, known, corners, k, g, length, curve, n):
+def over_stage(sets, known, k, g, length, curve, n):
     """Return a lower bound on g . z + length |z| + curve |z|^2 / 2 over z_{k+1}'s stage set.
 
     It is the best of several bounds. They are not combined, because a cone with its own least
@@ -278,62 +257,60 @@ def over_stage(sets, known, corners, k, g, length, curve, n):
 
     Args:
         sets: data of stage sets.
-        known: restrictions of all choices: parts, spans, and N.
-        corners: of the step's patch, if it has one.
+        known: restrictions of all choices: parts, spans, corners, and N.
         k: the step, from 0 on.
         g: shape (n,).
         length: a weight.
         curve: a weight.
         n: dimension.
     """
-    part, span, count = known[0][k], known[1], known[2]
-    low, high, slowest, fastest = span[k, 0], span[k, 1], span[count + k, 0], span[count + k, 1]
-    along, linear = steepest(sets, known, corners, k, g, n), length == 0 and curve == 0
-    walled = sets.polygon > 0 and part >= 0
-    faced = -(size_of(g, n) + length + abs(curve)) * (1 + fastest * fastest)
-    if walled:
+    part, low, high = known[0][k], known[1][k, 0], known[1][k, 1]
+    slowest, fastest = known[1][known[3] + k, 0], known[1][known[3] + k, 1]
+    along, linear, solid = (
+        in_part(sets, known, k, g, n),
+        length == 0 and curve == 0,
+        len(sets.faces),
+    )
+    best = -(size_of(g, n) + abs(length) + abs(curve)) * (1 + fastest * fastest)
+    if sets.polygon > 0 and part >= 0:
         slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
-        faced = max(faced, beside_polygon(g, along, low, high, fastest, length, curve, sets))
-    best = max(faced, over_speeds(along + length, curve, slowest, fastest))
-    if part >= 0 and len(sets.faces) > 0:
-        best = max(best, over_solid(g, sets.faces[part], length, curve, slowest, fastest, sets))
-    if not linear:
-        return best
-    if walled:
-        best = max(best, over_polygon(g, along, known, k, fastest, sets))
-    return over_cones(sets, k, g, slowest, fastest, n, best)
-
-
-@generic
-def beside_polygon(g, along, low, high, fastest, length, curve, sets):
-    """Return a bound over a sector beside one face of a polygonal floor; see `over_stage`."""
-    share, size = sets.full / sets.polygon, size_of(g, 2) + length + abs(curve)
-    middle = share * round((low + high) / (2 * share))  # of the face that bounds the sector
-    beside = max(middle - low, high - middle) - share / 2 <= sets.narrow
-    if curve != 0 or length <= 0 or not beside:
-        return -size * (1 + fastest * fastest)
-    face = on_face(g, direction(middle), sets.least - 4 * sets.narrow, fastest, length, 2)
-    return min((along + length) * fastest, face)
-
-
-@generic
-def over_solid(g, normal, length, curve, slowest, fastest, sets):
-    """Return a bound on g . z + length |z| + curve |z|^2 / 2 beyond a face of a solid floor."""
-    face = beyond_face(g, normal, sets.least, fastest)
-    if length == 0 and curve == 0:
-        return face
-    best = over_speeds(face / fastest + length, curve, slowest, fastest)
-    if curve == 0 and length > 0:
-        rim = face + length * fastest
-        best = max(best, min(rim, on_face(g, normal, sets.least, fastest, length, 3)))
-    return best
-
-
-@generic
-def over_cones(sets, k, g, slowest, fastest, n, best):
-    """Return the greater of a bound and those on g . z over the cones of a step."""
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
-            slow = min(fastest, max(slowest, sets.cones[q, n + 2]))
-            best = max(best, over_speeds(in_cone(g, sets.cones[q], n), 0 * best, slow, fastest))
+            cone = sets.cones[q]
+            within = in_cone(g, cone, cone[n], cone[n + 1], n)
+            along = max(along, within)
+            if part >= 0 and n == 3 and solid == 0:
+                along = max(along, in_both(g, cone, known[2][k]))
+            if linear:
+                slow = min(fastest, max(slowest, cone[n + 2]))
+                best = max(best, over_speeds(within, curve, slow, fastest))
+    best = max(best, over_speeds(along + length, curve, slowest, fastest))
+    if solid > 0 and part >= 0:
+        face, speeds = sets.faces[part], (slowest, fastest)
+        best = max(best, over_face(g, along, face, sets.least, speeds, length, curve, n))
+    if sets.polygon > 0 and part >= 0:
+        best = max(best, over_polygon(g, along, known, k, slowest, length, curve, sets))
     return best
+
+
+@generic
+def over_face(g, along, normal, least, speeds, length, curve, n):
+    """Return a bound over the part of a disk, or ball, beyond a face; see :func:`over_stage`.
+
+    Args:
+        g: shape (n,).
+        along: the least g . u over the directions u of the step.
+        normal: of the face.
+        least: distance of the face.
+        speeds: the least and the greatest.
+        length: a weight.
+        curve: a weight; without it, a positive function is least on the face or on the rim.
+        n: dimension.
+    """
+    slowest, fastest = speeds
+    share = min(least / fastest, 1)  # beyond it the set is empty
+    along = max(along, in_cone(g, normal, share, root(1 - share * share), n))
+    best = over_speeds(along + length, curve, slowest, fastest)
+    if curve != 0 or length < 0:
+        return best
+    return max(best, min((along + length) * fastest, on_face(g, normal, least, fastest, length, n)))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,8 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
-from orbimpc_ros.mpc.model.translation import step_of
+from orbimpc_ros.mpc.geometry.rotations import coordinates
+from orbimpc_ros.mpc.model.translation import controls, step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief
@@ -29,19 +30,15 @@ from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, as_fractions, direction, root, roots
 from orbimpc_ros.mpc.proof.flight import (
     DECIDED,
-    END,
-    ENDS,
     FIRST,
-    STEP,
     TIED,
     VELOCITY,
     WANTED,
     WIND,
     Motion,
-    control_points,
-    controls_of,
     flown_by,
 )
+from orbimpc_ros.mpc.proof.tree import POINTS
 
 NARROW = 1e-9  # [rad] margin to a turn, or half a turn, of sectors treated as smaller
 WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
@@ -49,6 +46,7 @@ ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
 FREE, SEGMENT, POINT = range(3)  # kinds of sets of R_1
+END, ENDS, STEP = range(3)  # the part of a step that is on one side of a body
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 UP = 0.0, 0.0, 1.0
 NOTHING: Array = np.zeros(0)
@@ -202,18 +200,19 @@ class Bodies(NamedTuple):
     """The boxes and balls that plans must stay outside of.
 
     Attributes:
-        of: the part of a step that is on a side of each body, shape (J,).
-        extents: of boxes, -low and then high, relative to s_0; last the radius of balls, 0 for
-            boxes; shape (J, 2 n + 1).
-        centres: of balls, relative to s_0 (0 for boxes), plus the displacement of bodies, at each
-            control point, shape (J, N, 4, n).
+        at: the control point of a step that a row constrains, -1 if there is no such row, shape
+            (J, N, 4).
+        extents: of boxes, 0 and then their size; last the radius of balls, 0 for boxes; shape
+            (J, 2 n + 1).
+        places: of a box's lower corner or a ball's centre, relative to s_0, at each row's control
+            point, shape (J, N, 4, n).
         margins: added to the size of bodies, and the largest distance between control points of
             a step relative to a body, shape (2, J, N).
     """
 
-    of: np.ndarray
+    at: np.ndarray
     extents: Rows
-    centres: Rows
+    places: Rows
     margins: Rows
 
 
@@ -334,8 +333,12 @@ class Statement:
         sets = self._set(cones) if cones else self._without_cones
         origin = self._rows(state.position)
         ends = self._ended(self._rows(goals) - origin, limits)
-        rest = limits.bodies is self.boxes
-        bodies = self._beside_boxes(origin) if rest else self._beside(origin, limits.bodies, start)
+        if limits.bodies is self.boxes:
+            bodies = self._at_rest
+            if self.boxes:
+                bodies = bodies._replace(places=bodies.places - origin)
+        else:
+            bodies = self._beside(origin, limits.bodies, start)
         kinds = problem.dimension, self.width, problem.rotation_order, decided
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
@@ -343,25 +346,22 @@ class Statement:
 
     def _begun(self, state: State) -> tuple[int, Rows]:
         """Return the kind of the set of R_1, and the rows of a start."""
-        problem, n = self.problem, self.problem.dimension
+        problem, n, d = self.problem, self.problem.dimension, self.width
         known, kind = np.zeros((6, self.width)), FREE
         known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
-        known[FIRST] = known[TIED] = self._seen(state.rotation)
+        known[FIRST] = known[TIED] = coordinates(state.rotation)[:d]
         if state.wanted is not None:
-            known[WANTED] = self._seen(state.wanted)
+            known[WANTED] = coordinates(state.wanted)[:d]
         if problem.rotation_order == 2:
             kind = POINT if state.coasted is None else SEGMENT
-            known[DECIDED] = self._seen(state.rotation_rate if kind == POINT else state.coasted)
+            begun = state.rotation_rate if state.coasted is None else state.coasted
+            known[DECIDED] = coordinates(begun)[:d]
         elif problem.turns_are_angles:
             known[TIED, :n] = state.attitude[:, 0]
         start = self._rows(known)
         if kind == POINT:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         return kind, start
-
-    def _seen(self, rotation: Any) -> Array:
-        """Return the coordinates of a rotation that are in the cost, column by column."""
-        return rotation.T.ravel() if self.width == 9 else rotation[:, 0]
 
     # --- the limits of single steps
 
@@ -510,38 +510,27 @@ class Statement:
 
     @cached_property
     def _at_rest(self) -> Bodies:
-        """Return the bodies at rest, relative to the origin."""
+        """Return the boxes, relative to the origin."""
         start = self._rows(np.zeros((6, self.width)))
-        return self._beside(self._rows(np.zeros(self.problem.dimension)), self.boxes, start)
-
-    def _beside_boxes(self, origin: Rows) -> Bodies:
-        n, known = self.problem.dimension, self._at_rest
-        if not self.boxes:
-            return known
-        extents = known.extents.copy()
-        extents[:, :n] += origin
-        extents[:, n : 2 * n] -= origin
-        return known._replace(extents=extents)
+        return self._beside(start[0, : self.problem.dimension], self.boxes, start)
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
-        n, count = self.problem.dimension, self.problem.horizon
+        n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree
         sizes = [_corners_and_radius(each.shape) for each in bodies]
         low, high, radii = map(self._rows, zip(*sizes, strict=True) if sizes else ((), (), ()))
-        low, high = low.reshape(-1, n) - origin, high.reshape(-1, n) - origin
-        grown = self._rows([each.grown for each in bodies]).reshape(-1, count)
+        low, high, radii = low.reshape(-1, n), high.reshape(-1, n), radii.reshape(-1, 1)
+        extents = np.concatenate([0 * low, high - low, radii], axis=1)
         shifts = self._rows([each.shifts for each in bodies]).reshape(-1, count + 1, n)
-        of = np.array([each.of for each in bodies], np.int64)
-        still = np.where(radii[:, None] > 0, low, 0 * low)
-        begun, moved = still[:, None] + shifts[:, :-1], shifts[:, 1:] - shifts[:, :-1]
-        at = control_points(tuple(of.tolist()), count, self._motion.degree)
-        along = self._rows(np.maximum(at, 0))[..., None] / self._motion.degree
-        centres = begun[:, :, None] + moved[:, :, None] * along
+        at = rows_of(tuple(each.of for each in bodies), count, degree)
+        along = self._rows(np.maximum(at, 0))[..., None] / degree
+        begun, moved = shifts[:, :-1, None], np.diff(shifts, axis=1)[:, :, None]
+        places = (low - origin)[:, None, None] + begun + moved * along
+        grown = self._rows([each.grown for each in bodies]).reshape(-1, count)
         margins = np.stack([grown, 0 * grown])
-        curved = np.flatnonzero((radii > 0) & (of == STEP))
-        if len(curved):
-            margins[1, curved] = self._spread(centres[curved], start)
-        extents = np.concatenate([-low, high, radii[:, None]], axis=1)
-        return Bodies(of, extents, centres, margins)
+        curved = [j for j, each in enumerate(bodies) if each.of == STEP and radii[j] > 0]
+        if curved:
+            margins[1, curved] = self._spread(places[curved], start)
+        return Bodies(at, extents, places, margins)
 
     def _spread(self, centres: Rows, start: Rows) -> Rows:
         """Return the largest distance of control points, relative to bodies, shape (J, N).
@@ -549,21 +538,23 @@ class Statement:
         Headings have a length of at most 1.
         """
         n, count, m = self.problem.dimension, self.problem.horizon, self._motion.degree + 1
-        flown = flown_by(self._motion, start[:, :n], self._rows(np.zeros((count, n))))
-        free, (a, b) = controls_of(self._motion, flown), np.triu_indices(m, 1)
+        free, (a, b) = self._controls(start[:, :n], np.zeros((count, n))), np.triu_indices(m, 1)
         fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
         places = free - centres[:, :, :m]
         gaps = roots(((places[:, :, a] - places[:, :, b]) ** 2).sum(axis=-1))
         return (fastest * self._apart + gaps).max(axis=2)
 
+    def _controls(self, start: Rows, point: Array) -> Rows:
+        """Return the control points of steps from a start, shape (N, degree + 1, n)."""
+        motion = self._motion
+        flown = flown_by(motion, start, self._rows(point))
+        return controls(motion.degree, motion.degree * motion.lead, *flown)
+
     @cached_property
     def _apart(self) -> Rows:
         """Return the most that headings of length 1 separate control points, shape (N, pairs)."""
-        units, none = (
-            self._rows(each)
-            for each in (np.eye(self.problem.horizon), np.zeros((6, self.problem.horizon)))
-        )
-        reach = controls_of(self._motion, flown_by(self._motion, none, units))
+        units, none = np.eye(self.problem.horizon), np.zeros((6, self.problem.horizon))
+        reach = self._controls(self._rows(none), units)
         a, b = np.triu_indices(self._motion.degree + 1, 1)
         return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
 
@@ -576,6 +567,18 @@ def _corners_and_radius(shape: Box | Ball) -> tuple[Array, Array, float]:
     if isinstance(shape, Ball):
         return shape.centre, shape.centre, shape.radius
     return shape.minimum, shape.maximum, 0.0
+
+
+@lru_cache(maxsize=64)
+def rows_of(of: tuple[int, ...], count: int, degree: int) -> np.ndarray:
+    """Return the control points that rows of N steps constrain, -1 for missing rows, (J, N, 4)."""
+    at = np.full((len(of), count, POINTS), -1)
+    for rows, part in zip(at, of, strict=True):
+        points = {END: [degree], ENDS: [0, degree], STEP: range(degree + 1)}[part]
+        rows[:, : len(points)] = points
+        if part == ENDS:  # the start of the first step is given
+            rows[0, :2] = degree, -1
+    return at
 
 
 def _moving(problem: Problem, state: State) -> tuple[Body, ...]:

@@ -92,7 +92,7 @@ class Verifier:
         if not _fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
-        choices = (2 + len(stated.bodies.of)) * problem.horizon
+        choices = (2 + len(stated.bodies.at)) * problem.horizon
         if not self._has_room(self._depths(tree.nodes, walk), choices):
             return -math.inf
         most, what = 1 + SLICE // problem.horizon, PAUSED

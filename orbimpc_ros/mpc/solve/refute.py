@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.proof.document import (
     refutation,
     refuted_by,
 )
-from orbimpc_ros.mpc.proof.flight import flown_by, set_arrival
+from orbimpc_ros.mpc.proof.flight import flown_by
 from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import EMPTY, ProofTree, one
 from orbimpc_ros.mpc.proof.verify import Verifier
@@ -64,11 +64,11 @@ def _leaf(posed: Posed) -> ProofTree:
     """Return a tree of one leaf, which is a proof if full speed does not reach the goal."""
     stated = Statement(posed.problem).of(posed.state, posed.goals, posed.limits)
     count, n, start = posed.problem.horizon, stated.n, stated.start[:, : stated.n]
-    point, reach = np.zeros((count, stated.width)), np.zeros((2, count))
+    point = np.zeros((count, stated.width))
     off = flown_by(stated.motion, start, point[:, :n])[0, -1] - stated.ends.goals[-1, :n]
     away = off / max(float(np.linalg.norm(off)), 1e-300)
-    set_arrival(stated.motion, reach)
-    point[:, :n] = -np.outer(np.sign(reach[0]) * stated.root.span[3], away)
+    reach = flown_by(stated.motion, np.zeros((6, count)), np.eye(count))[0, -1]
+    point[:, :n] = -np.outer(np.sign(reach) * stated.root.span[3], away)
     if posed.problem.weights.terminal:
         return one(point, np.zeros(count))
     pull = np.zeros((stated.ends.arrives, n))

@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.flight import DECIDED, control_points
+from orbimpc_ros.mpc.proof.flight import DECIDED
 from orbimpc_ros.mpc.proof.splits import (
     GONE,
     ICOSAHEDRON,
@@ -117,7 +117,7 @@ class Regions:
         self.origins = np.full(count, begun) if ordered else NOWHERE
         self._order, self._begun = Order(ordered, self.origins), begun
         self._outward = np.vstack([-np.eye(n), np.eye(n)])
-        self._centres: Array | None = None  # of the last bodies
+        self._extents: Array | None = None  # of the last bodies
         self._begun_at: tuple[Root | None, int] = None, 0  # limits and bodies of the last root
         self._root: Region | None = None
 
@@ -127,27 +127,27 @@ class Regions:
         state = self._state
         limits = self._statement.limits(state, request.goals)
         stated = self._stated = self._statement.of(state, request.goals, limits)
-        self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.of)
+        self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.at)
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
         flags = stated.sets.cones[:, problem.dimension + 3] == 1.0  # patches cover the tilt's cap
         self._upright = set(stated.sets.cone_step[flags].tolist())
         known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
         self._free = self._started @ known
         if self.bodies:
-            if stated.bodies.centres is not self._centres:  # they are the same if none moves
+            if stated.bodies.extents is not self._extents:  # they are the same if none moves
                 self._place(stated.bodies)
-            self._apart = self._free[self._points] - self._middles
+            places = stated.bodies.places[:, :, : self._points.shape[2]]
+            middles = np.where(self._held[..., None], places, places[:, :, :1])
+            self._apart = self._free[self._points] - middles
 
     def _place(self, bodies: Bodies) -> None:
         """Set which control points bodies constrain, and the sizes of balls."""
-        count, self._centres = self.problem.horizon, bodies.centres
-        at = control_points(tuple(bodies.of.tolist()), count, self._controls - 1)
+        count, self._extents, at = self.problem.horizon, bodies.extents, bodies.at
         self._rows, steps = (at >= 0).sum(axis=2), np.arange(count)[:, None]
         at = at[:, :, : self._rows.max()]
-        held, middles = at >= 0, bodies.centres[:, :, : at.shape[2]]
+        self._held = held = at >= 0
         # missing rows repeat the first
         self._points = count + self._controls * steps + np.where(held, at, at[:, :, :1])
-        self._middles = np.where(held[..., None], middles, middles[:, :, :1])
         radii, margins = bodies.extents[:, -1:], bodies.margins[0]
         self._balls = np.flatnonzero(radii > 0.0)
         self._radii, nothing = radii[self._balls], (radii > 0.0) & (radii + margins <= 0.0)
