@@ -20,7 +20,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
-from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.model.translation import controls, step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
@@ -349,13 +348,13 @@ class Statement:
         problem, n, d = self.problem, self.problem.dimension, self.width
         known, kind = np.zeros((6, self.width)), FREE
         known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
-        known[FIRST] = known[TIED] = coordinates(state.rotation)[:d]
+        known[FIRST] = known[TIED] = state.rotation.T.ravel()[:d]
         if state.wanted is not None:
-            known[WANTED] = coordinates(state.wanted)[:d]
+            known[WANTED] = state.wanted.T.ravel()[:d]
         if problem.rotation_order == 2:
             kind = POINT if state.coasted is None else SEGMENT
             begun = state.rotation_rate if state.coasted is None else state.coasted
-            known[DECIDED] = coordinates(begun)[:d]
+            known[DECIDED] = begun.T.ravel()[:d]  # column by column
         elif problem.turns_are_angles:
             known[TIED, :n] = state.attitude[:, 0]
         start = self._rows(known)
