@@ -29,20 +29,6 @@ REDUCED = 1e-7
 SOLVED = ('Solved', 'AlmostSolved')
 
 
-def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver:
-    """Return a Clarabel solver for compiled data; its A, b and q may be updated in place.
-
-    Args:
-        data: the upper triangle of P; q, A, b and the ``cones``.
-        tolerance: on feasibility and on the gap.
-    """
-    if clarabel.PSDTriangleConeT in map(type, data['cones']):
-        import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
-    return clarabel.DefaultSolver(
-        data['P'], data['q'], data['A'], data['b'], data['cones'], _settings(tolerance)
-    )
-
-
 def extended(
     data: dict[str, Any], rows: Array, offsets: Array, *, equal: bool = False
 ) -> dict[str, Any]:
@@ -71,15 +57,26 @@ def extended(
     }
 
 
-def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) -> Any:
-    """Run a solver and return its solution with any status; None if it panicked.
+def run(
+    data: dict[str, Any],
+    tolerance: float,
+    scale: float = 1.0,
+    out_of_time: Callable[[], bool] | None = None,
+) -> Any:
+    """Return Clarabel's solution of compiled data, with any status; None if it panicked.
 
     By default Clarabel reports ``AlmostSolved`` at errors of up to 1e-4. With :data:`REDUCED` it
     means a solution to 1e-7, which is accurate enough for the check and the gap of a plan.
+
+    Args:
+        data: the upper triangle of P; q, A, b and the ``cones``.
+        tolerance: on feasibility and on the gap.
+        scale: that the cost is divided by.
+        out_of_time: polled at each iteration; None for no deadline.
     """
-    if out_of_time is None:
-        solver.unset_termination_callback()
-    else:
+    cost, rows = (data['P'] / scale, data['q'] / scale), (data['A'], data['b'], data['cones'])
+    solver = clarabel.DefaultSolver(*cost, *rows, _settings(tolerance))
+    if out_of_time is not None:
         solver.set_termination_callback(lambda _: out_of_time())
     try:
         return solver.solve()
@@ -91,6 +88,8 @@ def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) 
 
 def cones_of(zero: int, nonneg: int, soc: Sequence[int], psd: Sequence[int]) -> list:
     """Return the cones of rows in this order: zero, non-negative, second-order, semidefinite."""
+    if psd:
+        import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
     cones: list = []
     if zero:
         cones.append(clarabel.ZeroConeT(zero))
@@ -104,10 +103,6 @@ def cones_of(zero: int, nonneg: int, soc: Sequence[int], psd: Sequence[int]) -> 
 def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    # In-place updates require the sparsity pattern to stay the same.
-    settings.presolve_enable = False
-    settings.chordal_decomposition_enable = False
-    settings.input_sparse_dropzeros = False
     settings.tol_feas = tolerance
     settings.tol_gap_abs = tolerance
     settings.tol_gap_rel = tolerance

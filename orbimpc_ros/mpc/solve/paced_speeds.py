@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.reach import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.search.engine import Engine
-from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
+from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
 from orbimpc_ros.mpc.solve.program import TINY, Program
 from orbimpc_ros.mpc.solve.regions import Regions
@@ -136,9 +136,8 @@ class PacedSpeeds:
             wide = half >= NARROW
             (held if wide else rays).extend(_cone(k, units, half * wide))
         data = extended(program.stated(request), *self._limits(state, units))
-        data |= {'P': data['P'] / unit, 'q': data['q'] / unit}  # for small costs near the goal
-        data = program.cut(program.cut(data, held, equal=False), rays, equal=True)
-        answer = run(solver_for(data, ACCURATE), None)
+        data = program.cut(program.cut(data, held), rays, equal=True)
+        answer = run(data, ACCURATE, unit)  # for small costs near the goal
         if answer is None or str(answer.status) not in SOLVED:
             return None
         return program.statement.coordinates(np.asarray(answer.x)[program.statement.x], state)

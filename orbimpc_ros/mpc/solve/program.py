@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The general convex program: built once, then updated in place and solved by Clarabel.
+"""The general convex program: stated once, then solved by Clarabel for states and goals.
 
 The state enters b and a few entries of A, the goals enter q
-(:mod:`orbimpc_ros.mpc.solve.statement`). Half-spaces added by a search require a new solver.
+(:mod:`orbimpc_ros.mpc.solve.statement`).
 
 Mathematics: docs/mathematics.md, 4.8.
 """
@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.model.dynamics import (
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run, solver_for
+from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.statement import ConicStatement
@@ -55,148 +55,93 @@ class Program:
         self, problem: Problem, *, coasting: bool = False, tolerance: float = 1e-9
     ) -> None:
         self.problem, self._tolerance = problem, tolerance
-        statement = self.statement = ConicStatement(problem, coasting=coasting)
-        self._data = statement.data
-        self._heaviest = float(position_weights(problem).max())
-        self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)
-        self._scale, self._p = 1.0, self._data['P']
-        self._solver: Any = solver_for(self._data, tolerance)
+        self.statement = ConicStatement(problem, coasting=coasting)
         self._request: Request | None = None
         self.multipliers: Multipliers | None = None
 
     def _bind(self, request: Request) -> None:
         """Set the data of the next solves from state and goals."""
+        problem, statement = self.problem, self.statement
         self._request, state, goals = request, request.state, request.goals
-        self._a, self._b = self.statement.put(state, goals)
-        self._origins = adrift(self.problem, state)
-        seen = goals - self._origins
-        weights = position_weights(self.problem)
-        constant = float(np.sum(weights[:, None] * seen * seen))
-        hastened = self.problem.maps.speeds[-1, -1] * state.disturbance
-        constant += self._stopping * float(hastened @ hastened)
-        wanted = wanted_coordinates(self.problem, state)
-        constant += self._steadying * float(wanted @ wanted)
-        self._constant = constant + first_length(self.problem, state)
-        self._bind_cost(-2.0 * weights[:, None] * seen, 2.0 * self._stopping * hastened)
-        if self._steadying > 0.0:  # otherwise the columns may be those of thrust axes only
-            self._q[self.statement.x[-1]] -= 2.0 * self._steadying * wanted / self._scale
-
-    def _bind_cost(self, pull: Array, braking: Array) -> None:
-        """Set q from the linear terms of the goals and of the final velocity, scaled.
-
-        The whole cost is scaled down for distant goals: otherwise a goal 1e4 horizons away makes
-        an interior-point method report a feasible problem as infeasible.
-        """
-        reach = self.problem.horizon * self.problem.step * self.problem.forward
-        usual = FAR * (1.0 + 2.0 * self._heaviest * reach)
-        scale = max(1.0, float(np.abs(pull).max()) / usual)
-        if scale != self._scale:
-            self._solver.update(P=self._p.data / scale)
-            self._scale = scale
-        statement = self.statement
-        self._q: Array = self._data['q'] / scale
-        self._q[statement.moved] += pull / scale
-        self._q[statement.last] += braking[: len(statement.last)] / scale
+        weights, stopping = position_weights(problem), velocity_weight(problem)
+        steadying, wanted = attitude_weight(problem), wanted_coordinates(problem, state)
+        seen = goals - adrift(problem, state)
+        hastened = problem.maps.speeds[-1, -1] * state.disturbance
+        constant = float(np.sum(weights[:, None] * seen * seen)) + first_length(problem, state)
+        constant += stopping * float(hastened @ hastened) + steadying * float(wanted @ wanted)
+        self._data, self._constant = statement.put(state, goals), constant
+        pull, q = -2.0 * weights[:, None] * seen, self._data['q']
+        q[statement.moved] += pull
+        q[statement.last] += 2.0 * stopping * hastened[: len(statement.last)]
+        if steadying > 0.0:  # otherwise the columns may be those of thrust axes only
+            q[statement.x[-1]] -= 2.0 * steadying * wanted
+        # The whole cost is scaled down for distant goals: otherwise a goal 1e4 horizons away makes
+        # an interior-point method report a feasible problem as infeasible.
+        reach = problem.horizon * problem.step * problem.forward
+        usual = FAR * (1.0 + 2.0 * float(weights.max()) * reach)
+        self._scale = max(1.0, float(np.abs(pull).max()) / usual)
 
     def stated(self, request: Request) -> dict[str, Any]:
-        """Return the program of a request as data for :func:`~.conic.solver_for`."""
+        """Return the program of a request as data for :func:`~.conic.run`."""
         if request is not self._request:
             self._bind(request)
-        return self._scaled(self._a, self._b, self._scale)
-
-    def _scaled(self, a: Array, b: Array, scale: float) -> dict[str, Any]:
-        """Return the program with the given entries of A and b and its cost over ``scale``."""
-        matrix = self._data['A'].copy()
-        matrix.data = a
-        q = self._q * (self._scale / scale)
-        return {**self._data, 'P': self._p / scale, 'q': q, 'A': matrix, 'b': b}
+        return self._data
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
     ) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
-        if request is not self._request:
-            self._bind(request)
-        a, b = self._a.copy(), self._b.copy()
+        data = self.stated(request)
         if chords is not None:
-            self.statement.narrow(b, chords)
-        scale, late = self._scale, request.out_of_time
-        if rows:
-            relaxed = self._solve_anew(a, b, scale, late, rows)
-        else:
-            relaxed = self._solve_in_place(a, b, late)
-        again = relaxed.bound < SMALL * scale if relaxed.is_accurate else not rows
-        if request.late or not again:
+            data = self.statement.narrowed(data, chords)
+        data, late = self.cut(data, rows), request.out_of_time
+        relaxed = self._solved(data, self._scale, late)
+        if request.late or not relaxed.is_accurate or relaxed.bound >= SMALL * self._scale:
             return relaxed
-        if relaxed.is_accurate:
-            # Near the goal the cost almost vanishes: a gap that is small compared to 1 is not
-            # small compared to the cost unless the cost is scaled up.
-            scale = max(relaxed.bound, TINY)
+        # Near the goal the cost almost vanishes: a gap that is small compared to 1 is not small
+        # compared to the cost unless the cost is scaled up.
         before = self.multipliers
-        anew = self._solve_anew(a, b, scale, late, rows)
-        if anew.is_accurate or (anew.x is not None and not relaxed.is_accurate):
+        anew = self._solved(data, max(relaxed.bound, TINY), late)
+        if anew.is_accurate:
             return anew
         self.multipliers = before
         return relaxed
 
-    def _solve_in_place(
-        self, a: Array, b: Array, out_of_time: Callable[[], bool] | None
-    ) -> Relaxation:
-        self._solver.update(q=self._q, A=a, b=b)
-        answer = run(self._solver, out_of_time)
-        if answer is None:  # a panic leaves the solver in an unknown state
-            self._solver = solver_for({**self._data, 'P': self._p / self._scale}, self._tolerance)
-        return self._relaxation(answer, self._scale)
-
-    def _solve_anew(
-        self,
-        a: Array,
-        b: Array,
-        scale: float,
-        out_of_time: Callable[[], bool] | None,
-        rows: Sequence[Row] = (),
-    ) -> Relaxation:
-        """Solve with a new Clarabel solver, the cost divided by ``scale``.
-
-        This succeeds in nearly all cases in which the solver updated in place did not.
-        """
-        data = self.cut(self._scaled(a, b, scale), rows, equal=False)
-        return self._relaxation(run(solver_for(data, self._tolerance), out_of_time), scale)
-
-    def cut(self, data: dict[str, Any], rows: Sequence[Row], *, equal: bool) -> dict[str, Any]:
+    def cut(
+        self, data: dict[str, Any], rows: Sequence[Row], *, equal: bool = False
+    ) -> dict[str, Any]:
         """Return data with half-spaces added, or their boundary planes if ``equal``."""
         if not rows:
             return data
         shares, normals = (np.array([row[i] for row in rows]) for i in (1, 2))
-        entries = np.zeros((len(rows), data['A'].shape[1]))
+        entries = np.zeros((len(rows), self.statement.columns))
         axes = self.statement.x[:, : self.problem.dimension]
         entries[:, axes] = -shares[:, :, None] * normals[:, None]
         return extended(data, entries, -np.array([row.offset for row in rows]), equal=equal)
 
-    def _relaxation(self, answer: Any, scale: float) -> Relaxation:
-        """Return the relaxation from Clarabel's solution, with its dual value as the bound.
+    def _solved(
+        self, data: dict[str, Any], scale: float, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
+        """Solve with the cost divided by ``scale``.
 
         Raises:
             Infeasible: reported by Clarabel; its multipliers are taken as a Farkas certificate.
         """
-        self.multipliers = None if answer is None else self._multipliers(answer, scale)
-        if answer is None:
+        answer, request = run(data, self._tolerance, scale, out_of_time), self._request
+        if answer is None or request is None:
+            self.multipliers = None
             return Relaxation(None, -np.inf)
+        x, z, count = np.asarray(answer.x), scale * np.asarray(answer.z), len(self._data['b'])
+        sizes = np.maximum(z[count:], 0.0)
+        self.multipliers = self.statement.multipliers(x, z[:count], sizes, request.state)
         if str(answer.status) in REFUTED:
             raise Infeasible('no trajectory satisfies the constraints')
         accurate = str(answer.status) in SOLVED or _is_within(answer, NEAR)
         if not (accurate or _is_within(answer, ROUGH)):
             return Relaxation(None, -np.inf)
-        assert self._request is not None
-        x = self.statement.coordinates(np.asarray(answer.x)[self.statement.x], self._request.state)
+        rotations = self.statement.coordinates(x[self.statement.x], request.state)
         bound = scale * answer.obj_val_dual + self._constant if accurate else -np.inf
-        return Relaxation(x, bound)
-
-    def _multipliers(self, answer: Any, scale: float) -> Multipliers:
-        x, z, count = np.asarray(answer.x), scale * np.asarray(answer.z), len(self._b)
-        assert self._request is not None
-        sizes = np.maximum(z[count:], 0.0)
-        return self.statement.multipliers(x, z[:count], sizes, self._request.state)
+        return Relaxation(rotations, bound)
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:

@@ -82,7 +82,7 @@ class ConicStatement:
         coasting: whether R_1 is rho times the coasted rotation, with rho in [0, 1] free.
 
     Attributes:
-        data: of the program before a state is set, for :func:`~.conic.solver_for`.
+        data: of the program before a state is set, for :func:`~.conic.run`.
         x: columns of x_1..x_N, shape (N, width).
         moved: columns of v_1..v_N, shape (N, n).
         last: columns of p_N, shape (n,) or (0,).
@@ -118,9 +118,10 @@ class ConicStatement:
 
     # --- state and goals
 
-    def put(self, state: State, goals: Array) -> tuple[Array, Array]:
-        """Return the entries of A and b for a state and goals g_1..g_N, shape (N, n)."""
-        problem, a, b = self.problem, self.data['A'].data.copy(), self.data['b'].copy()
+    def put(self, state: State, goals: Array) -> dict[str, Any]:
+        """Return the data, with A and b for a state and goals g_1..g_N, shape (N, n)."""
+        problem, made = self.problem, {name: self.data[name].copy() for name in ('A', 'b', 'q')}
+        a, b = made['A'].data, made['b']
         origins = adrift(problem, state)
         b[self._first] = coordinates(state.rotation)[: self.width]
         if self._coasting:
@@ -141,7 +142,7 @@ class ConicStatement:
         if problem.approach.exists:
             axis = problem.approach.axis(state)
             a[self._approached], a[self._ahead] = axis, -axis
-        return a, b
+        return self.data | made
 
     def _put_cones(self, b: Array, state: State, goals: Array, origins: Array) -> None:
         """Set the relief of tilt and glide slope, and the apex of the latter, in b."""
@@ -153,9 +154,11 @@ class ConicStatement:
             b[self._sloped], b[self._sloped + 1] = sides[:, 2] + eased.slope, sides[:, 0]
             b[self._sloped + 2] = sides[:, 1]
 
-    def narrow(self, b: Array, chords: Array) -> None:
-        """Set limits of the K bounded chords, shape (K,), in b."""
+    def narrowed(self, data: dict[str, Any], chords: Array) -> dict[str, Any]:
+        """Return data with limits of the K bounded chords, shape (K,)."""
+        b = data['b'].copy()
         b[self._tied] = chords
+        return data | {'b': b}
 
     def coordinates(self, x: Array, state: State) -> Array:
         """Return rotation coordinates, shape (N, d), of x_1..x_N, shape (N, width)."""
