@@ -232,6 +232,17 @@ def test_a_reserve_is_given_up_where_no_plan_keeps_it():
     assert [each.reserve for each in tick.state.hazards] == pytest.approx([0.4 / 3.0] * 2)
 
 
+def test_boxes_are_kept_clear_of_with_the_reserve_too():
+    box, goals = Box([1.0, -1.0], [2.0, 0.3]), np.tile([3.0, 0.0], (8, 1))
+    problem = Problem(horizon=8, step=0.5, forward=1.0, obstacles=(box,))
+    wary, bare = (
+        Stepped(problem, gap_tolerance=0.01, reserve=reserve).tick(odometry(), goals).plan
+        for reserve in (0.3, 0.0)
+    )
+    assert box.depth(wary.positions[4:]).max() <= -0.3 + 1e-6
+    assert box.depth(bare.positions[4:]).max() > -0.1
+
+
 def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     problem = Problem(horizon=6, step=0.5, forward=1.0)
     asides = 0.65, -0.8, 1.5  # the path passes the discs at 0.15, 0.3 and 1 m

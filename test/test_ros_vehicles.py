@@ -93,9 +93,9 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
         middle, half = rng.uniform(0.2, 0.8) * place + rng.uniform(-2.0, 2.0, 3), 0.6
         if min(np.abs(middle).max(), np.abs(middle - place).max()) > half + 0.6:
             around.append((middle - half, middle + half))
-    margin = 0.4
+    margin = 0.2
     wide = [float(x) for low, high in around for x in (*(low - margin), *(high + margin))]
-    parameters |= {'obstacles': tuple(wide), 'no_corner_cutting': boxes}
+    parameters |= {'obstacles': tuple(wide), 'obstacle_reserve': margin}
     craft = Plant(
         3, 1, 2, forward=19.6, speed_lag=0.1, rate_lag=0.1, gain=1.0 / 1.2,
         disturbance=(0.6, -0.4, -9.81), max_rate=3.84,
@@ -107,6 +107,15 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
     assert max(np.linalg.norm(command.body_rate) for *_, command in log) <= 3.84 * (1.0 + 1e-9)
     for low, high in around:
         assert not any(np.all((m.position > low) & (m.position < high)) for _, m, *_ in log)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('seed', [7, 8])
+def test_a_multirotor_arrives_among_boxes_in_any_gusts(seed):
+    values = settings.resolve(settings.config('multirotor.yaml'), [f'seed={seed}'])
+    planner = OfflinePlanner(planner_settings(values))
+    *_, (flight, _) = closed_loop(planner, sim_settings(settings.of_sim(values)))
+    assert (flight.captured, flight.touched) == (True, frozenset())
 
 
 def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():

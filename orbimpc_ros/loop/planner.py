@@ -159,6 +159,7 @@ class Planner:
             hazards, and flown if it is clear of them.
         approach: the cone of headings in which a catch counts; unconstrained by default.
         reserve: additional distance of plans from hazards, kept as far as some plan can keep it;
+            unless catches are sought, obstacles at rest are then hazards;
             see :mod:`orbimpc_ros.loop.traffic` [m].
         centred: whether catches lead through the centre of the goal, with gentler turns than the
             earliest entry into the radius takes.
@@ -191,6 +192,11 @@ class Planner:
     ) -> None:
         self._reserve = number(reserve, 'reserve', 0.0)
         self._max_rate, problem = problem.max_rate, _planned(problem)
+        self._still = tuple[MovingObstacle, ...]()
+        if reserve and not capture_radius:
+            still = np.zeros(problem.dimension)
+            self._still = tuple(MovingObstacle.drifting(each, still) for each in problem.obstacles)
+            problem = replace(problem, obstacles=())
         self.problem, self._safe_kind = problem, safe
         self._compensator = Compensator(
             problem,
@@ -210,6 +216,8 @@ class Planner:
         # Lengths of shortened steps do not recur: few solvers are kept.
         self._solver = lru_cache(maxsize=2 * problem.horizon + 2)(self._made)
         self._solver(problem.horizon, problem.step)
+        if self._still:
+            self.expect_hazards()
         self._interception: Interception | None = None
         self._approach = approach or Approach()
         if number(capture_radius, 'capture_radius', 0.0) > 0.0:
@@ -374,9 +382,9 @@ class Planner:
     ) -> tuple[tuple[MovingObstacle, ...], int]:
         """Return the relevant hazards, and the number of those left out."""
         if snapshot.traffic is None:
-            return snapshot.hazards, 0
+            return (*snapshot.hazards, *self._still), 0
         horizons = float(FARTHEST if self._interception is not None else 1)
-        found = snapshot.traffic.hazards(odometry.time)
+        found = *snapshot.traffic.hazards(odometry.time), *self._still
         return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
 
     def _change_speed(self, steps: float) -> None:
