@@ -161,41 +161,24 @@ def _carried(span, k, begin, end, least, most):
 @generic
 def _is_split_right(stated, node, at, part, low, high):
     """Return whether a node's split is valid, given the restrictions of the choice there."""
-    kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
+    kind, c, parts, n, sets = node[KIND], node[CHOICE], node[CHILDREN], stated.n, stated.sets
     extents, count = stated.bodies.extents, stated.root.span.shape[1]
-    body, within = c // count - 2, parts == 2 and low <= at <= high
+    body, within, whole = c // count - 2, parts == 2 and low <= at <= high, part == WHOLE
     first = 0 if stated.decided == FREE else 1
     if not first <= c < (2 + len(extents)) * count:
         return False
     if body == -1:
         return kind == SPEED and within
     if body >= 0 and extents[body, 2 * n] == 0:  # a box
-        return kind == SIDES and part == WHOLE and parts == 2 * n
-    if n == 3:
-        return _is_solid_split_right(stated, kind, c, parts, part)
-    return _is_sector_split_right(kind, parts, part, within)
-
-
-@generic
-def _is_sector_split_right(kind, parts, part, within):
-    """Return whether a split of directions in the plane is valid."""
-    if part == WHOLE:
-        return kind == ARCS and parts >= 2
-    return kind == CUT and within
-
-
-@generic
-def _is_solid_split_right(stated, kind, c, parts, part):
-    """Return whether a split of directions in space is valid."""
-    sets, heading = stated.sets, c < stated.root.span.shape[1]
-    if heading and len(sets.faces) > 0:
-        return kind == FACES and part == WHOLE and parts == len(sets.faces)
-    if kind == QUARTERS:
-        return part == 0 and parts == 4
-    if kind != PATCHES or part != WHOLE:
-        return False
-    capped = parts == len(stated.root.patches) - ICOSAHEDRON
-    return parts == ICOSAHEDRON or (heading and capped and _is_capped(sets, c))
+        return kind == SIDES and whole and parts == 2 * n
+    if body == -2 and len(sets.faces) > 0:
+        return kind == FACES and whole and parts == len(sets.faces)
+    if n == 2:
+        return (kind == ARCS and parts >= 2) if whole else (kind == CUT and within)
+    if not whole:
+        return kind == QUARTERS and parts == 4
+    capped = body == -2 and parts == len(stated.root.patches) - ICOSAHEDRON and _is_capped(sets, c)
+    return kind == PATCHES and (parts == ICOSAHEDRON or capped)
 
 
 @generic

@@ -380,18 +380,14 @@ class Statement:
             along = max(self._rows(normals(n, problem.floor.faces)) @ axis)
             if problem.rotation_order == 2 and 0 < along < 1:  # on this axis the faces are farther
                 span[2, 0] = max(span[2, 0], number(self._least) / along * number(INWARD))
-        aim, aside = self._aimed(cones)
+        aim, aside = number(0), number(-1)
+        if problem.dimension == 2 and cones:
+            (x, y), wide = cones[-1].axis, cones[-1].angle  # of the approach; a file may state more
+            aim, aside = number(math.atan2(y, x)), number(wide)
         root = Root(span, turn, change, aim, aside, self._patches, exchanged)
         if plain:
             self._roots[exchanged] = root  # which depends on no state
         return root
-
-    def _aimed(self, cones: Sequence[Cone]) -> tuple[Any, Any]:
-        """Return direction and angle of the approach in the plane; -1 for the angle without."""
-        if self.problem.dimension == 3 or not cones:
-            return self._number(0), self._number(-1)
-        cone = cones[-1]  # of the approach; a file may state more
-        return self._number(math.atan2(cone.axis[1], cone.axis[0])), self._number(cone.angle)
 
     def _set_speeds(self, span: Rows, limits: Limits) -> None:
         """Set the least and the greatest speed of each step, shape (2, N)."""
