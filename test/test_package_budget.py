@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_461,
-    'orbimpc_ros/mpc': 16_231,
+    'orbimpc_ros': 31_440,
+    'orbimpc_ros/mpc': 16_210,
     'orbimpc_ros/loop': 3_586,
     'orbimpc_ros/ros': 4_548,
     'orbimpc_ros/sim': 2_489,
