@@ -22,7 +22,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.model.dynamics import decided
 from orbimpc_ros.mpc.problem.cones import begun, turned_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box, MovingObstacle, reserves
 from orbimpc_ros.mpc.problem.problem import Problem
@@ -110,7 +109,7 @@ def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
     eased, nothing = np.zeros_like(traffic.kept), INSIDE * problem.length_unit
     deep = _decided_depths(problem, state, traffic)
     at = [0, *range(deep.shape[1] - 1)]  # the margin at the start is that of the first step
-    held = np.any(deep + traffic.grown[:, at] > nothing, axis=1)
+    held = np.asarray((deep + traffic.grown[:, at] > nothing).any(axis=1))
     if not held.any():
         return eased
     every = np.maximum(_depths(problem, state, traffic, directions(problem.dimension)), 0.0)
@@ -134,10 +133,11 @@ def _decided_depths(problem: Problem, state: State, traffic: Traffic) -> Array:
     deep[:, 0] = [float(body.depth(here)[0]) for body in traffic.bodies]
     if not known:
         return deep
-    reached = np.linalg.norm(decided(problem, state)[0][: known + 1] - here, axis=1).max()
+    given = [state.rotation[:, 0], state.velocity, state.disturbance]
+    reached = np.linalg.norm(problem.maps.started[:known] @ given, axis=-1).max()
     ways = np.linalg.norm(traffic.shifts[:, : known + 1], axis=2).max(axis=1)
     widest = traffic.grown[:, :known].max(axis=1)
-    near = deep[:, 0] + widest + ways + known * problem.length_unit + reached > 0.0
+    near = deep[:, 0] + widest + ways + reached > 0.0
     if near.any():
         (depths,) = _depths(problem, state, traffic, directions(problem.dimension)[:1])  # any
         deep[near, 1:] = (depths - traffic.grown)[near, :known]
