@@ -95,8 +95,9 @@ class PlannerSettings(VehicleParameters):
         'obstacle observed only once: in the first 4 steps of a plan it is enlarged by the '
         'distance it may have moved', 'm/s', 0.0, FAR, live=True)
     obstacle_reserve: float = parameter('obstacle_reserve', 0.0, 'Extra clearance from moving '
-        'obstacles, with objective track from boxes too, as far as a plan that keeps it is found: it '
-        'grows from 0 at the start of a plan to this value 4 steps later', 'm', 0.0, FAR, live=True)
+        'obstacles, with objective track from boxes too, as far as a plan that keeps it is found: '
+        'it grows from 0 at the start of a plan to this value 4 steps later',
+        'm', 0.0, FAR, live=True)
     avoid: tuple[str, ...] = parameter('avoid', (), "Topics of other vehicles' plans "
         "(nav_msgs/Path) to stay clear of; the vehicle's own is ignored", words=True)
     avoid_radius: float = parameter('avoid_radius', 0.0, 'Least distance between the centres of '
