@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_440,
+    'orbimpc_ros': 31_441,
     'orbimpc_ros/mpc': 16_210,
     'orbimpc_ros/loop': 3_586,
-    'orbimpc_ros/ros': 4_548,
+    'orbimpc_ros/ros': 4_549,
     'orbimpc_ros/sim': 2_489,
     'orbimpc_ros/tool': 4_439,
     'benchmarks': 3_472,
