@@ -20,6 +20,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, margin
+from orbimpc_ros.mpc.model.dynamics import Trajectory
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import leaning, relief, strayed
@@ -61,7 +62,7 @@ def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator
         yield 'plan is not finite'
         return
     yield from _dynamics_violations(problem, state, plan)
-    yield from _terminal_violations(problem, goals, plan)
+    yield from terminal_violations(problem, goals, plan)
     yield from _proof_violations(problem, state, goals, plan)
     yield from _rotation_violations(problem, state, plan)
     yield from _limit_violations(problem, state, goals, plan)
@@ -251,7 +252,8 @@ def obstacle_margin(problem: Problem, positions: Array) -> float:
     return float(least)
 
 
-def _terminal_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
+def terminal_violations(problem: Problem, goals: Array, plan: Plan | Trajectory) -> list[str]:
+    """Return the violation of a terminal constraint by a plan or its rollout, if any."""
     if problem.terminal != 'constraint':
         return []
     miss = float(np.abs(plan.positions[-1] - goals[-1]).max())

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import terminal_violations
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
@@ -27,7 +28,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
-from orbimpc_ros.mpc.solve.dives import Dives, NodeProgram, arrives, is_accurate
+from orbimpc_ros.mpc.solve.dives import Dives, NodeProgram, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
@@ -126,8 +127,8 @@ class BranchAndBound:
         found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
         # With a closed gap the orbitopes need no check, which takes a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
-        accurate = arrives if solved else is_accurate
-        if not accurate(self.problem, goals, trajectory):
+        arrived = not terminal_violations(self.problem, goals, trajectory)
+        if not (arrived and (solved or is_accurate(self.problem, goals, trajectory))):
             return Found(None, np.inf, relaxed.bound, 1)
         return replace(found, proof=self._root(request))
 

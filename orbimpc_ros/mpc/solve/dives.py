@@ -16,7 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import holds
+from orbimpc_ros.mpc.check import holds, terminal_violations, turn_margin
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import coordinates, margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
@@ -31,8 +31,8 @@ from orbimpc_ros.mpc.solve.turns import Turns
 BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
 FOLLOWED = 10  # solves beside a path, each with the solution before as its path
 WORTH = 1e-3  # relative reduction of the cost that is worth another solve
-ACCURATE = 1e-6  # the check's tolerance of orbitopes, and of arrivals in units of a step's length
-ROUNDING = 1e-15  # relative to the coordinates of goals far from the origin
+ACCURATE = 1e-6  # the check's tolerance of orbitopes
+TURNED = 5e-7  # [rad] half the check's tolerance of turns
 LEAST = 1e-9  # smallest denominator of a relative gap
 
 Rows = dict[int, Held]  # half-spaces by choice
@@ -92,7 +92,9 @@ class NodeProgram:
 
     def turns_in_time(self, headings: Array) -> bool:
         """Return True if every turn is within its angle; relaxations bound only its chord."""
-        return self.turns is None or self.turns.hold(self.request.state, headings)
+        if self.turns is None:
+            return True
+        return bool(turn_margin(self.problem, self.request.state, headings).min() >= -TURNED)
 
 
 def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
@@ -101,18 +103,7 @@ def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
     They may not after an interrupted or inaccurate solve, whose bound is valid nevertheless.
     """
     inside = bool(margin(trajectory.rotations[1:]).min() >= -ACCURATE)
-    return inside and arrives(problem, goals, trajectory)
-
-
-def arrives(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
-    """Return True if there is no terminal constraint, or it holds to the tolerance of plans."""
-    if problem.terminal != 'constraint':
-        return True
-    missed = np.abs(trajectory.positions[-1] - goals[-1]).max()
-    if problem.inertial:
-        missed = max(missed, problem.step * np.abs(trajectory.velocities[-1]).max())
-    rounding = ROUNDING * np.abs(goals[-1]).max()
-    return bool(missed <= ACCURATE * problem.length_unit + rounding)
+    return inside and not terminal_violations(problem, goals, trajectory)
 
 
 class Dives:

@@ -17,7 +17,7 @@ from itertools import chain
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import speed_margin
+from orbimpc_ros.mpc.check import speed_margin, turn_margin
 from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
@@ -150,9 +150,8 @@ class PacedSpeeds:
         problem = self._problem
         if not problem.turns_are_angles:
             return np.zeros(0)
-        turned = np.vstack([state.attitude[:, 0], units])[problem.rotation_order - 1 :]
-        chords = np.linalg.norm(np.diff(turned, axis=0), axis=1)
-        left = problem.widest_turn + LEEWAY - 2.0 * np.arcsin(np.minimum(1.0, 0.5 * chords))
+        headings = np.vstack([state.rotation[:, 0], units])
+        left = LEEWAY + turn_margin(problem, state, headings)[problem.rotation_order - 1 :]
         left[1:] *= 0.5  # shared by both directions; the first turn is from a fixed one
         return np.asarray(np.minimum(left, np.append(left[1:], np.inf)))
 

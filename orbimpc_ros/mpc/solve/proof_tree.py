@@ -2,7 +2,7 @@
 """The search tree and the proof written from it.
 
 A solved node has the multipliers of its relaxation. An unsolved one has those of its parent,
-improved by dual coordinate ascent over the rows of its own split.
+improved by one dual step along a row of its own split, the gain that the search counts on.
 
 Mathematics: docs/proofs.md.
 """
@@ -24,7 +24,6 @@ from orbimpc_ros.mpc.solve.regions import CONE, Held
 from orbimpc_ros.mpc.solve.relaxation import Multipliers
 from orbimpc_ros.mpc.solve.request import Request
 
-SWEEPS = 3  # of dual coordinate ascent over the rows of an unsolved node, largest gain first
 LATE_NODES = 40  # limit for a proof written after the deadline: 2 or 3 ms
 
 
@@ -66,25 +65,21 @@ class Leaf(NamedTuple):
         return self._replace(share=share, force=force, presses=tuple(presses))
 
     def raised(self, held: Held, inverse: Array, depth: int) -> Leaf:
-        """Return the leaf after dual ascent over the rows of a side, other multipliers fixed.
+        """Return the leaf after the dual step along the row of a side that gains most.
 
         Args:
             held: the half-spaces of the side.
             inverse: H^-1, shape (N, N).
             depth: of the node from which on they are known.
         """
-        n, point, sizes = len(held[0].normal), self.point.copy(), [0.0] * len(held)
+        n, point = len(held[0].normal), self.point.copy()
         moved = [inverse @ row.shares for row in held]
-        steep = [float(row.shares @ way) for row, way in zip(held, moved, strict=True)]
+        steep = np.array([row.shares @ way for row, way in zip(held, moved, strict=True)])
         short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in held]
-        gains = np.maximum(short, 0.0) ** 2 / steep
-        for i in SWEEPS * np.argsort(-gains).tolist():
-            row = held[i]
-            missed = float(row.offset - row.shares @ point[:, :n] @ row.normal)
-            step = max(-sizes[i], missed / steep[i])
-            sizes[i] += step
-            point[:, :n] += step * np.outer(moved[i], row.normal)
-        return self._replace(point=point).pressed(held, sizes, depth)
+        steps = np.maximum(short, 0.0) / steep
+        best = int(np.argmax(steps * steps * steep))
+        point[:, :n] += steps[best] * np.outer(moved[best], held[best].normal)
+        return self._replace(point=point).pressed(held[best : best + 1], [steps[best]], depth)
 
 
 class Node:

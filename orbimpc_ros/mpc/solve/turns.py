@@ -23,7 +23,6 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Row
 
 WITHIN = 1.0 - 1e-6  # share of the widest turn
-ACCURATE = 5e-7  # [rad] half the tolerance of the check
 KEPT = 0.9  # share of its speed that a heading keeps in the next solve
 
 
@@ -45,15 +44,6 @@ class Turns:
         first = 2 if problem.first_turn_is_a_cone else 1
         most = min(problem.horizon, math.ceil(math.pi / problem.widest_turn) - 1)
         self._steps = range(first, most + 1) if problem.rotation_order == 1 else range(0)
-
-    def hold(self, state: State, headings: Array) -> bool:
-        """Return True if no turn of headings R_0 e1..R_N e1, shape (N + 1, n), is too wide."""
-        units = headings / np.maximum(np.linalg.norm(headings, axis=1), HEADING_UNDEFINED)[:, None]
-        units[0] = state.attitude[:, 0]
-        chords = np.linalg.norm(np.diff(units, axis=0), axis=1)
-        decided = int(self._problem.first_turn_is_decided)
-        widest = self._problem.widest_turn + ACCURATE
-        return bool((2.0 * np.arcsin(np.minimum(1.0, 0.5 * chords[decided:])) <= widest).all())
 
     def rows(self, state: State, *, narrow: bool = False) -> tuple[Row, ...]:
         """Return half-spaces that hold for all headings the vehicle can have reached by a step.
