@@ -259,7 +259,9 @@ class Statement:
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
-        array = np.array(values, float, order='C')  # a copy: numba wants it writable
+        return self._numbers(np.array(values, float, order='C'))  # a copy: numba wants it writable
+
+    def _numbers(self, array: Array) -> Rows:
         return array if self._number is float else as_fractions(array)
 
     def _moved(self) -> Motion:
@@ -330,8 +332,8 @@ class Statement:
         cones = self._cones(state, limits)
         root = self._rooted(state, limits, cones)
         sets = self._set(cones) if cones else self._without_cones
-        origin = self._rows(state.position)
-        ends = self._ended(self._rows(goals) - origin, limits)
+        origin = self._numbers(state.position)
+        ends = self._ended(self._numbers(goals) - origin, limits)
         if limits.bodies is self.boxes:
             bodies = self._at_rest
             if self.boxes:
@@ -357,7 +359,7 @@ class Statement:
             known[DECIDED] = begun.T.ravel()[:d]  # column by column
         elif problem.turns_are_angles:
             known[TIED, :n] = state.attitude[:, 0]
-        start = self._rows(known)
+        start = self._numbers(known)
         if kind == POINT:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         return kind, start
@@ -483,7 +485,7 @@ class Statement:
 
     def _ended(self, goals: Rows, limits: Limits) -> Ends:
         problem, number, n = self.problem, self._number, self.problem.dimension
-        known = self._rows(np.zeros((problem.horizon, n + 1)))
+        known = self._numbers(np.zeros((problem.horizon, n + 1)))
         known[:, :n], slope = goals, (number(0), number(0))
         if limits.glide_slope:
             known[:, n] = self._rows(limits.eased)
