@@ -44,9 +44,7 @@ FRUITLESS = 20  # relaxations without a trajectory, after which one is found wit
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 WORST_CONDITION = 1e12
-HALFWAY = (
-    50.0  # factor on the tolerance where many nodes cost alike: half of a plan's gap tolerance
-)
+HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
 
 
 class BranchAndBound:

@@ -463,13 +463,9 @@ class Regions:
 
     def widest(self, known: Region) -> Cut | None:
         """Return the split of the heading with the widest sector or patch; None without one."""
-        found = dict[int, Cut]()
-        for k in range(self.first, self.problem.horizon):
-            cut = self.cut(k, known)
-            if cut is not None:
-                found[k] = cut
-        k = max(found, key=lambda each: self._width(each, known), default=-1)
-        return found.get(k)
+        cuts = [self.cut(k, known) for k in range(self.first, self.problem.horizon)]
+        found = [cut for cut in cuts if cut is not None]
+        return max(found, key=lambda cut: self._width(cut.choice, known), default=None)
 
     def _width(self, k: int, known: Region) -> float:
         """Return how wide a sector [rad], or how large a patch is."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -289,7 +289,7 @@ class Solver:
         turning = self._turning(query, proof) if isinstance(failure, SolverFailure) else []
         if not turning:
             raise failure
-        return min(turning, key=_objective)
+        return min(turning, key=attrgetter('objective'))
 
     def _cheapest(self, query: _Query, proof: Proof, below: float) -> Plan | None:
         """Return the cheapest fallback plan that passes the check and costs less than ``below``."""
@@ -321,10 +321,6 @@ class Solver:
             if sound and query.late:
                 break
         return sound
-
-
-def _objective(plan: Plan) -> float:
-    return plan.objective
 
 
 def _joined(*words: str) -> str:
