@@ -38,7 +38,7 @@ from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
-from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, Order, begin, part_of
+from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, StepOrder, begin, part_of
 from orbimpc_ros.mpc.proof.stated import STEP, Body, Statement, rows_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import region_of, tree_in_fractions
@@ -333,7 +333,7 @@ class Part:
         origins = np.zeros(0)
         if self.n == 2 and self.stated.root.turn < 0 and _sometimes(rng, 0.5):
             origins = rng.uniform(-4.0, 4.0, self.count)
-        self.order = Order(False, np.array([Fraction(each) for each in origins], object))
+        self.order = StepOrder(False, np.array([Fraction(each) for each in origins], object))
         self.origins, self.depth, self.cuts = origins, 0, list[tuple[list[int], float, int]]()
         known = self.region.part[0], self.region.span[0]
         begun = begin(self.stated, self.order, *known)

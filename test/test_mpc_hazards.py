@@ -16,10 +16,10 @@ from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import (
     FORGOTTEN,
     AgentTrajectory,
-    Bodies,
     Distance,
     ObservedBody,
-    Traffic,
+    ObservedTraffic,
+    ObstacleTracker,
     achieved_clearance,
     clearance,
     nearest,
@@ -407,7 +407,7 @@ NEAR = Distance(1.0, 0.5)
 
 
 def moved(bodies, at, unseen=0.0):
-    return Traffic(bodies.current(at), unseen=unseen).hazards(at)
+    return ObservedTraffic(bodies.current(at), unseen=unseen).hazards(at)
 
 
 def disc(x, y, radius=0.5):
@@ -427,7 +427,7 @@ def at(hazard, time):
 
 
 def test_a_body_seen_once_stands_and_seen_twice_goes_on():
-    bodies = Bodies()
+    bodies = ObstacleTracker()
     bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
     (still,) = moved(bodies, 3.0)
     np.testing.assert_allclose(at(still, 5.0), [0.0, 0.0])
@@ -444,7 +444,7 @@ def test_a_body_seen_once_stands_and_seen_twice_goes_on():
 def test_an_even_motion_is_found_whatever_the_stamps(seed):
     rng = np.random.default_rng([71, seed])
     start, velocity = rng.uniform(-5.0, 5.0, (2, 3))
-    bodies, stamps = Bodies(), np.cumsum(rng.uniform(0.01, 1.0, 6))
+    bodies, stamps = ObstacleTracker(), np.cumsum(rng.uniform(0.01, 1.0, 6))
     for time in stamps:
         place = start + time * velocity
         bodies.see(seen(time, Box(place - 1.0, place + np.array([1.0, 2.0, 3.0]))), FASTEST)

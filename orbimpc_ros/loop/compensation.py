@@ -286,7 +286,7 @@ DRIFT_PUSHED = 0.2  # of a vehicle with inertia, which gusts push for as long as
 PRIOR = 0.3  # of the initial disturbance
 
 
-class Start(NamedTuple):
+class PlanStart(NamedTuple):
     """Initial state of a plan."""
 
     odometry: Odometry  # initial motion of the plan
@@ -364,7 +364,7 @@ class Compensator:
         latency: float = 0.0,
         now: float | None = None,
         wind: WindReport | None = None,
-    ) -> Start:
+    ) -> PlanStart:
         """Return the start of a plan that follows a measurement by a ``latency`` [s].
 
         ``now`` is when its command takes effect, on the clock of sent commands [s]; None if delays
@@ -386,7 +386,7 @@ class Compensator:
             'disturbance': self.disturbance,
             'innovation': self.innovation if self._estimated else None,
         }
-        return Start(odometry, self.state(odometry), told, (self.odd_speed(odometry), limited))
+        return PlanStart(odometry, self.state(odometry), told, (self.odd_speed(odometry), limited))
 
     def _settled(self, measured: Odometry) -> Odometry:
         """Return the state from which a vehicle without lags would fly the same path, a lag later.

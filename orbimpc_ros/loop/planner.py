@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import Compensator, Odometry, Response, Start, WindReport
+from orbimpc_ros.loop.compensation import Compensator, Odometry, PlanStart, Response, WindReport
 from orbimpc_ros.loop.fallback import (
     cheapest_clear,
     clear_instead,
@@ -29,7 +29,7 @@ from orbimpc_ros.loop.fallback import (
 from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.task import Answer, Late, Task
-from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
+from orbimpc_ros.loop.traffic import ObservedTraffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
@@ -62,7 +62,9 @@ class Snapshot:
     goal: Array | GoalMotion | None = None  # None before the first
     wanted: Array | None = None  # attitude of the goal, shape (n, n); None if free
     hazards: tuple[MovingObstacle, ...] = ()  # hazards, with times from the start of the plan
-    traffic: Traffic | None = None  # observed bodies and published plans, instead of hazards
+    traffic: ObservedTraffic | None = (
+        None  # observed bodies and published plans, instead of hazards
+    )
     wind: WindReport | None = None  # the latest report
     odometry_age: float = 0.0  # [s]
     goal_age: float = 0.0  # [s]
@@ -412,7 +414,7 @@ class Planner:
         return Task(solver.problem, state, none, knots, solver, plan, self._projection, late)
 
     def _planned(
-        self, given: Array | GoalMotion | None, start: Start, task: Task, passed: float
+        self, given: Array | GoalMotion | None, start: PlanStart, task: Task, passed: float
     ) -> Decision:
         """Return the decision for a known goal, ``passed`` steps after the last one."""
         memory, state, odometry = self._memory, task.state, start.odometry

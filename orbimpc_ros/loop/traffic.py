@@ -48,7 +48,7 @@ class ObservedBody(ByContent):
 Track = tuple[ObservedBody, ...]  # the latest observations of a body
 
 
-class Bodies:
+class ObstacleTracker:
     """Bodies by name, each extrapolated linearly from its latest sightings."""
 
     def __init__(self) -> None:
@@ -173,7 +173,7 @@ def _around(way: Array, radius: float) -> MovingObstacle:
 
 
 @dataclass(frozen=True)
-class Traffic:
+class ObservedTraffic:
     """Observed bodies, and plans of other vehicles."""
 
     tracks: tuple[Track, ...] = ()  # of bodies

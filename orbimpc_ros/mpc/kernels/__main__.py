@@ -6,7 +6,7 @@ from concurrent.futures import ProcessPoolExecutor
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.proof.verify import Verifier
-from orbimpc_ros.mpc.search.engine import Engine
+from orbimpc_ros.mpc.search.engine import PlanarSearch
 from orbimpc_ros.mpc.search.round_floor import RoundFloor
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 def first_half() -> None:
     """Compile the search in the plane, what verifies bounds, and programs among bodies."""
-    Engine(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
+    PlanarSearch(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
     Verifier(Problem())
     PlaceProgram(Problem())
 

@@ -35,7 +35,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point, vectorised
 from orbimpc_ros.mpc.kernels.linear import copy_to, solve_spd
 from orbimpc_ros.mpc.kernels.penalty_terms import (
-    Multipliers,
+    TermMultipliers,
     project,
     refuted,
     set_columns,
@@ -316,7 +316,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
     largest, (x, held_force, numbers, counts) = limits[4], progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
-    new = Multipliers(
+    new = TermMultipliers(
         np.zeros_like(held.orbitopes), np.zeros_like(held.lengths), np.zeros_like(held.rows)
     )
     if counts[STEPS] == 0:

@@ -61,7 +61,7 @@ class Terms(NamedTuple):
     offsets: Array
 
 
-class Multipliers(NamedTuple):
+class TermMultipliers(NamedTuple):
     """Multipliers of the terms; arrays that are updated in place.
 
     Attributes:
@@ -111,14 +111,14 @@ class Scratch(NamedTuple):
     rows: Array
 
 
-def multipliers(n: int, m: int) -> Multipliers:
+def multipliers(n: int, m: int) -> TermMultipliers:
     """Return multipliers of zero.
 
     Args:
         n: number of steps.
         m: number of rows.
     """
-    return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(m))
+    return TermMultipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(m))
 
 
 def scratch(n: int, m: int) -> Scratch:

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.proof.arithmetic import Number, generic
 VELOCITY, WIND, FIRST, WANTED, DECIDED, TIED = range(6)
 
 
-class Motion(NamedTuple):
+class StepMap(NamedTuple):
     """A step: s + drift p + push z + follow z' + blow w, keep p + add z + after z' + gust w.
 
     Attributes:
@@ -79,7 +79,7 @@ def pulled_back(motion, flown, slopes):
             on_p = motion.keep * on_p + motion.drift * on_s
 
 
-def flown_by(motion: Motion, start: Any, point: Any) -> Any:
+def flown_by(motion: StepMap, start: Any, point: Any) -> Any:
     """Return positions relative to s_0 and velocities at the ends of steps, shape (2, N + 1, n).
 
     Args:

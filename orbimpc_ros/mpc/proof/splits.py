@@ -59,7 +59,7 @@ class Cut(NamedTuple):
     at: float = 0.0
 
 
-class Order(NamedTuple):
+class StepOrder(NamedTuple):
     """Whether exchangeable steps are in order, and the least directions of headings.
 
     Trees have both fields.

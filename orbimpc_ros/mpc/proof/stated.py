@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.proof.flight import (
     VELOCITY,
     WANTED,
     WIND,
-    Motion,
+    StepMap,
     flown_by,
 )
 from orbimpc_ros.mpc.proof.tree import POINTS
@@ -222,7 +222,7 @@ class Stated(NamedTuple):
     width: int
     order: int
     decided: int  # ``FREE``, ``SEGMENT`` or ``POINT``: the set of R_1
-    motion: Motion
+    motion: StepMap
     costs: Costs
     start: Rows
     root: Root
@@ -264,7 +264,7 @@ class Statement:
     def _numbers(self, array: Array) -> Rows:
         return array if self._number is float else as_fractions(array)
 
-    def _moved(self) -> Motion:
+    def _moved(self) -> StepMap:
         problem, number, model = self.problem, self._number, self.problem.translation
         if number is not float and problem.translation_order > 2:
             allowed = 'a model that certificates can state'
@@ -276,7 +276,7 @@ class Statement:
         drift, keep = map(number, once.transition[:, 1] if model.inertial else (0, 0))
         lead, inertial = h / model.degree, int(model.inertial)
         moved = drift, keep, push, add, follow, after, blow, gust, lead, z, inertial, model.degree
-        return Motion(*moved)
+        return StepMap(*moved)
 
     def _weighed(self) -> Costs:
         problem, number, w = self.problem, self._number, self.problem.weights

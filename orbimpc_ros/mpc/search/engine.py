@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ROW, ProofTree
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
-from orbimpc_ros.mpc.search.relax import Posed, room_for
+from orbimpc_ros.mpc.search.relax import StageProblem, room_for
 from orbimpc_ros.mpc.search.ring import Ring
 from orbimpc_ros.mpc.search.tree import Tree, search, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Request
@@ -73,13 +73,13 @@ class TreeSearch:
         """
         raise NotImplementedError
 
-    def _posed(self, request: Request, left: Array) -> Posed:
+    def _posed(self, request: Request, left: Array) -> StageProblem:
         """Return the problem from a state, with ``left`` to arrive at, shape (n,)."""
         q, constant = self._condensed.affine(request.state, request.goals)
         cost = self._hessian, self._inverse, q, self._lengths, constant
-        return Posed(*cost, self._floor, self._arrival, left, self._stiff)
+        return StageProblem(*cost, self._floor, self._arrival, left, self._stiff)
 
-    def _run(self, request: Request, posed: Posed, tree: Tree, *given: object) -> Found:
+    def _run(self, request: Request, posed: StageProblem, tree: Tree, *given: object) -> Found:
         """Search until it ends or the time is up; return the result with its proof.
 
         Raises:
@@ -93,7 +93,7 @@ class TreeSearch:
             raise Infeasible('no turn meets the cone of approach')
         return self._found(tree, posed, self._proof(tree))
 
-    def _found(self, tree: Tree, posed: Posed, proof: ProofTree | None = None) -> Found:
+    def _found(self, tree: Tree, posed: StageProblem, proof: ProofTree | None = None) -> Found:
         """Return the incumbent, with the bound proved so far."""
         value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
         found = tree.best.copy() if value < np.inf else None
@@ -122,7 +122,7 @@ class TreeSearch:
         )
 
 
-class Engine(TreeSearch):
+class PlanarSearch(TreeSearch):
     """Solver of problems in the plane by branch and bound over stage sets."""
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:

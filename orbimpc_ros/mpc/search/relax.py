@@ -43,7 +43,7 @@ HALVINGS, SHRINK = 6, 0.4
 SPACES = 4  # number of working memories that are kept
 
 
-class Posed(NamedTuple):
+class StageProblem(NamedTuple):
     """1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + sum_k l_k |z_k|, maybe with sum_k a_k z_k = b.
 
     Attributes:

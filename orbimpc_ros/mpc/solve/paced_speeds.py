@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.reach import WITHIN, entry_speed, first_change_is_decided
-from orbimpc_ros.mpc.search.engine import Engine
+from orbimpc_ros.mpc.search.engine import PlanarSearch
 from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
 from orbimpc_ros.mpc.solve.program import TINY, Program
@@ -62,7 +62,7 @@ class PacedSpeeds:
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return True if there is a limit, and no faster method for it."""
-        return problem.max_acceleration > 0.0 and not Engine.solves(problem)
+        return problem.max_acceleration > 0.0 and not PlanarSearch.solves(problem)
 
     def solve(self, request: Request) -> Found:
         """Return the best trajectory found, with the bound of the problem without the limit.

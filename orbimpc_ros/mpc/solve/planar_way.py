@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
 from orbimpc_ros.mpc.model.dynamics import decided, position_weights, trajectory_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.search.engine import Engine
+from orbimpc_ros.mpc.search.engine import PlanarSearch
 from orbimpc_ros.mpc.solve.registry import general
 from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request
 
@@ -38,14 +38,14 @@ class PlanarWay:
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._weights = problem, np.sqrt(position_weights(problem))
-        self._search = Engine(_planar(problem), tolerance)
+        self._search = PlanarSearch(_planar(problem), tolerance)
 
     @staticmethod
     def leads(problem: Problem) -> bool:
         """Return True if planar paths satisfy all constraints of a problem except its obstacles."""
         plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
         fits = problem.dimension == 2 or problem.rotation_order == 1
-        return fits and plain and problem.turns_are_angles and Engine.solves(_planar(problem))
+        return fits and plain and problem.turns_are_angles and PlanarSearch.solves(_planar(problem))
 
     def way(self, request: Request) -> Array:
         """Return the rotation coordinates of R_1..R_N of the best path found, shape (N, d)."""

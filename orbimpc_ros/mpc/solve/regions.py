@@ -37,8 +37,8 @@ from orbimpc_ros.mpc.proof.splits import (
     ICOSAHEDRON,
     WHOLE,
     Cut,
-    Order,
     Region,
+    StepOrder,
     begin,
     narrowed,
 )
@@ -115,7 +115,7 @@ class Regions:
         self._faces = floor.faces if floor.shape == 'polygon' and n == 2 else 0
         begun = -math.pi / self._faces if self._faces else 0.0
         self.origins = np.full(count, begun) if ordered else NOWHERE
-        self._order, self._begun = Order(ordered, self.origins), begun
+        self._order, self._begun = StepOrder(ordered, self.origins), begun
         self._outward = np.vstack([-np.eye(n), np.eye(n)])
         self._extents: Array | None = None  # of the last bodies
         self._begun_at: tuple[Root | None, int] = None, 0  # limits and bodies of the last root

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.solve.request import Method
 # (module, class). The first one whose ``solves`` returns True is chosen. Modules are imported one
 # by one, since the later ones take longer to import.
 METHODS = [
-    ('search.engine', 'Engine'),
+    ('search.engine', 'PlanarSearch'),
     ('search.round_floor', 'RoundFloor'),
     ('solve.planar_way', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),

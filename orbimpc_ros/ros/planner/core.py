@@ -24,7 +24,7 @@ from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajec
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
 from orbimpc_ros.loop.task import Deadline
-from orbimpc_ros.loop.traffic import MOST, Bodies, Traffic, silence
+from orbimpc_ros.loop.traffic import MOST, ObservedTraffic, ObstacleTracker, silence
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
@@ -129,7 +129,7 @@ class Inputs:
         self.forecast = FORECASTS[settings.goal_prediction]()
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         self.transforms, self.displaced = Transforms(settings), ''
-        self.bodies, self._synchronizer = Bodies(), messages.PoseTwistSynchronizer()
+        self.bodies, self._synchronizer = ObstacleTracker(), messages.PoseTwistSynchronizer()
         self.leaders = tuple(name for name in self.others if name < resolve(PLAN))
         self._timed: set[str] = set()  # topics with stamps on the node's own clock
         # Topics that share the stamp of the latest odometry, and whether they did before.
@@ -371,13 +371,13 @@ class Inputs:
             return error.culprit, f' refused: {error}'
         return None
 
-    def traffic(self, at: float) -> Traffic | None:
+    def traffic(self, at: float) -> ObservedTraffic | None:
         """Return the traffic at a time [s]; None if there has never been a message."""
         if not self.latest.keys() & {OBSTACLES, *self.others}:
             return None
         agents = tuple(filter(None, map(self._value, self.others)))
         known = self.bodies.current(at), agents
-        return Traffic(*known, self.settings.obstacle_unseen_speed, self.settings.distance)
+        return ObservedTraffic(*known, self.settings.obstacle_unseen_speed, self.settings.distance)
 
     def silences(self) -> list[str]:
         """Return messages on other vehicles that have fallen silent."""
