@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_411,
+    'orbimpc_ros': 31_413,
     'orbimpc_ros/mpc': 16_180,
-    'orbimpc_ros/loop': 3_586,
+    'orbimpc_ros/loop': 3_588,
     'orbimpc_ros/ros': 4_549,
     'orbimpc_ros/sim': 2_489,
     'orbimpc_ros/tool': 4_439,
