@@ -168,8 +168,9 @@ def report_messages(
         after = decision.advanced + decision.led
         yield 'plan', messages.path_message(stamp, step, poses, after)
     if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
-        hazards = decision.state.hazards
-        yield 'plan_markers', plan_markers(stamp, settings.problem, decision.plan, hazards)
+        still = settings.problem.obstacles  # hazards as well if a reserve is kept from them
+        moving = tuple(each for each in decision.state.hazards if each.body not in still)
+        yield 'plan_markers', plan_markers(stamp, settings.problem, decision.plan, moving)
     for proof in _proofs(decision) if 'certificate' in heard else ():
         yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
 
