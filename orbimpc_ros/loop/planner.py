@@ -62,9 +62,7 @@ class Snapshot:
     goal: Array | GoalMotion | None = None  # None before the first
     wanted: Array | None = None  # attitude of the goal, shape (n, n); None if free
     hazards: tuple[MovingObstacle, ...] = ()  # hazards, with times from the start of the plan
-    traffic: ObservedTraffic | None = (
-        None  # observed bodies and published plans, instead of hazards
-    )
+    traffic: ObservedTraffic | None = None  # observed bodies and plans, instead of hazards
     wind: WindReport | None = None  # the latest report
     odometry_age: float = 0.0  # [s]
     goal_age: float = 0.0  # [s]
