@@ -3,6 +3,7 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -125,7 +126,8 @@ def test_deadlines_go_by_the_given_clock(hurry, late):
 
 def test_a_flight_ends_where_it_touches(monkeypatch):
     straight = ('traffic=[9.0, 0.0, 0.0, 0.0, 2.0]', 'start.orientation=[0.0, 0.0, 0.0, 1.0]')
-    monkeypatch.setattr(flights, '_pilot', lambda _study, _name, known: Listener(known))
+    given = SimpleNamespace(baseline_named=lambda _name, known, _study: Listener(known))
+    monkeypatch.setattr(flights, 'baselines', lambda: given)
     draws = draws_of('crossing', straight)
     found = flown('crossing', 'straight', 0, draws.of(4, 0), draws.margin)
     assert found['touched']
