@@ -96,8 +96,7 @@ def leaving(task: Task) -> Task | None:
     boxes = (each for each in problem.obstacles if isinstance(each, Box))
     around = [each for each in boxes if each.depth(here)[0] > 0.0]
     others = tuple(each for each in problem.obstacles if each not in around)
-    still = (MovingObstacle.drifting(each, np.zeros(problem.dimension)) for each in around)
-    hazards = (*state.hazards, *still)[-MAX_HAZARDS:]
+    hazards = (*state.hazards, *map(MovingObstacle.drifting, around))[-MAX_HAZARDS:]
     known = replace(problem, obstacles=others), replace(state, hazards=hazards)
     return replace(task, problem=known[0], state=known[1]) if around else None
 

@@ -158,9 +158,9 @@ class Planner:
             a receding horizon and a terminal penalty. A catch is sought as if there were no
             hazards, and flown if it is clear of them.
         approach: the cone of headings in which a catch counts; unconstrained by default.
-        reserve: additional distance of plans from hazards, kept as far as some plan can keep it;
-            unless catches are sought, obstacles at rest are then hazards;
-            see :mod:`orbimpc_ros.loop.traffic` [m].
+        reserve: additional distance of plans from hazards, kept as far as some plan can keep it,
+            see :mod:`orbimpc_ros.loop.traffic` [m]; unless catches are sought, it makes hazards of
+            the problem's obstacles.
         centred: whether catches lead through the centre of the goal, with gentler turns than the
             earliest entry into the radius takes.
         odom_timeout: age of odometry beyond which no plan is followed [s].
@@ -194,8 +194,7 @@ class Planner:
         self._max_rate, problem = problem.max_rate, _planned(problem)
         self._still = tuple[MovingObstacle, ...]()
         if reserve and not capture_radius:
-            still = np.zeros(problem.dimension)
-            self._still = tuple(MovingObstacle.drifting(each, still) for each in problem.obstacles)
+            self._still = tuple(map(MovingObstacle.drifting, problem.obstacles))
             problem = replace(problem, obstacles=())
         self.problem, self._safe_kind = problem, safe
         self._compensator = Compensator(

@@ -140,7 +140,7 @@ class AgentTrajectory(Sealed):
         """Return the vehicle as a ball, with times from its first position on."""
         first = Ball(self.positions[0], radius)
         if len(self.times) == 1:
-            return MovingObstacle.drifting(first, 0.0 * first.centre)
+            return MovingObstacle.drifting(first)
         return MovingObstacle(first, self.times - self.times[0], self.positions - self.positions[0])
 
 
@@ -169,7 +169,7 @@ def _around(way: Array, radius: float) -> MovingObstacle:
     """Return a ball at rest around the points of a way, (K, n), where a vehicle may stop."""
     middle = 0.5 * (way.min(axis=0) + way.max(axis=0))
     reach = radius + float(np.linalg.norm(way - middle, axis=1).max())
-    return MovingObstacle.drifting(Ball(middle, reach), 0.0 * middle)
+    return MovingObstacle.drifting(Ball(middle, reach))
 
 
 @dataclass(frozen=True)

@@ -269,8 +269,7 @@ class SimSettings(VehicleParameters):
     @cached_property
     def bodies(self) -> tuple[MovingObstacle, ...]:
         """Return everything to stay out of: the boxes, then the balls."""
-        still = np.zeros(self.dimension)
-        return (*(MovingObstacle.drifting(box, still) for box in self.boxes), *self.traffic)
+        return (*map(MovingObstacle.drifting, self.boxes), *self.traffic)
 
     @cached_property
     def approach(self) -> Approach:

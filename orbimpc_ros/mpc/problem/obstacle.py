@@ -135,10 +135,11 @@ class MovingObstacle(ByContent):
         number(self.unsure, 'obstacles.unsure', 0.0)
 
     @classmethod
-    def drifting(cls, body: Box | Ball, velocity: Array) -> MovingObstacle:
-        """Return a body that moves at a constant velocity, shape (n,) [m/s]."""
+    def drifting(cls, body: Box | Ball, velocity: Array | None = None) -> MovingObstacle:
+        """Return a body that moves at a constant velocity, shape (n,) [m/s]; None: at rest."""
         still = np.zeros(body.dimension)
-        return cls(body, np.array([0.0, 1.0]), np.array([still, velocity]))
+        moved = still if velocity is None else velocity
+        return cls(body, np.array([0.0, 1.0]), np.array([still, moved]))
 
     @property
     def dimension(self) -> int:
