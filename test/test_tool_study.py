@@ -55,6 +55,13 @@ def test_a_parameter_file_is_studied_with_goals_all_around_as_far_away_as_its_ow
     assert not away[:, 2].any()
     among = draws_of(str(config('multirotor.yaml')))  # its boxes could be around a goal
     assert among.of(0, 0)['rope.center'] == among.values['rope.center']
+    pads = np.array([draws_of('lander').of(0, k)['rope.center'] for k in range(9)])
+    assert not pads[:, 2].any()  # a lander comes from above
+
+
+@pytest.mark.parametrize(('name', 'vehicle'), [('rover', 'continuous'), ('spacecraft', 'discrete')])
+def test_vehicles_with_lags_fly_continuously_and_those_that_state_none_in_steps(name, vehicle):
+    assert draws_of(name).values['vehicle'] == vehicle
 
 
 def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():

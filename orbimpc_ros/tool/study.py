@@ -228,9 +228,9 @@ def _content(file: Path) -> Values:
     """Return the fields of a study file; a parameter file becomes a study without rules."""
     content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
-        names = {name for name, _ in settings.parameters_of(content, str(file))}
-        lags = any(name.startswith('response.') for name in names)
-        vehicle = ['vehicle=continuous'] if lags and 'vehicle' not in names else []
+        stated = dict(settings.parameters_of(content, str(file)))
+        lags = any(value for name, value in stated.items() if name.startswith('response.'))
+        vehicle = ['vehicle=continuous'] if lags and 'vehicle' not in stated else []
         about = f'goals all around, as in {file.name}'
         return {'about': about, 'config': file, 'set': vehicle, 'draw': None}
     wanted = f'{", ".join(sorted(FIELDS))}, and config or like'
@@ -250,9 +250,13 @@ def _default_rules(values: Values) -> dict[str, Rule]:
     flat, swing = values['dimension'] == 2, {axis: [0.0, 2.0 * math.pi] for axis in 'xyz'}
     rules: dict[str, Rule] = {'rope.phase': swing, 'seed': {'whole': LARGEST_DRAWN}}
     if not (values['obstacles'] or values['traffic']):
-        distance = math.dist(values['rope.center'], values['start.position'])
-        sphere = {'towards': TURN, 'length': [distance, distance]} if flat else {'turned': distance}
-        rules['rope.center'] = {'from': values['start.position'], **sphere}
+        start, goal = values['start.position'], values['rope.center']
+        if flat or values['glide_slope']:  # as high as it is, so that the vehicle is above it
+            distance, start = math.dist(goal[:2], start[:2]), (*start[:2], goal[2])
+            around = {'towards': TURN, 'length': [distance, distance]}
+        else:
+            around = {'turned': math.dist(goal, start)}
+        rules['rope.center'] = {'from': start, **around}
     if not values['gravity']:
         rules['start.orientation'] = {'heading': TURN} if flat else {'turned': 'any'}
     return rules
