@@ -12,7 +12,6 @@ from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
-from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import (
     FORGOTTEN,
     AgentTrajectory,
@@ -41,8 +40,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver, Task, Units
 
 
 def test_what_may_be_faster_counts_as_larger_until_it_is_seen_again():

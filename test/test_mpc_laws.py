@@ -25,9 +25,8 @@ from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import reach
-from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import certificate_of, parsed, text_of, verified
-from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver, Units
 
 ROUNDING = 1e-7  # relative: the saving from constraint violations within tolerance
 LOOSE = {*OPEN, 'acceleration', 'space, acceleration'}  # families whose gaps may stay open

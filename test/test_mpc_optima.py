@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.problem.units import weighed
+from orbimpc_ros.mpc.problem.problem import weighed
 from orbimpc_ros.mpc.solve.solver import Solver
 
 BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not proved optimal

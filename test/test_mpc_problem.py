@@ -13,8 +13,7 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,
@@ -26,9 +25,9 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.problem import weighed
 from orbimpc_ros.mpc.problem.reach import constraints_in_force
-from orbimpc_ros.mpc.problem.units import Units, weighed
-from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver, Units
 
 STILL, GOALS = State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2))
 DISC = Ball([3.0, 1.0], 0.5)

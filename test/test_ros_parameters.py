@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from test_ros_outputs import LANDER
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem.units import weighed
+from orbimpc_ros.mpc.problem.problem import weighed
 from orbimpc_ros.ros.parameters.dynamic import unused_sections
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed

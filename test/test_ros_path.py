@@ -29,7 +29,7 @@ from orbimpc_ros.sim.vehicle import Model, measured
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,
 # and the calls among them to a file passed before.
-FILES, HOPS, RETURNS = 22, 46, 25
+FILES, HOPS, RETURNS = 18, 42, 25
 FRAMES = Frames('odom', 'base_link')
 
 

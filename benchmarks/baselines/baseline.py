@@ -12,12 +12,12 @@ import numpy as np
 
 from orbimpc_ros.loop.compensation import Compensator
 from orbimpc_ros.loop.planner import Decision, Snapshot
-from orbimpc_ros.loop.task import Late
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import MovingObstacle, State
+from orbimpc_ros.mpc.solve.solver import Late
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.sim.world import Flight
 

@@ -32,7 +32,7 @@ from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.solvers import Ours, Solver
 from benchmarks.bench.solvers.mixed import PROGRAMS
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
-from orbimpc_ros.mpc.problem.units import weighed
+from orbimpc_ros.mpc.problem.problem import weighed
 
 GUROBI, SCIP, IPOPT, CVXPY = 'Gurobi', 'SCIP', 'IPOPT (local)', 'CVXPY + Clarabel'
 PACKAGES = {GUROBI: 'gurobipy', SCIP: 'pyscipopt', IPOPT: 'casadi', CVXPY: 'cvxpy'}

@@ -17,10 +17,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orbimpc_ros.loop.task import Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
@@ -29,6 +29,9 @@ from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, follo
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Box, MovingObstacle, Problem
 from orbimpc_ros.mpc.problem.reach import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
+
+if TYPE_CHECKING:  # slow to import, and the simulator, which reads these parameters, needs none
+    from orbimpc_ros.mpc.solve.solver import Task
 
 SURE_STEPS = 4  # first steps of a steered plan that must be clear
 TOUCHING = 1e-6  # in units of a step's length

@@ -48,7 +48,6 @@ import numpy as np
 
 from orbimpc_ros.loop.compensation import followed
 from orbimpc_ros.loop.goal.motion import GoalMotion
-from orbimpc_ros.loop.task import Answer, Task
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log, turned
@@ -59,7 +58,7 @@ from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Sought
 from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.solve.request import Enough
-from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Answer, Solver, Task
 
 AIM = 0.95  # of the radius: largest miss of the plan of a catch
 NARROW = 0.5  # of radius and cone, if a heading is required: a margin for gusts

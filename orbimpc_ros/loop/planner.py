@@ -28,7 +28,6 @@ from orbimpc_ros.loop.fallback import (
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
-from orbimpc_ros.loop.task import Answer, Late, Task
 from orbimpc_ros.loop.traffic import ObservedTraffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
@@ -38,7 +37,7 @@ from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.problem.reach import clamp_goal, entry_speed, held_goal, moved_towards
-from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Answer, Late, Solver, Task
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
     from orbimpc_ros.mpc.proof.document import Document

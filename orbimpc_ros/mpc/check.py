@@ -144,8 +144,8 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
         share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
     """
     steps = step_margins(problem, state, goals, plan.rotations[:, :, 0], plan.positions[1:])
-    found = {'hull': float(margin(plan.rotations[1:]).min())}
-    found |= {name: float(each.min()) for name, each in steps.items()}
+    found = {name: float(each.min()) for name, each in steps.items()}
+    found['hull'] = float(margin(plan.rotations[1:]).min())
     if problem.boxes:
         found['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:
@@ -177,7 +177,9 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        found['floor'] = problem.floor.margin(turned)
+        outward = problem.floor_normals
+        above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
+        found['floor'] = above - problem.floor.fraction
     if problem.max_rate:
         found['max_rate'] = turn_margin(problem, state, headings)
     if problem.max_acceleration:

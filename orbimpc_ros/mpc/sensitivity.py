@@ -31,9 +31,9 @@ from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.solver import Units
 
 ROUNDING = 1e-6  # share of the cost's gradient that is negligible
 TINY = 1e-12

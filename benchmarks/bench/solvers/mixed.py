@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.bench.solvers import Solution
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.dynamics import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
 
 LOCAL = 1e-6  # largest tolerance of a local solver: looser ones violate limits

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.obstacle import tracked
-from orbimpc_ros.mpc.problem.units import weighed
+from orbimpc_ros.mpc.problem.problem import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation',
@@ -70,7 +70,7 @@ def case_of(mapping: Any) -> Case:
     Required are ``dimension``, ``rotation_order``, ``translation_order``, ``horizon``, ``step``,
     ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for each step. Weights
     default to 0 and their ``scaling`` to ``paper``
-    (:func:`~orbimpc_ros.mpc.problem.units.weighed`), ``terminal`` to ``penalty``,
+    (:func:`~orbimpc_ros.mpc.problem.problem.weighed`), ``terminal`` to ``penalty``,
     ``discretisation`` to ``euler``, and the state's ``disturbance`` to zero; ``floor``,
     ``max_rate``, ``max_acceleration``, ``obstacles``, ``tilt``, ``glide_slope`` and ``approach``
     (``cone``, and a ``direction`` unless it is the goal's) are optional limits. ``hazards`` are

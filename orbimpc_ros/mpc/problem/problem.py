@@ -9,17 +9,26 @@ The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehi
 
 over trajectories of the discrete dynamics with :math:`R_k \in \operatorname{conv} SO(n)`.
 
+These sums have another meaning for each step and speed. With integrals over the horizon, in units
+of the distance flown in a unit of time,
+
+.. math::
+    q \int \|s - g\|^2 dt + r \int \|R^{(o)}\|_F^2 dt + \ell \int \|R e_1\| dt + m \|s_N - g_N\|^2
+    + a \|R_N - R_g\|_F^2,
+
+weights mean the same at any step and full speed, and a finer step only resolves the problem better.
+
 Mathematics: docs/mathematics.md, 1.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
-from orbimpc_ros.mpc.arrays import number, whole
+from orbimpc_ros.mpc.arrays import Array, number, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import (
     DISCRETISATIONS,
@@ -33,6 +42,8 @@ from orbimpc_ros.mpc.problem.floor import Floor
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 
 TERMINALS = ('penalty', 'constraint')
+SCALINGS = ('paper', 'time')
+TIMES = 20  # units of time in a horizon: the default weights smooth headings over a fortieth of it
 MAX_HORIZON = 500
 LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones underflow
 MAX_OBSTACLES = 64
@@ -194,6 +205,11 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
+    def floor_normals(self) -> Array | None:
+        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
+        return self.floor.normals(self.dimension)
+
+    @cached_property
     def has_cones(self) -> bool:
         """Return True if there is a tilt limit or a glide slope."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
@@ -280,3 +296,34 @@ def _instance(value: Any, kind: type, culprit: str) -> Any:
     if not isinstance(value, kind):
         raise BadInput(culprit, f'a {type(value).__name__}', f'a {kind.__name__}')
     return value
+
+
+def weighed(problem: Problem, scaling: str) -> Problem:
+    """Return a problem with its weights converted to those of the paper's sums.
+
+    Args:
+        problem: with the weights to convert.
+        scaling: ``paper``, weights of sums already; ``time``, dimensionless ones on integrals over
+            the horizon of squared distance, squared inputs and share of full speed or thrust, and
+            on squared final distances. The unit of time is a twentieth of the horizon, that of
+            length the distance flown in it from rest.
+
+    Raises:
+        BadInput: no such scaling.
+    """
+    if scaling not in SCALINGS:
+        raise BadInput.choice('weights.scaling', scaling, SCALINGS)
+    return problem if scaling == 'paper' else replace(problem, weights=_summed(problem))
+
+
+def _summed(problem: Problem) -> Weights:
+    given, time = problem.weights, problem.horizon * problem.step / TIMES
+    speed = problem.forward * time if problem.inertial else problem.forward
+    area, share = (speed * time) ** 2, problem.step / time
+    return Weights(
+        position=given.position * share / area,
+        input=given.input * share * time ** (2 * problem.rotation_order),
+        length=given.length / (problem.forward * time),  # the sum adds h z |R e1| per step
+        terminal=given.terminal / area,
+        attitude=given.attitude,
+    )

@@ -16,8 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED, bare
-from orbimpc_ros.mpc.model.condensed import Condensed, regular
-from orbimpc_ros.mpc.model.dynamics import length_weights
+from orbimpc_ros.mpc.model.dynamics import Condensed, length_weights, regular
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.reach import entry_speed

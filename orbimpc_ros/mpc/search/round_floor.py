@@ -66,8 +66,7 @@ from orbimpc_ros.mpc.search.shor import (
     set_spread,
 )
 from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
-from orbimpc_ros.mpc.solve.registry import general
-from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request
+from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request, general
 
 # In Tree.counts: descents begun; node to start beside; its next side, and the end; next start.
 STARTS, FROM, SIDE, SIDES, BEGIN = range(3, 8)

@@ -22,8 +22,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import terminal_violations
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
+from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region

@@ -28,9 +28,8 @@ from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
 from orbimpc_ros.mpc.solve.program import TINY, Program
 from orbimpc_ros.mpc.solve.regions import Regions
-from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.relaxation import Row
-from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.request import Found, Request, method_for
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 ACCURATE = 1e-9  # tolerance of Clarabel

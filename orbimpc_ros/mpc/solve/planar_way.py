@@ -22,8 +22,7 @@ from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
 from orbimpc_ros.mpc.model.dynamics import decided, position_weights, trajectory_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.search.engine import PlanarSearch
-from orbimpc_ros.mpc.solve.registry import general
-from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request
+from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request, general
 
 ALONE = 'only paths in the plane of heading and goal were searched'
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.dynamics import Condensed
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.stated import width_of

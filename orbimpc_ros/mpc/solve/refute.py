@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 
 from orbimpc_ros.mpc.problem.case import Sought
-from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.document import (
     Document,
     OutOfTime,
@@ -29,6 +28,7 @@ from orbimpc_ros.mpc.proof.stated import Statement
 from orbimpc_ros.mpc.proof.tree import EMPTY, ProofTree, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.solver import Units
 
 TOLERANCE = 1e-6  # of a search, which stops long before
 

@@ -30,15 +30,13 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     minimise,
 )
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
-from orbimpc_ros.mpc.model.condensed import (
+from orbimpc_ros.mpc.model.dynamics import (
     Condensed,
+    first_length,
     knowns,
+    length_weights,
     minimisers,
     suits_dense_code,
-)
-from orbimpc_ros.mpc.model.dynamics import (
-    first_length,
-    length_weights,
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem, State

@@ -1,32 +1,39 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The solver: one problem in, one checked plan with a verified bound out.
 
-Mathematics: docs/mathematics.md, 5.4 and 6.1.
+It solves in natural units, in which a problem's step, full speed and costs are all of the order of
+one. Rotations are dimensionless, so a solution of the scaled problem solves the original one; only
+costs and bounds differ in scale. Methods with absolute tolerances then work as well at 1000 m/s as
+at 1 m/s.
+
+Mathematics: docs/mathematics.md, 1.4, 5.4 and 6.1.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property
 from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import coordinate_count, coordinates
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
-from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
+from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, shifted
+from orbimpc_ros.mpc.problem import Problem, State, Weights
+from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
-from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.stated import SPEEDS
 from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.proof.verify import Verifier
-from orbimpc_ros.mpc.solve.registry import method_for
-from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
+from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, method_for
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap tolerance
@@ -37,6 +44,96 @@ NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan found without search is used'
 DOUBTFUL = 'found to be infeasible, but not verified'
 GOES_ON = 'the previous plan continues: no better one was found in time'
+
+
+Answer = tuple[Plan | None, Status, str]  # a checked plan, the status of the solve, and the reason
+Late = Callable[[], bool]
+
+
+@dataclass(frozen=True)
+class Units:
+    """The units in which a problem is solved.
+
+    Attributes:
+        problem: the problem in these units.
+        length: [m].
+        time: [s].
+        cost: in units of the objective.
+    """
+
+    problem: Problem
+    length: float
+    time: float
+    cost: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Units:
+        """Return the natural units: the longest step from rest, a step, the largest curvature."""
+        scaled = _in_units(problem, problem.length_unit, problem.step)
+        cost = _curvature(scaled)
+        weights = Weights(*(each * (1.0 / cost) for each in astuple(scaled.weights)))
+        scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
+        return cls(scaled, problem.length_unit, problem.step, cost)
+
+    def state(self, state: State) -> State:
+        """Return a state in these units."""
+        if self.length == self.time == 1.0:
+            return state
+        inverse = 1.0 / self.length, 1.0 / self.time
+        pushing = self.time ** (2 if self.problem.inertial else 1) / self.length
+        return replace(
+            state,
+            position=state.position * inverse[0],
+            velocity=state.velocity * (self.time / self.length),
+            rotation_rate=state.rotation_rate * self.time,
+            disturbance=state.disturbance * pushing,
+            hazards=tuple(each.scaled(*inverse) for each in state.hazards),
+        )
+
+    def lengths(self, values: Array) -> Array:
+        """Return lengths [m] in these units."""
+        return values if self.length == 1.0 else values / self.length
+
+    def posed(self, tree: ProofTree) -> ProofTree:
+        """Return a tree in these units converted to the units of the posed problem."""
+        cost, force = self.cost, self.cost / self.length
+        return tree._replace(
+            shor=tree.shor * cost,
+            press=tree.press * force,
+            pull=tree.pull * (force * np.array([1.0, self.time])[: tree.pull.shape[1], None]),
+            slide=tree.slide * force,
+            tether=tree.tether * cost,
+            share=tree.share * cost,
+        )
+
+
+def _in_units(problem: Problem, length: float, time: float) -> Problem:
+    """Return a problem with lengths and times in other units, and with the same costs."""
+    w, area = problem.weights, length * length
+    weights = Weights(
+        position=w.position * area,
+        # The inputs are first or second derivatives of dimensionless numbers.
+        input=w.input / time ** (2 * problem.rotation_order),
+        length=w.length * problem.step * problem.forward,
+        terminal=w.terminal * area,
+        attitude=w.attitude,
+    )
+    return replace(
+        problem,
+        step=1.0,
+        forward=1.0,
+        weights=weights,
+        arrival_weight=problem.arrival_weight * area,
+        max_rate=min(math.pi, problem.max_rate * time),
+        max_acceleration=problem.max_acceleration * time * time / length,
+        obstacles=tuple(box.scaled(1.0 / length) for box in problem.obstacles),
+    )
+
+
+def _curvature(problem: Problem) -> float:
+    """Return the scale of a problem's costs: its largest curvature or slope; 1 if it has none."""
+    curved = float(np.abs(np.diag(Condensed(problem).hessian)).max())
+    return max(curved, problem.weights.length) or 1.0
 
 
 class _Query(NamedTuple):
@@ -321,6 +418,83 @@ class Solver:
             if sound and query.late:
                 break
         return sound
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """The deadline of a decision; calling it returns whether it has passed."""
+
+    clock: Callable[[], float]  # [s]
+    end: float  # on that clock; infinite without a deadline [s]
+
+    def __call__(self) -> bool:
+        """Return True if the deadline has passed."""
+        return self.clock() > self.end
+
+
+@dataclass(frozen=True)
+class Task:
+    """One optimisation."""
+
+    problem: Problem
+    state: State  # initial state of plans
+    goals: Array  # g_1..g_N, shape (N, n) [m]
+    knots: Array  # ends of the steps, in steps of the previous plan from its start, (N,)
+    solver: Solver | None = None  # for the problem
+    previous: Plan | None = None  # the previous plan; None without one to continue
+    projection: str = 'thrust_aligned'  # projection of plans to rotations
+    late: Late | None = None  # whether the deadline has passed; None without one
+
+    @cached_property
+    def known(self) -> tuple[Problem, State, Array]:
+        """Return the problem, state and goals against which plans are checked."""
+        return self.problem, self.state, self.goals
+
+    @cached_property
+    def onward(self) -> Array | None:
+        """Return the remainder of the previous plan as coordinates, shape (N, d), if it fits."""
+        if self.previous is None:
+            return None
+        return shifted(self.problem, self.state, self.previous, self.knots)
+
+    @cached_property
+    def rest(self) -> Plan | None:
+        """Return the remainder of the previous plan as a plan from this state, if it fits."""
+        if self.onward is None:
+            return None
+        return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
+
+    def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
+        """Return the task for a problem with another number or length of steps, and its goals."""
+        count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
+        if step != self.problem.step:
+            each = self.knots[1] - self.knots[0]
+            stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
+            knots = self.knots[0] - each + each * stretched
+        goals = sealed(goals.copy())
+        return replace(self, problem=problem, goals=goals, knots=knots, solver=solver)
+
+    def solved(self, *, guessing: bool = False) -> Answer:
+        """Return a checked plan, or None, with status and reason.
+
+        The search is warm-started from the remainder of the previous plan if that helps the solver,
+        or if ``guessing``.
+        """
+        assert self.solver is not None
+        useful = guessing or self.solver.takes_guess or bool(self.state.hazards)
+        guess = self.onward if useful else None
+        try:
+            plan = self.solver.solve(self.state, self.goals, guess, self.late)
+        except Infeasible as error:
+            return None, Status.INFEASIBLE, str(error)
+        except SolverFailure as error:
+            return None, Status.FAILED, str(error)
+        outside = told(self.problem, self.goals, plan) if self.problem.has_cones else ''
+        if plan.status == Status.OPTIMAL:
+            return plan, Status.OPTIMAL, outside
+        unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
+        reasons = unproved, plan.proof.reason, outside
+        return plan, plan.status, '; '.join(filter(None, reasons))
 
 
 def _joined(*words: str) -> str:

@@ -14,8 +14,7 @@ from orbimpc_ros.loop.traffic import Distance
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.floor import SHAPES
-from orbimpc_ros.mpc.problem.problem import STEEPEST_GLIDE
-from orbimpc_ros.mpc.problem.units import SCALINGS, weighed
+from orbimpc_ros.mpc.problem.problem import SCALINGS, STEEPEST_GLIDE, weighed
 from orbimpc_ros.ros.firmware import AUTOPILOTS
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
