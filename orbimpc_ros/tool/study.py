@@ -253,7 +253,7 @@ def _default_rules(values: Values) -> dict[str, Rule]:
         start, goal = values['start.position'], values['rope.center']
         if flat or values['glide_slope']:  # as high as it is, so that the vehicle is above it
             distance, start = math.dist(goal[:2], start[:2]), (*start[:2], goal[2])
-            around = {'towards': TURN, 'length': [distance, distance]}
+            around: Rule = {'towards': TURN, 'length': [distance, distance]}
         else:
             around = {'turned': math.dist(goal, start)}
         rules['rope.center'] = {'from': start, **around}
