@@ -17,7 +17,7 @@ from test_ros_outputs import LANDER
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.problem import weighed
-from orbimpc_ros.ros.parameters.dynamic import unused_sections
+from orbimpc_ros.ros.parameters.dynamic import unused
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
@@ -163,6 +163,7 @@ def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch, node, bad, l
     assert re.search(re.escape(line), lines[0]), lines
 
 
+OWN = 'planner:dry_run:=true'
 SECTIONS = """
 /**: {ros__parameters: {step: 1.0}}
 /**/planner: {ros__parameters: {horizon: 5}}
@@ -171,27 +172,29 @@ SECTIONS = """
 /uav1: {planner: {ros__parameters: {horizon: 7}}, sim: {ros__parameters: {seed: 7}}}
 /uav1/**: {ros__parameters: {mass: 2.0}}
 /uav2/**: {ros__parameters: {mass: 3.0}}
+planner: {ros__parameters: {mass: 4.0}}
 """
 
 
 @pytest.mark.parametrize(
-    ('name', 'unused'),
+    ('name', 'sections', 'rules'),
     [
-        ('/planner', ['/**/plannr']),  # sections of /uav2 are for another vehicle
-        ('/uav1/planner', ['/**/plannr']),
-        ('/pilot', ['/**/planner', '/**/plannr', '/uav1/planner']),
+        ('/planner', ['/**/plannr'], []),  # sections of /uav2 are for another vehicle
+        ('/uav1/planner', ['/**/plannr', '/planner'], [OWN]),  # ROS takes no namespace there
+        ('/pilot', ['/**/planner', '/**/plannr', '/uav1/planner', '/planner'], [OWN]),
     ],
 )
-def test_sections_that_no_node_takes_are_told(tmp_path, monkeypatch, name, unused):
+def test_parameters_that_no_node_takes_are_told(tmp_path, monkeypatch, name, sections, rules):
     """Otherwise a misspelt name would silently mean the defaults."""
     file = tmp_path / 'params.yaml'
     file.write_text(SECTIONS)
     node = SimpleNamespace(kind='planner', get_fully_qualified_name=lambda: name)
-    words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0']
+    words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0', '-p', OWN]
     monkeypatch.setattr(sys, 'argv', words)
-    assert unused_sections(node) == [f'{section} in {file}' for section in unused]
+    told = [*(f'section {each} in {file}' for each in sections), *(f'-p {each}' for each in rules)]
+    assert unused(node) == told
     monkeypatch.setattr(sys, 'argv', ['planner'])
-    assert unused_sections(node) == []
+    assert unused(node) == []
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node's parameters: declared from a table, checked as a whole, changed atomically.
 
-This module also finds sections of parameter files that reach no node: rcl matches sections with
-node names and silently ignores the rest, so that a node whose name is misspelt there keeps its
-defaults.
+This module also finds parameters that reach no node: rcl matches sections of parameter files, and
+``-p NODE:NAME:=VALUE``, with node names and silently ignores the rest, so that a node whose name is
+misspelt there keeps its defaults.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ OF_ROS = ('use_sim_time', 'start_type_description_service')
 class DynamicParameters(Generic[S]):
     """A node's parameters as settings: declared, checked, and kept up to date.
 
-    Sections of parameter files that reach no node are logged.
+    Parameters that reach no node are logged.
 
     Args:
         specs: the table of the node's parameters.
@@ -69,9 +69,9 @@ class DynamicParameters(Generic[S]):
         node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_changed)
-        for section in unused_sections(node):
+        for given in unused(node):
             name = node.get_fully_qualified_name()
-            node.get_logger().warning(f'section {section} is not for {name}: not used')
+            node.get_logger().warning(f'{given} is not for {name}: not used')
 
     def settings(self) -> S:
         """Return the present settings."""
@@ -146,20 +146,24 @@ PARAMETERS = 'ros__parameters'
 NODES = ('planner', 'sim')  # one file may serve both
 
 
-def unused_sections(node: Managed) -> list[str]:
-    """Return sections of a node's parameter files whose name matches no node, with their files.
+def unused(node: Managed) -> list[str]:
+    """Return sections of a node's parameter files, and words after -p, that are for no node.
 
-    Sections in other namespaces belong to other vehicles.
+    Sections in other namespaces belong to other vehicles, but not those without a namespace.
     """
-    name = node.get_fully_qualified_name().rpartition('/')[2]
+    full = node.get_fully_qualified_name()
+    name = full.rpartition('/')[2]
     known = {name, '*', '**', *NODES} - ({node.kind} - {name})
-    return [
-        f'{section} in {file}'
-        for flag, file in pairwise(sys.argv)
-        if flag == '--params-file'
-        for section, _ in _sections(file)
-        if section.rpartition('/')[2] not in known
-    ]
+    found = []
+    for flag, word in pairwise(sys.argv):
+        if flag == '--params-file':
+            for section, _ in _sections(word):
+                if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
+                    found.append(f'section {section} in {word}')
+        owner, colon, _ = word.partition(':=')[0].rpartition(':')
+        if flag in ('-p', '--param') and colon and f'/{owner}' != full:
+            found.append(f'-p {word}')
+    return found
 
 
 def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
