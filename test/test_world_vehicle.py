@@ -14,6 +14,7 @@ from stepping import launched
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.sim import vehicle
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Model, Plant, gusts, measured
 from orbimpc_ros.sim.world import departure
@@ -213,6 +214,13 @@ def test_a_seed_brings_the_same_gusts_in_whatever_order_they_are_asked_for():
 def test_the_first_gust_is_as_strong_as_any():
     begun = np.array([gusts(0.0, 3, 5.0, seed) for seed in range(400)])
     assert begun.std() == pytest.approx(1.0, rel=4.0 / np.sqrt(2 * begun.size))
+
+
+def test_gusts_are_there_before_a_flight_in_real_time_begins():
+    plant = Plant(gust=1.0, seed=4242)
+    drawn = vehicle._series.cache_info().misses
+    plant.flown(departure(SimSettings()).vehicle, 0.1, 1.0, np.zeros(1))
+    assert vehicle._series.cache_info().misses == drawn
 
 
 def test_gusts_never_jump():

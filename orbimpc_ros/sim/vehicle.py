@@ -237,6 +237,7 @@ class Plant(Model):
         if self.translation_order == 2 and self.max_acceleration:
             allowed = '0 at translation_order 2, whose thrust is limited by forward'
             raise BadInput('max_acceleration', self.max_acceleration, allowed)
+        self._wind(0.0)  # the first gust takes a second to draw: too long in a real-time flight
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
