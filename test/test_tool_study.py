@@ -64,6 +64,11 @@ def test_vehicles_with_lags_fly_continuously_and_those_that_state_none_in_steps(
     assert draws_of(name).values['vehicle'] == vehicle
 
 
+def test_a_flight_lasts_as_long_as_its_ticks():
+    assert draws_of('rope', ('step=0.2', 'max_ticks=80')).limit == pytest.approx(8.0)  # of 0.1 s
+    assert draws_of('retrieval', ('step=0.2', 'max_ticks=80')).limit == pytest.approx(16.0)
+
+
 def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
     draws = draws_of('servicer')
     drawn = [draws.of(0, k)['start.orientation'] for k in range(50)]

@@ -145,7 +145,7 @@ class SimSettings(VehicleParameters):
         'World velocity at the start (translation order 2)', 'm/s', -FAR, FAR)
     start_body_rate: tuple[float, ...] = parameter('start.body_rate', ALONG_AXES,
         'Rates about the body axes at the start', 'rad/s', -1e3, 1e3)
-    max_ticks: int = parameter('max_ticks', 60, 'Steps until the flight ends', '', 1, 1_000_000)
+    max_ticks: int = parameter('max_ticks', 60, 'Ticks until the flight ends', '', 1, 1_000_000)
     seed: int = parameter('seed', 0, 'Seed of all random numbers', '', 0, 2**31 - 1)
     given_command_timeout: float = parameter('command_timeout', 0.2, 'How long a command remains '
         'in force, at least 1.5 steps, and how long a planner may be without liveliness before it '

@@ -180,7 +180,8 @@ class Draws:
     @property
     def limit(self) -> float:
         """Return the longest duration of a flight [s]."""
-        return float(self.values['max_ticks'] * self.values['step'])
+        rate = self.values['odom_rate']  # a tick is a step, or a period of odometry
+        return float(self.values['max_ticks'] * (1.0 / rate if rate else self.values['step']))
 
 
 def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
