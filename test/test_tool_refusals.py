@@ -18,7 +18,7 @@ REFUSED = {
     'dance': 'dance',
     'solve': 'FILE|-',
     'solve a b': 'unrecognized arguments: b',
-    **{f'solve a --time-limit {limit}': '--time-limit' for limit in ('0', '-1', 'nan', 'soon')},
+    **{f'solve a --time-limit {each}': 'a number in (0, inf)' for each in ('0', '-1', 'nan')},
     'demo --set flor.shape=none': 'floor.shape',
     'demo --set step=fast': 'step',
     'demo --set step': 'name=value',

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from collections.abc import Sequence
@@ -138,13 +137,6 @@ def _namespace(word: str) -> str:
     return f'/{name}' if name else ''
 
 
-def _seconds(word: str) -> float:
-    seconds = float(word)
-    if not 0.0 < seconds < math.inf:
-        raise ValueError
-    return seconds
-
-
 def _set(what: str) -> Argument:
     how: Any = {'action': 'append', 'default': [], 'metavar': 'NAME=VALUE'}
     return _argument('--set', dest='changes', help=f'{what}; may be repeated', **how)
@@ -197,7 +189,7 @@ COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
             help='projection of orbitope points to rotations (default: %(default)s)'),
         _argument('--json', dest='as_json', action='store_true',
             help='print JSON with all digits (default unless on a terminal)'),
-        _argument('--time-limit', type=_seconds, default=30.0, metavar='SECONDS',
+        _argument('--time-limit', type=float, default=30.0, metavar='SECONDS',
             help='time limit, at which the best plan found is printed (default: %(default)g)'),
         _argument('--certificate', metavar='FILE', help='write a proof of the lower bound, or '
             'of infeasibility, for `orbimpc verify`'),

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import number
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
@@ -26,6 +27,7 @@ def run(
     file: str, projection: str, *, as_json: bool, time_limit: float, certificate: str | None
 ) -> int:
     """Solve the problem and print its plan."""
+    number(time_limit, '--time-limit', 0.0, above=True)
     case = case_of(files.read(file))
     solver = Solver(case.problem, projection=projection, patient=True)
     if case.state.hazards:
