@@ -159,8 +159,8 @@ class PlannerSettings(VehicleParameters):
     given_odom_timeout: float = parameter('odom_timeout', 0.0, 'Odometry older than this is stale; '
         '0 for 0.2 s; at least 1.5 periods', 's', 0.0, MAX_DURATION, live=True)
     given_goal_timeout: float = parameter('goal_timeout', 0.0, 'A goal older than this is stale, '
-        'at least 1.5 periods; 0 for 1 s once goals stream and never for one sent by hand; below 0 '
-        'for never', 's', -1.0, MAX_DURATION, live=True)
+        'at least 1.5 periods; 0 for 1 s, but with goal_prediction hold never for one sent by '
+        'hand; below 0 for never', 's', -1.0, MAX_DURATION, live=True)
     future_tolerance: float = parameter('future_tolerance', 0.1, 'A stamp farther ahead of the '
         'clock than this is refused; in simulated time one step more is allowed',
         's', 0.0, MAX_DURATION, live=True)
