@@ -69,9 +69,9 @@ class DynamicParameters(Generic[S]):
         node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_changed)
-        for given in unused(node):
+        for lost in unused(node):
             name = node.get_fully_qualified_name()
-            node.get_logger().warning(f'{given} is not for {name}: not used')
+            node.get_logger().warning(f'{lost} is not for {name}: not used')
 
     def settings(self) -> S:
         """Return the present settings."""
