@@ -8,13 +8,13 @@ LINES = {
     'orbimpc_ros': 31_341,
     'orbimpc_ros/mpc': 16_209,
     'orbimpc_ros/loop': 3_484,
-    'orbimpc_ros/ros': 4_549,
-    'orbimpc_ros/sim': 2_488,
-    'orbimpc_ros/tool': 4_443,
+    'orbimpc_ros/ros': 4_553,
+    'orbimpc_ros/sim': 2_489,
+    'orbimpc_ros/tool': 4_438,
     'benchmarks': 3_472,
-    'test': 17_927,
+    'test': 17_943,
 }
-WORDS = {'docs': 23_492, 'README.md': 900}
+WORDS = {'docs': 23_523, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
