@@ -169,7 +169,7 @@ def _drawn(family: str, rng: np.random.Generator, longest: int) -> Case:
     if 'max_acceleration' in given:
         given['max_acceleration'] = given['max_acceleration'] * forward / step
     problem = Problem(horizon=horizon, step=step, forward=forward, weights=weights, **given)
-    n, unit = problem.dimension, problem.length_unit
+    n, unit = problem.dimension, problem.maps.unit
     attitude = rotation(rng, n)
     extra: dict[str, Any] = {'velocity': 0.1 * rng.normal(size=n) * unit / step}
     coasts = problem.rotation_order == 2 and not decided

@@ -151,6 +151,20 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
                 assert np.isnan(tick.catch.time)
 
 
+@needs_machine_code
+def test_the_solver_of_a_catch_past_the_horizon_is_built_in_advance():
+    controller = Stepped(replace(WING, discretisation='exact'), capture_radius=RADIUS)
+    for k in range(2):  # every 0.3 s
+        here = odometry([4.5 * k, 0.0], 0.0, 15.0, 0.3 * k)
+        tick = controller.tick(here, *still((-10.0, 5.0)))
+    sizes, solver = [], controller._interception.solver
+    expected = (tick.catch.time - 0.3) / WING.step
+    for built in (controller.prepare, lambda: solver(np.ceil(4.0 * expected) / 4.0, False)):
+        sizes += [solver.cache_info().currsize]
+        built()
+    assert solver.cache_info().currsize == sizes[1] == sizes[0] + 1
+
+
 def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     box = Box(np.array([5.0, 5.0]), np.array([6.0, 6.0]))
     assert farthest(WING) == 32

@@ -66,7 +66,7 @@ def test_a_plan_passes_the_check_and_is_proved(solved):
     assert plan.lower_bound <= plan.objective * (1.0 + ROUNDING)
     assert plan.status == 'optimal' or HELD_OUT or family in LOOSE, plan.proof.reason
     for name, least in margins(*known, plan).items():
-        assert least > -1e-5 * max(1.0, known.problem.length_unit), name
+        assert least > -1e-5 * max(1.0, known.problem.maps.unit), name
     away = np.linalg.norm(plan.positions - known.state.position, axis=1)
     assert away.max() <= reach(known.problem, known.state) + 1e-9
 
@@ -131,13 +131,13 @@ def test_other_units_are_another_way_to_state_the_same(solved):
     plain, scaled = trajectory_of(problem, state, goals, x), trajectory_of(*known, x)
     assert units.cost * scaled.cost == pytest.approx(plain.cost, rel=1e-9)
     np.testing.assert_allclose(
-        units.length * scaled.positions, plain.positions, atol=1e-9 * problem.length_unit
+        units.length * scaled.positions, plain.positions, atol=1e-9 * problem.maps.unit
     )
     lengths = ('obstacle', 'hazard', 'glide_slope')
     kept = margins(*known, assembled(*known, x))
     for name, least in margins(problem, state, goals, plan).items():
         unit = units.length if name.startswith(lengths) else 1.0
-        assert unit * kept[name] == pytest.approx(least, abs=1e-9 * problem.length_unit)
+        assert unit * kept[name] == pytest.approx(least, abs=1e-9 * problem.maps.unit)
 
 
 @pytest.mark.parametrize('seed', seeds(40))

@@ -35,8 +35,8 @@ from orbimpc_ros.mpc.problem import (
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.approach import SLOWEST
 from orbimpc_ros.mpc.problem.cones import climb, relief, told
+from orbimpc_ros.mpc.problem.problem import SLOWEST
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards, entry_speed
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver

@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.problem import (
 )
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.problem import weighed
-from orbimpc_ros.mpc.problem.reach import constraints_in_force
+from orbimpc_ros.mpc.problem.reach import constraints_in_force, decided
 from orbimpc_ros.mpc.solve.solver import Solver, Units
 
 STILL, GOALS = State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2))
@@ -262,7 +262,7 @@ def test_rollouts_maps_and_inputs_are_the_steps_of_the_model(model):
     flown = trajectory_of(problem, start, targets, x)
     plan = assembled(problem, start, targets, x)
     assert not [each for each in violations(problem, start, targets, plan) if 'differ' in each]
-    mapped = dynamics.decided(problem, start)[0][1:]
+    mapped = decided(problem, start)[0][1:]
     mapped += problem.maps.reach[:, 1:] @ flown.headings[1:]
     np.testing.assert_allclose(mapped, flown.positions[1:], atol=1e-11)
     assert np.allclose(coordinates(flown.rotations[1:]), x)

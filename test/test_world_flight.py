@@ -224,7 +224,7 @@ def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
 def test_what_a_plan_may_lead_inside_is_no_touch(order):
     """Past a moving ball and along a wall, inside by the tolerance of plans, and by more."""
     own = {'translation_order': order, 'step': 0.5, 'forward': 4.0, 'start_velocity': (4.0, 0.0)}
-    unit = Problem(2, 1, order, step=0.5, forward=4.0).length_unit
+    unit = Problem(2, 1, order, step=0.5, forward=4.0).maps.unit
     for depth, allowed in ((0.9e-6 * unit, True), (1.1e-6 * unit, False)):
         ball, wall = (1.0, 0.3 - depth, -1.0, 0.0, 0.3), (0.5, -1.0, 1.5, depth)
         for bodies in ({'given_traffic': ball}, {'obstacles': wall}):

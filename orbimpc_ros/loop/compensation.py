@@ -177,6 +177,15 @@ def followed(reached: float, wanted: float, duration: float, lag: float) -> tupl
     return wanted + left, wanted * duration + lag * (reached - wanted - left)
 
 
+def mean_shares(step: float, commanded: Array, lag: float) -> Array:
+    """Return the mean share of full speed in each step, (N,), lagging commands, (N + 1,)."""
+    now, means = float(commanded[0]), []
+    for wanted in commanded[1:].tolist():
+        now, flown = followed(now, wanted, step, lag)
+        means.append(flown / step)
+    return np.array(means)
+
+
 def advanced(
     problem: Problem,
     odometry: Odometry,
@@ -470,15 +479,15 @@ class Compensator:
         linearly between both.
         """
         before, self.history.due = self.history.coming, command
-        fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
         if problem.inertial:
             due = problem.least_speed if before is None else before.speed_fraction
             late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
-            fraction = (1.0 - late) * due + late * fraction
+            fraction = (1.0 - late) * due + late * command.speed_fraction
+            command = replace(command, speed_fraction=fraction)
         if problem.rotation_order == 2:
-            rate = np.zeros(len(rate)) if before is None else before.body_rate
-            rotation = np.array(plan.projected[1])
-        return Command(fraction, np.array(rate), np.array(rotation))
+            rate = np.zeros(len(command.body_rate)) if before is None else before.body_rate
+            command = replace(command, body_rate=rate, rotation=np.array(plan.projected[1]))
+        return command
 
     # --- the estimated disturbance
 

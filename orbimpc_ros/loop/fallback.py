@@ -85,7 +85,7 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     lasting = [_clear_steps(task, each) for each in found]
     best = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
     rooms = [_room(task, each, problem.horizon) for each in best]
-    unit, ends = SAME * problem.length_unit, [_end(task, each) for each in best]
+    unit, ends = SAME * problem.maps.unit, [_end(task, each) for each in best]
     chosen = max(range(len(best)), key=lambda i: (round(rooms[i] / unit), ends[i]))
     return best[chosen], rooms[chosen]
 
@@ -112,7 +112,7 @@ def _clear_steps(task: Task, plan: Plan) -> int:
 
 def _suffices(problem: Problem, room: float) -> bool:
     """Return True if a distance from hazards [m] counts as clear."""
-    return room >= -TOUCHING * problem.length_unit
+    return room >= -TOUCHING * problem.maps.unit
 
 
 def _end(task: Task, plan: Plan) -> float:

@@ -46,12 +46,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import followed
+from orbimpc_ros.loop.compensation import mean_shares
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log, turned
-from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
@@ -217,6 +216,12 @@ class Interception:
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return self._solver_for(problem, enough=Enough(well, self._costliest))
 
+    def prepare(self, expected: float) -> None:
+        """Build the solver of a catch expected past the horizon, at an end in steps."""
+        end = _coarsely(expected)
+        if self._horizon < end <= self.farthest:
+            self.solver(end, self._coned)
+
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
         """Return the task of the earliest catch with its answer, and bounds of its time.
 
@@ -268,7 +273,7 @@ class Interception:
         travel = self._step * self._tracked.forward + float(moved.max(initial=0.0))
         near = max(self._near, self._radius + travel)
         known = self._tracked, query.task.state, goals
-        out_of_reach, too_far = (missed(*known, within) for within in (self._radius, near))
+        out_of_reach, too_far = missed(*known, np.array([[self._radius], [near]]))
         for end in range(1, self._horizon + 1):
             attempt = MISSED if too_far[end - 1] else self._tried(query, end, goals[:end])
             surely = bool(out_of_reach[end - 1])
@@ -303,7 +308,7 @@ class Interception:
         rest = self._flown_on(query)
         if rest.miss <= self._radius:
             return rest, rest
-        end = COARSEST * math.ceil(query.expected / COARSEST)
+        end = _coarsely(query.expected)
         anew = self._surely(query, end) if end <= self._last(query) else MISSED
         return rest, anew if anew.plan is not None or rest.miss > self._near else rest
 
@@ -455,10 +460,15 @@ class Interception:
         return found
 
 
+def _coarsely(end: float) -> float:
+    """Return an end rounded up to the coarsest share of a step."""
+    return COARSEST * math.ceil(end / COARSEST)
+
+
 def _turns_too_far(plan: Plan, end: float) -> bool:
     """Return True if a vehicle would turn by more than half a turn before the next tick."""
-    turn = float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
-    return turn > end / math.ceil(end) * math.pi + TINY
+    change = float(np.sum((plan.projected[1] - plan.projected[0]) ** 2))
+    return change > LARGEST_CHANGE * math.sin(0.5 * math.pi * end / math.ceil(end)) ** 2 + TINY
 
 
 def _farthest(problem: Problem) -> int:
@@ -488,8 +498,8 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    coasted = adrift(problem, state)[-1]
-    flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
+    coasted = state.position + problem.maps.places[-1, -1] * state.disturbance
+    flown = mean_shares(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
     way = problem.step * problem.forward * flown
     return np.asarray(coasted + way - plan.positions[-1])
 
@@ -504,12 +514,3 @@ def _means(attitudes: Array) -> Array:
         ahead = np.eye(3)[0]
         reached = np.array([turned(log(each), ahead)[0] for each in turns])
     return np.einsum('kij,kj->ki', attitudes[:-1], reached)
-
-
-def _speeds(step: float, commanded: Array, lag: float) -> Array:
-    """Return the mean share of full speed in each step, (N,), lagging commands, (N + 1,)."""
-    now, means = float(commanded[0]), []
-    for wanted in commanded[1:].tolist():
-        now, flown = followed(now, wanted, step, lag)
-        means.append(flown / step)
-    return np.array(means)

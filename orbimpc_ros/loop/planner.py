@@ -118,6 +118,7 @@ class _Memory:
     fallbacks: int = 0  # decisions since a plan was found
     until: float = 0.0  # end of the last plan found, in steps since the start; 0 before the first
     last: float | None = None  # stamp of the last decision [s]
+    passed: float = 0.0  # steps from the one before to the last
     catch: float = 0.0  # planned time of the catch [s]
     route: Route | None = None  # path followed
     along: float = 0.0  # last progress of the vehicle along it [m]
@@ -270,15 +271,20 @@ class Planner:
         self._solver(self.problem.horizon, self.problem.step).expect_hazards()
 
     def prepare(self) -> None:
-        """Build the solver for a decision a step later, which a shrinking horizon takes each time.
+        """Build the solver for the next decision: of a shorter horizon, or of the expected catch.
 
         That takes longer than most solves: call this when the command has been sent.
         """
         memory = self._memory
-        if self._shrinking and memory.last is not None:
+        if memory.last is None:
+            return
+        if self._shrinking:
             count, step = self._steps(memory.flown + 1.0)
             if count and step == self.problem.step:  # shortened steps differ each time
                 self._solver(count, step)
+        elif self._interception is not None:
+            end = (memory.catch - memory.last) / self.problem.step
+            self._interception.prepare(end - memory.passed)
 
     # --- steps of the horizon
 
@@ -361,7 +367,8 @@ class Planner:
         wanted = memory.wanted if self._wants_attitude else None  # otherwise unused
         reached = memory.reached  # base of limited changes of speed
         state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
-        memory.last, memory.flown = start.odometry.time, memory.flown + passed
+        memory.last, memory.passed = start.odometry.time, passed
+        memory.flown += passed
         task = self._task(state, passed, late)
         if lost:
             decision = self._hold(state, task, lost)
@@ -572,7 +579,7 @@ class Planner:
             return self._safe(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
         jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.until else 0.0
-        if jump > task.problem.length_unit:
+        if jump > task.problem.maps.unit:
             jumped = f'the goal has jumped by {jump:.3g} m'
             reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
             return self._safe(task.state, status, reason)

@@ -123,7 +123,7 @@ def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterat
 def _length_tolerance(problem: Problem, state: State) -> float:
     """Return the tolerance of positions [m]."""
     farthest = max(map(abs, state.position.tolist()))
-    return TOLERANCE * problem.length_unit + ROUNDING * farthest
+    return TOLERANCE * problem.maps.unit + ROUNDING * farthest
 
 
 # --- limits
@@ -177,8 +177,8 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        outward = problem.floor_normals
-        above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
+        is_round = problem.floor.shape == 'circle'
+        above = _sizes(turned) if is_round else (turned @ problem.floor_normals.T).max(axis=-1)
         found['floor'] = above - problem.floor.fraction
     if problem.max_rate:
         found['max_rate'] = turn_margin(problem, state, headings)
@@ -186,7 +186,7 @@ def step_margins(
         found['max_acceleration'] = speed_margin(problem, state, headings)
     if problem.approach.exists:
         found['approach'] = approach_margin(problem, state, headings[..., -1:, :])
-    if problem.has_cones:
+    if problem.tilt or problem.glide_slope:
         eased = relief(problem, state, goals)
         if problem.tilt:
             found['tilt'] = eased.tilt - leaning(problem, turned)
@@ -216,7 +216,7 @@ def turn_margin(problem: Problem, state: State, headings: Array) -> Array:
     units[..., 0, :] = state.attitude[:, 0]
     before, after = units[..., :-1, :], units[..., 1:, :]
     angles = 2.0 * np.arctan2(_sizes(after - before), _sizes(after + before))
-    if problem.first_turn_is_decided:
+    if problem.rotation_order == 2:
         angles[..., 0] = 0.0
     return np.asarray(turn - angles)
 
@@ -261,7 +261,7 @@ def terminal_violations(problem: Problem, goals: Array, plan: Plan | Trajectory)
     miss = float(np.abs(plan.positions[-1] - goals[-1]).max())
     if problem.inertial:
         miss = max(miss, problem.step * float(np.abs(plan.velocities[-1]).max()))
-    allowed = TOLERANCE * problem.length_unit + ROUNDING * float(np.abs(goals[-1]).max())
+    allowed = TOLERANCE * problem.maps.unit + ROUNDING * float(np.abs(goals[-1]).max())
     return [f'terminal constraint missed by {miss:.2g}'] if miss > allowed else []
 
 

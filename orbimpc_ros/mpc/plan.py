@@ -126,6 +126,11 @@ class Plan(ByContent):
         sizes.setflags(write=False)
         return sizes
 
+    @cached_property
+    def coordinates(self) -> Array:
+        """Return the coordinates of R_0..R_N, shape (N + 1, d)."""
+        return coordinates(self.rotations)
+
     @property
     def projection_distance(self) -> Array:
         """Return the Frobenius distance from each R_k to its rotation, shape (N + 1,)."""
@@ -182,7 +187,7 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
     """
     if problem.rotation_order == 2:
         return None
-    x = coordinates(plan.rotations)
+    x = plan.coordinates
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
     moved = _as_long(problem, x, interpolated(at, np.arange(0.0, len(x)), x), at)
     if problem.dimension == 2 and problem.turns_are_angles:
@@ -257,11 +262,11 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         plan: a checked plan.
         step: k, in 0..N-1.
     """
-    floor = problem.least_speed
-    # Rounding may leave a plan just below its floor; commands must not be.
-    fraction = min(1.0, max(floor, float(plan.speed_fraction[step + 1])))
     first = step + problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
+    planned_speed = float(plan.speed_fraction[step + 1])
+    # Rounding may leave a plan just below its floor; commands must not be.
+    fraction = min(1.0, max(problem.least_speed, planned_speed))
     rate = log(start.T @ end) / problem.step
     size = math.sqrt(rate @ rate)
     if problem.max_rate > 0.0 and size > problem.max_rate:

@@ -26,10 +26,11 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import step_margins
 from orbimpc_ros.mpc.geometry.rotations import coordinates, lmi, lmi_parts
-from orbimpc_ros.mpc.model.dynamics import KINK, decided, length_weights, on_axes
+from orbimpc_ros.mpc.model.dynamics import KINK, length_weights, on_axes
 from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.request import Request
@@ -93,7 +94,7 @@ def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     more, less = (_slacks(problem, state, goals, headings + sign * nudges) for sign in (1.0, -1.0))
     for name, each in slacks.items():
         slopes = (more[name] - less[name]) / (2.0 * NUDGE)
-        nothing = ACTIVE * (problem.length_unit if name == 'glide_slope' else 1.0)
+        nothing = ACTIVE * (problem.maps.unit if name == 'glide_slope' else 1.0)
         active = np.flatnonzero(each < nothing)
         if not len(active):
             continue
@@ -150,7 +151,7 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
 
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
     """Yield the planes between vehicle and bodies, at the control points that touch them."""
-    traffic, nothing = traffic_of(problem, state), ACTIVE * problem.length_unit
+    traffic, nothing = traffic_of(problem, state), ACTIVE * problem.maps.unit
     names = [f'obstacle {i}' for i in range(len(problem.boxes))]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
     headings, stiff = plan.rotations[1:, :, 0], np.full((problem.horizon, problem.horizon), np.inf)

@@ -77,13 +77,6 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
     return maps.places @ given + state.position, maps.speeds @ given
 
 
-def decided(problem: Problem, state: State) -> tuple[Array, Array]:
-    """Return s_0..s_N and p_0..p_N for R_1 e1 = .. = R_N e1 = 0: what the state alone decides."""
-    headings = np.zeros((problem.horizon + 1, problem.dimension))
-    headings[0] = state.rotation[:, 0]
-    return translation_rollout(problem, state, headings)
-
-
 def adrift(problem: Problem, state: State) -> Array:
     """Return s_0 moved by the disturbance alone, at s_1..s_N, shape (N, n).
 

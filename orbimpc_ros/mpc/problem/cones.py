@@ -22,8 +22,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.translation import step_of
-from orbimpc_ros.mpc.problem.problem import Problem
-from orbimpc_ros.mpc.problem.state import State
+from orbimpc_ros.mpc.problem.problem import Problem, State
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.plan import Plan
@@ -85,7 +84,7 @@ def relief(problem: Problem, state: State, goals: Array) -> Relief:
     positions, _ = dynamics.translation_rollout(problem, state, headings)
     away = positions[1:] - goals
     tilt, slope = leaning(problem, headings[1:]), strayed(problem, away)
-    unit = problem.length_unit
+    unit = problem.maps.unit
     return Relief(_spared(tilt), unit * _spared(slope / unit))
 
 
@@ -188,7 +187,7 @@ def _size(vector: Array) -> float:
 
 def told(problem: Problem, goals: Array, plan: Plan) -> str:
     """Describe in words by how much a plan violates the cones; empty if it does not."""
-    found, small = [], NOTHING * problem.length_unit
+    found, small = [], NOTHING * problem.maps.unit
     tilt = leaning(problem, plan.rotations[1:, :, 0])
     slope = strayed(problem, plan.positions[1:] - goals)
     if problem.tilt and tilt.max() > NOTHING:

@@ -57,13 +57,11 @@ class Floor:
         number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
 
     def validate(self, dimension: int) -> None:
-        """Refuse solids that do not exist, and faces that leave gaps.
+        """Refuse polygons: solids that do not exist, and faces that leave gaps.
 
         Raises:
             BadInput: naming the parameter at fault.
         """
-        if self.shape != 'polygon':
-            return
         if dimension == 3 and self.faces not in SOLID_FACES:
             raise BadInput('floor.faces', self.faces, '6, 12 or 20 when dimension is 3')
         limit = largest_fraction(dimension, self.faces)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""The planning problem: its model, weights and limits.
+r"""The planning problem: its model, weights and limits; and the state that a plan starts from.
 
 The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular Systems*):
 
@@ -18,18 +18,23 @@ of the distance flown in a unit of time,
 
 weights mean the same at any step and full speed, and a finer step only resolves the problem better.
 
-Mathematics: docs/mathematics.md, 1.
+Mathematics: docs/mathematics.md, 1 and 3.10.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar, cast
 
-from orbimpc_ros.mpc.arrays import Array, number, whole
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, whole
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import MEMBERSHIP_TOLERANCE, margin, nearest
 from orbimpc_ros.mpc.model.translation import (
     DISCRETISATIONS,
     TRANSLATIONS,
@@ -37,9 +42,8 @@ from orbimpc_ros.mpc.model.translation import (
     Translation,
     maps_of,
 )
-from orbimpc_ros.mpc.problem.approach import SLOWEST, Approach
 from orbimpc_ros.mpc.problem.floor import Floor
-from orbimpc_ros.mpc.problem.obstacle import Ball, Box
+from orbimpc_ros.mpc.problem.obstacle import Ball, Box, MovingObstacle, tracked
 
 TERMINALS = ('penalty', 'constraint')
 SCALINGS = ('paper', 'time')
@@ -47,8 +51,12 @@ TIMES = 20  # units of time in a horizon: the default weights smooth headings ov
 MAX_HORIZON = 500
 LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones underflow
 MAX_OBSTACLES = 64
+WIDEST_APPROACH = 1.4  # [rad] beyond it the cone is nearly a half-space, and ill-conditioned
+SLOWEST = 0.01  # speed fraction below which a heading has no direction
+LEEWAY = 3e-7  # [rad] tolerance of the cone in the plane, for plans that only just reach it
 STEEPEST_GLIDE = 1.5  # [rad]: 14 m up per horizontal metre
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
+T = TypeVar('T')
 COUNTS = {'dimension': (2, 3), 'rotation_order': (1, 2), 'horizon': (1, MAX_HORIZON)}
 RANGES = {
     'step': (LEAST, 1e3),
@@ -82,6 +90,60 @@ class Weights:
     def __post_init__(self) -> None:
         for each in fields(self):
             number(getattr(self, each.name), f'weights.{each.name}', 0.0)
+
+
+@dataclass(frozen=True)
+class Approach:
+    """The cone of directions in which a goal may be approached, about an axis d.
+
+    It constrains the direction R_N e1 that the vehicle finally points in, not a velocity, be it its
+    own or relative to the goal. Headings shorter than ``least``, the larger of ``SLOWEST`` and the
+    floor, have no well-defined direction: they need the same component along d as one of that
+    length. The constraint is convex:
+
+        R_N e1 . d >= cos(cone) max(|R_N e1|, least).
+
+    Attributes:
+        cone: largest angle between the last heading and the direction [rad]; 0: unconstrained.
+        direction: axis of the cone in the world frame, n numbers, not necessarily a unit vector;
+            empty: the first axis of the goal's attitude, ``State.wanted``.
+    """
+
+    cone: float = 0.0
+    direction: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        number(self.cone, 'approach.cone', 0.0, WIDEST_APPROACH)
+        for each in self.direction:
+            number(each, 'approach.direction')
+
+    @cached_property
+    def exists(self) -> bool:
+        """Return True if the last heading is constrained."""
+        return self.cone > 0.0
+
+    @cached_property
+    def is_the_goals(self) -> bool:
+        """Return True if the goal's attitude gives the direction."""
+        return self.exists and not self.direction
+
+    def validate(self, dimension: int) -> None:
+        """Check the direction for a dimension.
+
+        Raises:
+            BadInput: not n numbers, or a vector too short or too long.
+        """
+        found = self.direction
+        if found and not (len(found) == dimension and 1e-6 < math.hypot(*found) < 1e6):
+            wanted = f'{dimension} numbers, not all of them 0, or none'
+            raise BadInput('approach.direction', list(found), wanted)
+
+    def axis(self, state: State) -> Array:
+        """Return the direction d of approach, a unit vector of shape (n,)."""
+        if self.direction:
+            return np.array(self.direction) / math.hypot(*self.direction)
+        assert state.wanted is not None
+        return state.wanted[:, 0]
 
 
 @dataclass(frozen=True)
@@ -142,6 +204,7 @@ class Problem:
     def __post_init__(self) -> None:
         _instance(self.weights, Weights, 'weights')
         _instance(self.floor, Floor, 'floor')
+        _instance(self.approach, Approach, 'approach')
         for each in _instance(self.obstacles, tuple, 'obstacles'):
             if not isinstance(each, (Box, Ball)):
                 raise BadInput('obstacles', f'a {type(each).__name__}', 'a Box or a Ball')
@@ -160,8 +223,9 @@ class Problem:
             raise BadInput('discretisation', self.discretisation, allowed)
         # Beyond half a turn in a step the direction of turning is ambiguous.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
-        self.floor.validate(self.dimension)
-        _instance(self.approach, Approach, 'approach').validate(self.dimension)
+        if self.floor.shape == 'polygon':
+            self.floor.validate(self.dimension)
+        self.approach.validate(self.dimension)
         self._validate_kind()
         if len(self.obstacles) > MAX_OBSTACLES:
             raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES}')
@@ -205,9 +269,11 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
-    def floor_normals(self) -> Array | None:
-        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
-        return self.floor.normals(self.dimension)
+    def floor_normals(self) -> Array:
+        """Return the unit normals of the floor's half-spaces, shape (m, n); not of a round one."""
+        normals = self.floor.normals(self.dimension)
+        assert normals is not None
+        return normals
 
     @cached_property
     def has_cones(self) -> bool:
@@ -267,11 +333,6 @@ class Problem:
         return self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
 
     @cached_property
-    def length_unit(self) -> float:
-        """Return a step's length, the longest from rest: h z, or with inertia h^2 z [m]."""
-        return self.maps.unit
-
-    @cached_property
     def maps(self) -> Maps:
         """Return the maps of the translation model over the horizon."""
         return maps_of(self.translation, self.horizon, self.step, self.forward)
@@ -327,3 +388,127 @@ def _summed(problem: Problem) -> Weights:
         terminal=given.terminal / area,
         attitude=given.attitude,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class State(ByContent):
+    """The vehicle's state at the start of a plan; :meth:`at` makes and validates it.
+
+    Attributes:
+        position: s_0, shape (n,) [m].
+        rotation: R_0 in conv SO(n), shape (n, n): the attitude scaled by the speed fraction.
+        velocity: p_0, shape (n,) [m/s]; zero unless translation is of order 2.
+        rotation_rate: W_0, shape (n, n) [1/s]; zero unless rotation is of order 2.
+        attitude: Q_0, shape (n, n), the rotation R_0 was scaled from; by default the nearest one.
+        coasted: the rotation, shape (n, n), that the present body rate turns the attitude into
+            during the first step (rotation order 2). With it R_1 = rho * coasted, the thrust
+            fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which is off the manifold.
+        disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
+            world frame [m/s], at order 2 an acceleration, gravity included [m/s^2].
+        commanded: the share of full speed last commanded, in [0, 1], from which the first change of
+            speed is limited; by default |R_0 e1|.
+        hazards: moving obstacles to stay clear of, with times from the start of the plan.
+        wanted: R_g, the desired final rotation, shape (n, n); None if it is unconstrained.
+    """
+
+    position: Array
+    rotation: Array
+    velocity: Array
+    rotation_rate: Array
+    attitude: Array
+    coasted: Array | None
+    disturbance: Array
+    commanded: float | None = None
+    hazards: tuple[MovingObstacle, ...] = ()
+    wanted: Array | None = None
+
+    @classmethod
+    def at(
+        cls,
+        position: ArrayLike,
+        rotation: ArrayLike,
+        *,
+        velocity: ArrayLike | None = None,
+        rotation_rate: ArrayLike | None = None,
+        attitude: ArrayLike | None = None,
+        coasted: ArrayLike | None = None,
+        disturbance: ArrayLike | None = None,
+        commanded: float | None = None,
+        hazards: tuple[MovingObstacle, ...] = (),
+        wanted: ArrayLike | None = None,
+    ) -> State:
+        """Return the state at a position and rotation, at rest by default.
+
+        Raises:
+            BadInput: an array of the wrong shape, not finite, or outside its set; too many hazards,
+                or one of another dimension.
+        """
+        n = np.size(position)
+        if n not in (2, 3):
+            raise BadInput('state.position', n, '2 or 3 numbers')
+        line, square, still = (n,), (n, n), _zeros((n,))
+        given: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
+            'position': (position, line, None),
+            'rotation': (rotation, square, None),
+            'velocity': (velocity, line, still),
+            'rotation_rate': (rotation_rate, square, _zeros(square)),
+            'attitude': (attitude, square, None),
+            'coasted': (coasted, square, None),
+            'disturbance': (disturbance, line, still),
+            'wanted': (wanted, square, None),
+        }
+        made: dict[str, Any] = {
+            name: absent if value is None else frozen(value, shape, f'state.{name}')
+            for name, (value, shape, absent) in given.items()
+        }
+        if attitude is None:
+            made['attitude'] = sealed(nearest(made['rotation']))
+        for name in ('attitude', 'coasted', 'wanted'):
+            if made[name] is not None:
+                _require_rotation(made[name], f'state.{name}')
+        for name in ('rotation', 'rotation_rate'):
+            _require_structure(made[name], f'state.{name}')
+        if margin(made['rotation']) < -MEMBERSHIP_TOLERANCE:
+            allowed = f'a matrix in conv SO({n})'
+            raise BadInput('state.rotation', made['rotation'].tolist(), allowed)
+        if commanded is not None:
+            number(commanded, 'state.commanded', 0.0, 1.0)
+        bodies = tracked(hazards, n) if hazards else ()
+        return cls(commanded=commanded, hazards=bodies, **made)
+
+    @property
+    def dimension(self) -> int:
+        """Return n."""
+        return len(self.position)
+
+    @cached_property
+    def _known(self) -> list[tuple[Any, Any]]:
+        return []
+
+    def once(self, asked: Any, work_out: Callable[[], T]) -> T:
+        """Return the value cached for this state under a key; compute it at the first call."""
+        for known, found in self._known:
+            if known == asked:
+                return cast('T', found)
+        found = work_out()
+        self._known.append((asked, found))
+        return found
+
+
+@lru_cache(maxsize=8)
+def _zeros(shape: tuple[int, ...]) -> Array:
+    """Return zeros shared by all states, since creating and checking arrays costs microseconds."""
+    return sealed(np.zeros(shape))
+
+
+def _require_rotation(matrix: Array, culprit: str) -> None:
+    n = len(matrix)
+    if np.abs(matrix.T @ matrix - np.eye(n)).max() > 1e-9 or np.linalg.det(matrix) < 0.0:
+        raise BadInput(culprit, matrix.tolist(), f'a rotation in SO({n})')
+
+
+def _require_structure(matrix: Array, culprit: str) -> None:
+    if len(matrix) == 2:
+        (a, b), (c, d) = matrix.tolist()
+        if abs(a - d) > 1e-6 or abs(b + c) > 1e-6:
+            raise BadInput(culprit, matrix.tolist(), '[[a, -b], [b, a]]')

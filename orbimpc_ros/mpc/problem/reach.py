@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.model.dynamics import decided
+from orbimpc_ros.mpc.model.translation import STARTED
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
@@ -22,6 +22,13 @@ SURE = 1e-12  # relative margin for rounding: farther away is surely out of reac
 WITHIN = 1.0 - 1e-9  # share of the largest change of speed, so that rounding does not exceed it
 T = TypeVar('T', float, Array)
 BEYOND = 100.0  # times the reach: goals farther away are moved to this distance
+
+
+def decided(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Return s_0..s_N and p_0..p_N for R_1 e1 = .. = R_N e1 = 0: what the state alone decides."""
+    maps, given = problem.maps, np.zeros((problem.horizon + 3, problem.dimension))
+    given[STARTED] = state.rotation[:, 0], state.velocity, state.disturbance
+    return maps.places @ given + state.position, maps.speeds @ given
 
 
 def reach(problem: Problem, state: State) -> float:
@@ -148,8 +155,8 @@ def _beyond(problem: Problem, state: State, goals: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum('kc,kc->k', off, off)) - np.abs(reach[:, 1:]).sum(axis=1))
 
 
-def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.ndarray:
-    """Return for which k no headings lead s_k to within a radius of the goal, shape (N,).
+def missed(problem: Problem, state: State, goals: Array, radius: Array | float) -> np.ndarray:
+    """Return for which k no headings lead s_k to within a radius of the goal, shape (..., N).
 
     True is certain, in spite of rounding.
 
@@ -157,10 +164,10 @@ def missed(problem: Problem, state: State, goals: Array, radius: float) -> np.nd
         problem: gives the model.
         state: where the vehicle starts.
         goals: g_1..g_N, shape (N, n) [m].
-        radius: of a catch [m].
+        radius: of a catch, or several, shape (..., 1) [m].
     """
     sizes = np.abs(state.position).sum() + np.abs(goals).sum(axis=1)
-    rounding = SURE * (problem.length_unit * (1.0 + len(goals) ** 2) + sizes + radius)
+    rounding = SURE * (problem.maps.unit * (1.0 + len(goals) ** 2) + sizes + radius)
     return np.asarray(_beyond(problem, state, goals) > radius + rounding)
 
 

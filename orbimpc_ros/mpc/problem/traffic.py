@@ -24,8 +24,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.problem.cones import begun, turned_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box, MovingObstacle, reserves
-from orbimpc_ros.mpc.problem.problem import Problem
-from orbimpc_ros.mpc.problem.state import State
+from orbimpc_ros.mpc.problem.problem import Problem, State
 
 DIRECTIONS = 16  # number of escapes in the plane
 INSIDE = 1e-7  # in units of a step's length: a plan that starts deeper than this starts inside
@@ -106,7 +105,7 @@ def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
         state: where the plan starts.
         traffic: the bodies, not relaxed yet.
     """
-    eased, nothing = np.zeros_like(traffic.kept), INSIDE * problem.length_unit
+    eased, nothing = np.zeros_like(traffic.kept), INSIDE * problem.maps.unit
     deep = _decided_depths(problem, state, traffic)
     at = [0, *range(deep.shape[1] - 1)]  # the margin at the start is that of the first step
     held = np.asarray((deep + traffic.grown[:, at] > nothing).any(axis=1))
@@ -116,7 +115,7 @@ def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
     best = min(every, key=lambda each: _price(each, held))
     if (best[held, -1] > 0.0).any():
         return eased
-    eased[held] = np.where(best[held] > 0.0, best[held] + SPARE * problem.length_unit, 0.0)
+    eased[held] = np.where(best[held] > 0.0, best[held] + SPARE * problem.maps.unit, 0.0)
     deep[:, 1:] -= traffic.strays[:, at[1:]]
     entered = (deep > nothing).any(axis=1)
     eased[~entered] = np.minimum(eased, traffic.grown)[~entered]

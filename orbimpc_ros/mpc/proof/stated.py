@@ -22,8 +22,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
 from orbimpc_ros.mpc.model.translation import controls, step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
-from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.cones import relief
+from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, as_fractions, direction, root, roots
@@ -460,10 +460,11 @@ class Statement:
         late = problem.rotation_order - 1
         ahead = state.attitude if state.coasted is None or not late else state.coasted
         heading = number(math.atan2(ahead[1, 0], ahead[0, 0]))
-        cosine, sine = direction(heading)
-        x, y = self._rows(ahead[:, 0])
-        if not abs(cosine * y - sine * x) < WIDER / 4 or not cosine * x + sine * y > 0:
-            raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
+        if number is not float:  # floats trust the arc tangent as much as cosine and sine
+            cosine, sine = direction(heading)
+            x, y = self._rows(ahead[:, 0])
+            if not abs(cosine * y - sine * x) < WIDER / 4 or not cosine * x + sine * y > 0:
+                raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
         turns = (np.arange(1, count + 1) - late) * (turn + whole) + number(WIDER)
         low, high = heading - turns, heading + turns
         return turn, low, high

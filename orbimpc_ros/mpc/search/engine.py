@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.model.dynamics import Condensed, length_weights, regular
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.approach import LEEWAY
+from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ROW, ProofTree
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE

@@ -24,8 +24,8 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import copy_to
-from orbimpc_ros.mpc.model.dynamics import decided
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT
 from orbimpc_ros.mpc.search.best_first import (
     CLOSED,

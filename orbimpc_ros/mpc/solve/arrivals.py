@@ -18,8 +18,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exps, turned_within
-from orbimpc_ros.mpc.model.dynamics import decided
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.reach import decided
 
 WITHIN = 1.0 - 1e-9  # share of the widest turn
 WITHIN_CONE = 0.99  # share of the cone of approach that corrections turn into
@@ -72,8 +72,8 @@ def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | 
         missing = wanted - rows @ (arc.speeds[:, None] * frames[:, :n, 0])
         aside = _turned_aside(problem, state, frames[-1, :n, 0])
         missed = max(np.abs(missing[0]).max(), problem.step * np.abs(missing[1:]).max(initial=0.0))
-        missed = max(missed, problem.length_unit * np.abs(aside).max(initial=0.0))
-        if missed <= MET * problem.length_unit:
+        missed = max(missed, problem.maps.unit * np.abs(aside).max(initial=0.0))
+        if missed <= MET * problem.maps.unit:
             return np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
         if not missed < PROGRESS * best:
             return None

@@ -185,7 +185,7 @@ class Dives:
             elif held is not rows and not any(map(regions.is_round, held)):
                 return  # flat sides stay where they are: there is little to gain
             else:
-                near = regions.beside(headings[1:], BESIDE * posed.problem.length_unit)
+                near = regions.beside(headings[1:], BESIDE * posed.problem.maps.unit)
                 held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
             x = None if posed.request.late else self._solved(held, headings, cells)
             if x is None:

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.check import speed_margin, turn_margin
 from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.approach import LEEWAY
+from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
 from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run

@@ -19,8 +19,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
-from orbimpc_ros.mpc.model.dynamics import decided, position_weights, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import position_weights, trajectory_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
 from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request, general
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import coordinate_count, coordinates
@@ -69,11 +69,11 @@ class Units:
     @classmethod
     def of(cls, problem: Problem) -> Units:
         """Return the natural units: the longest step from rest, a step, the largest curvature."""
-        scaled = _in_units(problem, problem.length_unit, problem.step)
+        scaled = _in_units(problem, problem.maps.unit, problem.step)
         cost = _curvature(scaled)
         weights = Weights(*(each * (1.0 / cost) for each in astuple(scaled.weights)))
         scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
-        return cls(scaled, problem.length_unit, problem.step, cost)
+        return cls(scaled, problem.maps.unit, problem.step, cost)
 
     def state(self, state: State) -> State:
         """Return a state in these units."""
@@ -283,7 +283,7 @@ class Solver:
         state, goals = query.searched, query.goals
         self._require(state, goals)
         if self.problem.terminal == 'constraint' or self.problem.approach.exists:
-            beyond = beyond_reach(self.problem, state, goals) / self.problem.length_unit
+            beyond = beyond_reach(self.problem, state, goals) / self.problem.maps.unit
             if max(beyond, beyond_turning(self.problem, state)) > SURELY:
                 raise Infeasible(reason(self.problem, state, goals))
         method, units = self._method_for(state), self._units
@@ -471,7 +471,8 @@ class Task:
             each = self.knots[1] - self.knots[0]
             stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
             knots = self.knots[0] - each + each * stretched
-        goals = sealed(goals.copy())
+        goals = goals.copy()
+        goals.setflags(write=False)
         return replace(self, problem=problem, goals=goals, knots=knots, solver=solver)
 
     def solved(self, *, guessing: bool = False) -> Answer:

@@ -256,7 +256,7 @@ class PlannerSettings(VehicleParameters):
     @cached_property
     def distance(self) -> Distance:
         """Return the separation from others, enlarged so that rounded plans keep the radius."""
-        radius = self.avoid_radius + ROUNDING * self.problem.length_unit
+        radius = self.avoid_radius + ROUNDING * self.problem.maps.unit
         return Distance(radius, max(self.avoid_timeout or 0.5, 1.5 * self.period))
 
 

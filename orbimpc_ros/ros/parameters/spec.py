@@ -24,7 +24,7 @@ from orbimpc_ros.loop.compensation import SOURCES
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box
-from orbimpc_ros.mpc.problem.approach import WIDEST_APPROACH, Approach
+from orbimpc_ros.mpc.problem.problem import WIDEST_APPROACH, Approach
 from orbimpc_ros.ros.messages import THRUST_AXES, Frames
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
