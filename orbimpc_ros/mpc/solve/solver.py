@@ -44,8 +44,6 @@ NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan found without search is used'
 DOUBTFUL = 'found to be infeasible, but not verified'
 GOES_ON = 'the previous plan continues: no better one was found in time'
-
-
 Answer = tuple[Plan | None, Status, str]  # a checked plan, the status of the solve, and the reason
 Late = Callable[[], bool]
 
@@ -434,7 +432,7 @@ class Deadline:
 
 @dataclass(frozen=True)
 class Task:
-    """One optimisation."""
+    """The optimisation behind a decision, warm-started from the remainder of the previous plan."""
 
     problem: Problem
     state: State  # initial state of plans
