@@ -82,7 +82,9 @@ def _compile(package: str, into: Path) -> None:
     The first two are looked up by name, which succeeds once the package has loaded them.
     """
     out, names = into / package, [f'lib{package}__{part}.so' for part in (FAST, SEEN)]
-    made = sorted(map(str, (*out.rglob('*.c'), *out.rglob('*.cpp'))))
+    whole = out / 'whole.cpp'  # each of its sources alone would read the headers of C++ again
+    whole.write_text(''.join(f'#include "{each}"\n' for each in sorted(out.rglob('*.cpp'))))
+    made = sorted(map(str, (*out.rglob('*.c'), whole)))
     python = [each for each in made if each.endswith('_s.c') or '_s.ep.' in each]
     plain = [each for each in made if each not in python]
     _linked(into, out / names[0], plain, [])
