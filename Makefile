@@ -15,6 +15,8 @@ JOBS ?= 3
 QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_geometry mpc_compensation
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
+# Without compiling: Python compiles what is imported, which is a small part of these packages.
+INSTALL = $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
 
 # The nodes of tests and demos are hundreds of processes: each would compile the package anew.
@@ -74,12 +76,12 @@ docs: $(VENV)/.installed-demo
 
 $(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
 	$(SAY) 'Installing orbimpc_ros into $(VENV) (some minutes, only once)'
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)' $(PINS)
+	@$(INSTALL) --editable '.$(EXTRAS_DEMO)' $(PINS)
 	@touch $@
 
 $(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
 	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (some minutes, only once)'
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
+	@$(INSTALL) --editable '.$(EXTRAS_TEST)' $(PINS)
 	$(COMPILE)
 	@touch $@ $(VENV)/.installed-demo
 
