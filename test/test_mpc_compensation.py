@@ -174,6 +174,32 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
 
 
 @pytest.mark.parametrize(('speed', 'rate'), LAGS)
+@pytest.mark.parametrize('orders', ORDERS)
+def test_a_late_measurement_of_a_lagging_vehicle_counts_as_a_prompt_one(orders, speed, rate):
+    """It lags behind a command in force before, and behind another one sent in the meantime."""
+    rng, n, order = np.random.default_rng(1), orders['dimension'], orders['translation_order']
+    for _ in range(5):
+        wind = tuple(rng.normal(size=n))
+        plant = Plant(n, 1, order, speed_lag=speed, rate_lag=rate, forward=2.0, disturbance=wind)
+        problem = Problem(**orders, forward=2.0, discretisation='exact')
+        compensator = Compensator(problem, Response(speed, rate), plant.blown)
+        vehicle, found = started(plant, 0.0, 0.0), []
+        if order == 1:
+            compensator.history.add(command(0.0, np.zeros(plant.rates)), -LONG)
+        for k, span in enumerate((0.4, 0.2, 0.1)):
+            if k != 1:
+                told = command(rng.uniform(), 0.5 * rng.normal(size=plant.rates))
+                compensator.history.add(told, vehicle.time)
+            vehicle = flown(plant, vehicle, told.speed_fraction, told.body_rate, span)
+            found.append((measured(vehicle), vehicle.time))
+        now = vehicle.time
+        prompt, late = (compensator.start(seen, now - at, now).odometry for seen, at in found[-2:])
+        assert late.time == pytest.approx(prompt.time)
+        for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
+            np.testing.assert_allclose(getattr(late, name), getattr(prompt, name), atol=1e-2)
+
+
+@pytest.mark.parametrize(('speed', 'rate'), LAGS)
 def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(speed, rate):
     """Position and velocity agree in the end for any earlier thrust, under constant gravity."""
     ideal = Plant(2, 1, 2, forward=3.0, disturbance=(0.2, -0.4))

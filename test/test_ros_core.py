@@ -267,20 +267,6 @@ def test_what_is_given_is_planned_with_and_nothing_is_estimated():
     assert np.isnan(values(report)['innovation'])
 
 
-def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
-    """With a lag, the plan starts from the measured attitude, whatever was commanded since."""
-    prompt, lagging = Driven(simulated=True), Driven(simulated=True, **{'response.speed': 0.4})
-    turned = []
-    for driven in (prompt, lagging):
-        for k in range(3):
-            report = driven.tick(0.1 * k + 0.05, 0.1 * k, x=-5.0)
-        assert report.advanced == pytest.approx(0.05, abs=1e-6)
-        assert report.command.body_rate[0] != 0.0
-        turned.append(report.state.attitude[1, 0])
-    assert abs(turned[0]) > 0.01
-    assert turned[1] == pytest.approx(0.0, abs=1e-12)
-
-
 def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
     """Its stamps include this lead, which is reported separately from the measurement's age."""
     driven = Driven(simulated=True, discretisation='exact', **{'response.rate': 0.05})

@@ -20,7 +20,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -29,8 +29,11 @@ from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
 
+F = TypeVar('F', float, Array)
 SOURCES = ('ground', 'air')  # of a measured velocity
+PARTS = 4  # of the time between commands, in each of which a vehicle with lags moves evenly
 MEMORY = 32  # commands; the effect of earlier ones counts as measured
+TINY = 1e-9  # [s]
 NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
 
@@ -169,7 +172,7 @@ class CommandHistory:
         return found
 
 
-def followed(reached: float, wanted: float, duration: float, lag: float) -> tuple[float, float]:
+def followed(reached: F, wanted: F, duration: float, lag: float) -> tuple[F, F]:
     """Return the share reached after one was commanded for a time [s], and its integral."""
     if lag == 0.0:
         return wanted, wanted * duration
@@ -382,12 +385,7 @@ class Compensator:
         odometry = along_the_air(measured) if self._sideslip else measured
         limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
-        if coming and self.response.lags:
-            # Over a time that is short compared with its lags, a vehicle continues as measured.
-            whole = sum(each.duration for each in coming)
-            coming = [Interval(whole, None, self.history.last)]
-        known = self.disturbance, self._velocity_source
-        odometry = self._settled(advanced(self._problem, odometry, coming, *known))
+        odometry = self._settled(self._advanced(odometry, coming))
         led = self.response.lead(self._problem)
         told = {
             'advanced': odometry.time - measured.time - led,
@@ -396,6 +394,32 @@ class Compensator:
             'innovation': self.innovation if self._estimated else None,
         }
         return PlanStart(odometry, self.state(odometry), told, (self.odd_speed(odometry), limited))
+
+    def _advanced(self, measured: Odometry, coming: list[Interval]) -> Odometry:
+        """Return the measurement propagated over intervals, with lags behind their commands.
+
+        In each part of an interval, rate and speed or thrust are what they are on average. What the
+        measured speed has beyond the commanded one, such as a gust, remains.
+        """
+        problem, lags, now = self._problem, self.response, measured
+        known = self.disturbance, self._velocity_source
+        if not lags.lags:
+            return advanced(problem, now, coming, *known)
+        begun = 0.0 if problem.inertial else airspeed(now, *known) / problem.forward
+        gained = _forward(problem, 0.0 if problem.inertial else 1.0)
+        lag = lags.speed or TINY  # 0 would count the last command as reached
+        share = self.history.applied(now.time, lag, begun)
+        for whole, given, _ in [each for each in coming for _ in range(PARTS)]:
+            time, wanted = whole / PARTS, given or Command(share, now.body_rate, now.attitude)
+            later, flown = followed(share, wanted.speed_fraction, time, lag)
+            rate, turned = followed(now.body_rate, wanted.body_rate, time, lags.rate)
+            mean = Command(flown / time, turned / time, now.attitude)
+            velocity = now.body_velocity + (mean.speed_fraction - share) * gained
+            now = replace(now, body_velocity=velocity, body_rate=mean.body_rate)
+            now = advanced(problem, now, [Interval(time, None, mean)], *known)
+            velocity = now.body_velocity + (later - mean.speed_fraction) * gained
+            now, share = replace(now, body_velocity=velocity, body_rate=rate), later
+        return now
 
     def _settled(self, measured: Odometry) -> Odometry:
         """Return the state from which a vehicle without lags would fly the same path, a lag later.
@@ -409,9 +433,7 @@ class Compensator:
         time, rate = response.lead(problem), measured.body_rate
         if not problem.inertial:
             intervals = [Interval(time, None, None)] if time > 0.0 else []
-            settled = advanced(
-                problem, measured, intervals, self.disturbance, self._velocity_source
-            )
+            settled = self._advanced(measured, intervals)
         else:
             applied = self.history.applied(measured.time, response.speed)
             commanded = 0.0 if coming is None else coming.speed_fraction
