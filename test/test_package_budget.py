@@ -5,16 +5,16 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 31_331,
+    'orbimpc_ros': 31_353,
     'orbimpc_ros/mpc': 16_182,
-    'orbimpc_ros/loop': 3_501,
+    'orbimpc_ros/loop': 3_523,
     'orbimpc_ros/ros': 4_553,
     'orbimpc_ros/sim': 2_489,
     'orbimpc_ros/tool': 4_438,
     'benchmarks': 3_472,
-    'test': 17_959,
+    'test': 17_971,
 }
-WORDS = {'docs': 23_523, 'README.md': 900}
+WORDS = {'docs': 23_524, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
