@@ -217,10 +217,14 @@ class Interception:
         return self._solver_for(problem, enough=Enough(well, self._costliest))
 
     def prepare(self, expected: float) -> None:
-        """Build the solver of a catch expected past the horizon, at an end in steps."""
-        end = _coarsely(expected)
-        if self._horizon < end <= self.farthest:
-            self.solver(end, self._coned)
+        """Build the solvers of a catch expected past the horizon: at about an end, in steps.
+
+        These are the ends next to it, as ticks are not quite regular, and the first one sooner.
+        """
+        late, soon = (_coarsely(expected + by) for by in (0.5 * COARSEST, -0.5 * COARSEST))
+        for end in (late, soon, math.ceil(soon) - 1.0):
+            if self._horizon < end <= self.farthest:
+                self.solver(end, self._coned)
 
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
         """Return the task of the earliest catch with its answer, and bounds of its time.
@@ -296,7 +300,7 @@ class Interception:
         plan = task.rest
         if plan is None or not holds(*task.known, plan) or _turns_too_far(plan, end):
             return MISSED
-        answer = plan, plan.status, 'the previous plan to the catch is continued'
+        answer = plan, Status.FEASIBLE, 'the previous plan to the catch is continued'
         miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
         return _Attempt((task, answer), end, miss)
 

@@ -187,12 +187,10 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
     """
     if problem.rotation_order == 2:
         return None
-    x = plan.coordinates
+    x, limited = plan.coordinates, problem.dimension == 2 and problem.turns_are_angles
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
     moved = _as_long(problem, x, interpolated(at, np.arange(0.0, len(x)), x), at)
-    if problem.dimension == 2 and problem.turns_are_angles:
-        moved = followed(problem, state, moved)
-    return moved
+    return followed(problem, state, moved) if limited else moved
 
 
 def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:

@@ -458,9 +458,10 @@ class Task:
     @cached_property
     def rest(self) -> Plan | None:
         """Return the remainder of the previous plan as a plan from this state, if it fits."""
-        if self.onward is None:
+        known, onward = self.known, self.onward
+        if onward is None:
             return None
-        return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
+        return assemble(*known, onward, projection=self.projection, proof=UNPROVED)
 
     def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
         """Return the task for a problem with another number or length of steps, and its goals."""
