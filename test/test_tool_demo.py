@@ -152,7 +152,7 @@ TICK = {
     'nodes', 'solve_time_ms', 'speed_fraction', 'projection_distance', 'fallback', 'cause',
     'binding', 'advanced', 'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
     'earliest_catch', 'catch_bound', 'catch_checked', 'obstacles', 'obstacles_left_out',
-    'clearance', 'traffic_stamps', 'margins',
+    'clearance', 'traffic_stamps', 'margins', 'sent',
 }  # fmt: skip
 
 

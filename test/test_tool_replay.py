@@ -427,6 +427,35 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     assert 'without /odom; give --namespace /uav1' in err
 
 
+def test_a_flight_in_real_time_is_replayed_however_late_its_recorder(
+    replay, launch, observer, tmp_path
+):
+    """A lag makes the state depend on when commands were sent, which each tick tells."""
+    kept = []
+
+    def keep(topic, message, info):
+        late = 0 if topic in ('/odom', '/goal') else 10 * MILLISECOND * (len(kept) % 4)
+        kind = f'{type(message).__module__.partition(".")[0]}/msg/{type(message).__name__}'
+        at, data = info['source_timestamp'] + late, serialize_message(message)
+        kept.append(Message(topic, kind, at, at, data, None))
+
+    for topic, kind in (('/goal', PoseStamped), *((name, kind) for kind, name in TOPICS.items())):
+        observer.subscribe(kind, topic, partial(keep, topic))
+    own = {'step': 0.2, 'response.speed': 0.5}
+    launch('planner', {**own, 'disturbance': 'estimated', 'horizon': 8})
+    observer.until_connected('/tick', '/cmd_vel')
+    rope = {'rope.center': [1.5, 0.5, 0.0], 'rope.amplitude': [0.0] * 3, 'capture_radius': 1e-6}
+    pace = {'clock': 'wall', 'max_ticks': 10_000, 'wait_for': 'goal, odom'}
+    launch('sim', {**own, **rope, **pace, 'vehicle': 'continuous'})
+    observer.until(lambda: sum(each.topic == '/tick' for each in kept) > 25)
+    path = write(tmp_path / 'bag', kept, {})
+    words = ('step=0.2', 'response.speed=0.5', 'disturbance=estimated', 'horizon=8')
+    changes = [f'--set={word}' for word in words]
+    code, out, err = replay(path, *changes)
+    assert code == 0, out + err
+    assert replay(path, '--tick', 9, *changes)[1].split()[4:7] == ['s', 'recorded', 'replayed']
+
+
 # --- among traffic, the goal in another frame: the same hazards despite late messages
 
 

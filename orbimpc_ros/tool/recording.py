@@ -40,7 +40,7 @@ NUMBER = (int, float)
 KINDS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), str),
     **dict.fromkeys(('objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'), NUMBER),
-    **dict.fromkeys(('advanced', 'solve_time_ms'), NUMBER),
+    **dict.fromkeys(('advanced', 'sent', 'solve_time_ms'), NUMBER),
     **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), dict),
     'bound_checked': bool,
     'speed_fraction': list,
@@ -125,9 +125,10 @@ def recording_of(
             no parameters, or no such tick.
     """
     if params is not None:
-        values = settings.resolve(Path(params), changes)
+        values = settings.resolve(Path(params), changes, simulated=False)
     elif changes or bags.notes(path):
-        values = settings.changed(settings.of_bag(path, namespace), changes)
+        known = settings.of_bag(path, namespace)
+        values = settings.changed(known, changes, simulated=False)
     else:
         missing = 'no notes of its parameters'
         raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
@@ -195,14 +196,16 @@ def replayed(recording: Recording) -> Iterator[ReplayedTick]:
             elif each not in lost:
                 now, ros = each.sent / SECOND, clock if simulated else each.sent
                 refusals.append(planner.inputs.update(each.topic, each.content, now, ros))
-        answer = published(_answer(planner, recorded))
-        at = recorded.stamp if simulated else recorded.sent
-        planner.went_out(at / SECOND, recorded.answer)
+        delay = 0.0 if simulated else (recorded.sent - recorded.stamp) / SECOND
+        answer = published(_answer(planner, recorded, delay))
+        delay = recorded.answer.get('sent', delay)
+        planner.went_out((recorded.stamp + round(delay * SECOND)) / SECOND, recorded.answer)
         assert planner.decision is not None
         yield ReplayedTick(recorded, answer, tuple(filter(None, refusals)), planner.decision)
 
 
-def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
+def _answer(planner: OfflinePlanner, recorded: RecordedTick, delay: float) -> Messages:
+    """Return the answer again; ``delay`` [s] is its odometry's age if the tick tells none."""
     answer, stamp = recorded.answer, recorded.stamp
     word = answer.get('cause')
     cause = Cause(word) if word in list(Cause) else Cause.NONE
@@ -213,7 +216,7 @@ def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     if planner.stamp != stamp:
         refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
         return planner.answer(stamp, stop=refused)
-    return planner.answer(stamp, recorded.sent / SECOND, answer.get('advanced', 0.0))
+    return planner.answer(stamp, recorded.sent / SECOND, answer.get('advanced', delay))
 
 
 def _lost(

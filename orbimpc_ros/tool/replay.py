@@ -73,12 +73,13 @@ def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:
 def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
     """Print one tick, recorded and replayed side by side."""
     title = f'tick {found[0].tick} at {found[0].time:.3f} s'
-    print(f'{title:<20}{"recorded":<26}replayed')
+    width = max(20, len(title) + 2)  # of a date more than of simulated time
+    print(f'{title:<{width}}{"recorded":<26}replayed')
     for each in found:
         unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
         mark = '  differs' if each.differs else ''
         pair = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
-        print(f'{each.quantity + unit:<20}{pair}{mark}')
+        print(f'{each.quantity + unit:<{width}}{pair}{mark}')
     reasons = [each.get('reason', '') for each in (tick.recorded.answer, tick.answer)]
     if any(reasons):
         print('recorded      {}\nreplayed      {}'.format(*map(shown, reasons)))

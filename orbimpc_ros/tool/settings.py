@@ -39,17 +39,19 @@ def config(name: str) -> Path:
     return found
 
 
-def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
+def resolve(file: Path, changes: Sequence[str] = (), *, simulated: bool = True) -> Values:
     """Return every parameter's value for a run: a file's and defaults, :func:`changed`.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    return changed(_completed(files.read(str(file)), str(file)), changes)
+    return changed(_completed(files.read(str(file)), str(file)), changes, simulated=simulated)
 
 
-def changed(values: Values, changes: Sequence[str]) -> Values:
+def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -> Values:
     """Return the values of all parameters with changes, ``name=value``, validated together.
+
+    Unless ``simulated``, only those of the planner are validated: its vehicle may be a real one.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
@@ -65,7 +67,8 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
         found.pop(f'{OF_SIM}{name}', None)  # a value for both nodes replaces the simulator's own
     found |= given
     planner_settings(found)
-    sim_settings(of_sim(found))
+    if simulated:
+        sim_settings(of_sim(found))
     return found
 
 

@@ -408,7 +408,10 @@ class PlannerNode(Managed):
             of_plan = settings.problem.forward, settings.problem.step, settings.period
             self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
         if self._engaged and not settings.dry_run:
-            self._core.planner.sent(command, self._time.nanoseconds / SECOND)
+            sent = self._time.nanoseconds
+            self._core.planner.sent(command, sent / SECOND)
+            noted = {**decision.heard, 'sent': (sent - stamp.nanoseconds) / SECOND}
+            decision = replace(decision, heard=noted)
         self._decision = self._core.proved(decision, catches=self._is_heard('certificate'))
         self._report(self._decision)
         self._show_changes()
