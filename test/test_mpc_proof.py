@@ -16,13 +16,15 @@ import pytest
 from problems import floor, seeds
 
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
 from orbimpc_ros.mpc.plan import UNPROVED
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof import document, sets
+from orbimpc_ros.mpc.proof.arithmetic import TURN, direction
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
 from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Cone, Statement
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, one
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, ROW, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
 OF_A_COST = 1e-9
@@ -136,6 +138,28 @@ def _places(known, way=()):
         for key, each in known.items() if isinstance(known, dict) else enumerate(known):
             yield (*way, key)
             yield from _places(each, (*way, key))
+
+
+@pytest.mark.parametrize('number', [float, Fraction])
+@pytest.mark.parametrize('begun', [0.0, -9.0, 1e3, 1e15, 1e17, 1e300])
+def test_arcs_that_begin_many_turns_away_prove_nothing_false(begun, number):
+    """Counted in turns that are not exact, their directions would miss the faces of the floor."""
+    nearest = Weights(position=0.0, input=0.0, terminal=1.0)
+    problem = Problem(horizon=2, floor=Floor('polygon', 4, 0.5), weights=nearest)
+    nodes = np.zeros((257, 5), np.int64)
+    nodes[0], nodes[1:, ROW] = (ARCS, 0, 1, 256, -1), np.arange(256)
+    parts = Fraction(begun) + TURN[Fraction] * np.arange(0.5, 256.0) / 256
+    start, goals = State.at(np.zeros(2), np.eye(2)), np.full((2, 2), [1.4, 0.0])
+    leaf = one(np.zeros((2, 2)), np.zeros(2))
+    points = np.zeros((256, 2, 2))
+    for point, angle in zip(points, parts, strict=True):  # where it seems to be nearest to rest
+        off = float((angle * 2 / math.pi + Fraction(1, 2)) % 1 - Fraction(1, 2)) * math.pi / 2
+        point[0] = np.array(direction(angle), float) * 0.5 / math.cos(off)
+    many = {'shor': np.zeros((256, 2)), 'press_end': np.zeros(256, np.int64), 'point': points}
+    tree = leaf._replace(nodes=nodes, at=np.full(257, begun), **many)
+    bound = Verifier(problem, number).bound(start, goals, tree)
+    assert bound <= 0.01  # at (0.5, 0), 0.1 m from where it would go
+    assert (bound > 0.0099) == (abs(begun) < 100.0)
 
 
 def test_whatever_a_document_holds_it_is_judged_or_refused():
@@ -281,3 +305,16 @@ def test_a_problem_in_the_plane_may_state_the_same_cone_twice():
         for cones in ((cone,), (cone, cone))
     )
     assert once == twice > -np.inf
+
+
+def test_a_cone_bounds_the_headings_of_its_own_steps_alone():
+    problem = Problem(
+        horizon=2, weights=Weights(position=0.0, input=1.0, terminal=0.0, attitude=1.0)
+    )
+    start, goals = State.at(np.zeros(2), np.eye(2), wanted=-np.eye(2)), np.zeros((2, 2))
+    turned = np.array([[1.0, 0.0], [-1.0, 0.0]]) / 3.0  # ahead, and then back
+    leaf = one(np.array([[0.5, 0.0], [0.0, 0.0]]), np.zeros(2))  # the best that ends ahead
+    cones = (Cone((1.0, 0.0), 0.3, 0.0, (k,)) for k in (1, 2))
+    limits = (NO_LIMITS._replace(cones=(each,)) for each in cones)
+    first, last = (Verifier(problem).bound(start, goals, leaf, limits=each) for each in limits)
+    assert first < trajectory_of(problem, start, goals, turned).cost < 2.7 < last < 3.0

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, TIED, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
-from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
+from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, rim, size_of
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
 from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
 from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
@@ -59,6 +59,7 @@ class Work(NamedTuple):
         matrix: shape (4, 4).
         squares: the Hessian of the cost, its remainder, the rows of an arrival, and two more,
             shape (2 N + 4, N).
+        ends: the ends of the last sectors in the plane, as :func:`rim` sets them, shape (N, 2, 4).
         axis: for the Hessian.
     """
 
@@ -67,6 +68,7 @@ class Work(NamedTuple):
     vectors: Any
     matrix: Any
     squares: Any
+    ends: Any
     axis: Axis
 
 
@@ -210,7 +212,7 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     """
     point, shor, slopes, zero = tree.point[leaf], tree.shor[leaf], work.slopes, 0 * stated.sets.full
     count, value = len(point), zero
-    known = region.part[depth], region.span[depth], region.corners[depth], count
+    known = region.part[depth], region.span[depth], region.corners[depth], work.ends
     if empty:
         rolled(stated.motion, stated.start, point, work.flown)
         slopes[:] = zero
@@ -235,6 +237,9 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
         if k == 0 and stated.decided != FREE:
             more, terms = _of_decided(stated, known[1][count], slopes[0], length, kept)
         else:
+            if stated.n == 2 and known[0][k] >= 0:
+                rim(stated.sets, known[1][k, 0], work.ends[k, 0])
+                rim(stated.sets, known[1][k, 1], work.ends[k, 1])
             more, terms = _of_step(stated, known, k, tree, leaf, length, kept, work)
         value, size = value + more, size + terms
     return value - slack(size) * (count + 4), True
@@ -478,4 +483,5 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
 
     along = zeros(6, 1), zeros(count, 2), zeros(count, 1), zeros(4, count + 1, 1), zeros(count, 1)
     flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
-    return Work(flown, slopes, vectors, zeros(4, 4), zeros(2 * count + 4, count), Axis(*along))
+    squares, ends = zeros(2 * count + 4, count), zeros(count, 2, 4)
+    return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, Axis(*along))

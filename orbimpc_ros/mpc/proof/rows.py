@@ -9,8 +9,8 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
-from orbimpc_ros.mpc.proof.sets import cone_of, cross, dot, size_of
+from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, slack
+from orbimpc_ros.mpc.proof.sets import cross, dot, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
 from orbimpc_ros.mpc.proof.tree import POINTS
 
@@ -21,8 +21,8 @@ def _around(low, high, sets, normal):
     zero = 0 * sets.full
     if 2 * (high - low) >= sets.full - 2 * sets.narrow:
         return zero, zero
-    normal[0], normal[1], least, aside = cone_of(low, high)
-    return least, aside
+    normal[0], normal[1] = direction((low + high) / 2)
+    return direction((high - low) / 2)
 
 
 @generic

@@ -70,37 +70,40 @@ def in_cone(g, axis, cosine, sine, n):
 
 
 @generic
-def cone_of(low, high):
-    """Return a sector as a cone: its middle, and the cosine and sine of half its width."""
-    x, y = direction((low + high) / 2)
-    cosine, sine = direction((high - low) / 2)
-    return x, y, cosine, sine
+def rim(sets, angle, end):
+    """Set the end of a sector: its angle, cosine and sine, and the polygonal floor's speed there.
+
+    A sector often has an end in common with the one before, so that it is known.
+    """
+    if end[0] == angle and (end[1] != 0 or end[2] != 0):
+        return
+    end[0], (end[1], end[2]) = angle, direction(angle)
+    if sets.polygon > 0:
+        share = sets.full / sets.polygon
+        face = direction(share * math.floor((2 * angle / share + 1) / 2))
+        end[3] = sets.least / (end[1] * face[0] + end[2] * face[1])
 
 
 @generic
-def in_sector(g, low, high, sets):
+def in_sector(g, low, high, ends, sets):
     """Return the least g . (cos, sin) over the directions of a sector."""
-    if high - low >= sets.full - sets.narrow:
-        return -size_of(g, 2)
-    cone = cone_of(low, high)
-    return in_cone(g, cone, cone[2], cone[3], 2)
+    size, (_, a, b, _), (_, c, d, _) = size_of(g, 2), ends[0], ends[1]
+    off, width = -TOLERANCE * slack(size), high - low
+    after, before = b * g[0] - a * g[1] >= off, c * g[1] - d * g[0] >= off  # downhill
+    if 2 * width > sets.full:
+        inside = after or before or width >= sets.full - sets.narrow
+    else:
+        inside = after and before and (a + c) * g[0] + (b + d) * g[1] <= -off
+    return -size if inside else min(g[0] * a + g[1] * b, g[0] * c + g[1] * d)
 
 
 @generic
-def reach(angle, least, sets):
-    """Return the least speed of a polygonal floor, with faces at ``least``, in a direction."""
-    share = sets.full / sets.polygon
-    off = angle - share * math.floor((2 * angle / share + 1) / 2)
-    return least / direction(off)[0]
-
-
-@generic
-def nearest_floor(low, high, least, sets):
+def nearest_floor(low, high, ends, sets):
     """Return the least speed of a polygonal floor in a sector."""
     share = sets.full / sets.polygon
     if math.floor(high / share) >= math.ceil(low / share) or high - low >= share:
-        return least
-    return min(reach(low, least, sets), reach(high, least, sets))
+        return sets.least
+    return min(ends[0][3], ends[1][3])
 
 
 @generic
@@ -110,7 +113,7 @@ def over_polygon(g, along, known, k, slowest, length, curve, sets):
     A linear function is least on the rim, or at an end or a corner of the floor; on the rim if it
     is not positive there, as in wide sectors, unless a cone leaves only directions uphill.
     """
-    low, high, fastest = known[1][k, 0], known[1][k, 1], known[1][known[3] + k, 1]
+    (low, high), ends, fastest = known[1][k], known[3][k], known[1][len(known[3]) + k, 1]
     share, best = sets.full / sets.polygon, over_speeds(along + length, curve, slowest, fastest)
     if length != 0 or curve != 0:
         middle = share * round((low + high) / (2 * share))
@@ -121,13 +124,12 @@ def over_polygon(g, along, known, k, slowest, length, curve, sets):
     if along <= 0:
         return best
     best = along * fastest
-    first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
-    for i in range(first - 1, last + 2):  # the ends of the sector, and corners in it
-        angle = low if i < first else high if i > last else (2 * i + 1) * share / 2
-        x, y = direction(angle)
-        downhill = g[0] * x + g[1] * y
-        if downhill * sets.least < best:  # speeds there are at least that of the faces
-            best = min(best, downhill * reach(angle, sets.least, sets))
+    for end in ends:
+        best = min(best, (g[0] * end[1] + g[1] * end[2]) * end[3])
+    outward = sets.least / direction(share / 2)[0]  # of the corners
+    for i in range(math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2) + 1):
+        x, y = direction((2 * i + 1) * share / 2)
+        best = min(best, (g[0] * x + g[1] * y) * outward)
     return best
 
 
@@ -213,7 +215,7 @@ def in_part(sets, known, k, g, n):
     if known[0][k] < 0 or (n == 3 and len(sets.faces) > 0):
         return -size_of(g, n)
     if n == 2:
-        return in_sector(g, known[1][k, 0], known[1][k, 1], sets)
+        return in_sector(g, known[1][k, 0], known[1][k, 1], known[3][k], sets)
     return in_patch(g, known[2][k])
 
 
@@ -257,7 +259,7 @@ def over_stage(sets, known, k, g, length, curve, n):
 
     Args:
         sets: data of stage sets.
-        known: restrictions of all choices: parts, spans, corners, and N.
+        known: restrictions of all choices: parts, spans and corners, and the ends of sectors.
         k: the step, from 0 on.
         g: shape (n,).
         length: a weight.
@@ -265,7 +267,7 @@ def over_stage(sets, known, k, g, length, curve, n):
         n: dimension.
     """
     part, low, high = known[0][k], known[1][k, 0], known[1][k, 1]
-    slowest, fastest = known[1][known[3] + k, 0], known[1][known[3] + k, 1]
+    slowest, fastest = known[1][len(known[3]) + k, 0], known[1][len(known[3]) + k, 1]
     along, linear, solid = (
         in_part(sets, known, k, g, n),
         length == 0 and curve == 0,
@@ -273,7 +275,7 @@ def over_stage(sets, known, k, g, length, curve, n):
     )
     best = -(size_of(g, n) + abs(length) + abs(curve)) * (1 + fastest * fastest)
     if sets.polygon > 0 and part >= 0:
-        slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
+        slowest = max(slowest, min(fastest, nearest_floor(low, high, known[3][k], sets)))
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             cone = sets.cones[q]

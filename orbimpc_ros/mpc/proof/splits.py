@@ -31,6 +31,7 @@ from orbimpc_ros.mpc.proof.tree import (
 
 WHOLE = -1  # part of a choice without restrictions
 HELD, GONE, WRONG = range(3)  # a part is valid, is empty, or is invalid
+FARTHEST = 100  # [rad] angle from zero of arcs: beyond it turns would be counted inexactly
 ICOSAHEDRON = 20  # triangles; those of the cap come after them
 
 
@@ -90,6 +91,8 @@ def begin(stated, order, part, span):
         if root.turn >= 0:
             return WRONG
         for k in range(count):
+            if not abs(order.origins[k]) <= FARTHEST:
+                return WRONG
             part[k], span[k, 0], span[k, 1] = 0, order.origins[k], order.origins[k] + sets.full
     if order.ordered and not _is_alike(part, span, root.exchanged):
         return WRONG
@@ -174,7 +177,8 @@ def _is_split_right(stated, node, at, part, low, high):
     if body == -2 and len(sets.faces) > 0:
         return kind == FACES and whole and parts == len(sets.faces)
     if n == 2:
-        return (kind == ARCS and parts >= 2) if whole else (kind == CUT and within)
+        arcs = kind == ARCS and parts >= 2 and abs(at) <= FARTHEST
+        return arcs if whole else kind == CUT and within
     if not whole:
         return kind == QUARTERS and parts == 4
     capped = body == -2 and parts == len(stated.root.patches) - ICOSAHEDRON and _is_capped(sets, c)

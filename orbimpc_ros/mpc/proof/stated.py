@@ -383,9 +383,10 @@ class Statement:
             if problem.rotation_order == 2 and 0 < along < 1:  # on this axis the faces are farther
                 span[2, 0] = max(span[2, 0], number(self._least) / along * number(INWARD))
         aim, aside = number(0), number(-1)
-        if problem.dimension == 2 and cones:
-            (x, y), wide = cones[-1].axis, cones[-1].angle  # of the approach; a file may state more
-            aim, aside = number(math.atan2(y, x)), number(wide)
+        aimed = [each for each in cones if count in each.steps]  # a file may state several
+        if problem.dimension == 2 and aimed:
+            x, y = aimed[-1].axis
+            aim, aside = number(math.atan2(y, x)), number(aimed[-1].angle) + number(WIDER)
         root = Root(span, turn, change, aim, aside, self._patches, exchanged)
         if plain:
             self._roots[exchanged] = root  # which depends on no state
@@ -426,7 +427,7 @@ class Statement:
         step = np.array([k - 1 for each in cones for k in each.steps], np.int64)
         rows = self._coned([each for each in cones for _ in each.steps])
         known = number(self._least), faces if n == 2 else 0, self._rows(solid), step, rows
-        return Sets(*known, number(TURN), number(NARROW))
+        return Sets(*known, TURN[number], number(NARROW))
 
     def _cones(self, state: State, limits: Limits) -> list[Cone]:
         """Return cones, including those that headings can only leave by turns of several steps."""
