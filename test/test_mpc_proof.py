@@ -19,11 +19,11 @@ from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
 from orbimpc_ros.mpc.plan import UNPROVED
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof import document, sets
 from orbimpc_ros.mpc.proof.arithmetic import TURN, direction
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
-from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Cone, Statement
+from orbimpc_ros.mpc.proof.stated import ENDS, NO_LIMITS, STEP, Body, Cone, Statement
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, ROW, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
@@ -305,6 +305,24 @@ def test_a_problem_in_the_plane_may_state_the_same_cone_twice():
         for cones in ((cone,), (cone, cone))
     )
     assert once == twice > -np.inf
+
+
+def test_both_ends_on_a_side_of_a_ball_prove_no_more_than_the_whole_step_there():
+    """With Euler steps they are the same, except in the first step."""
+    problem, ball = Problem(horizon=3), Ball(np.array([1.0, 0.2]), 0.5)
+    nodes = np.zeros((5, 5), np.int64)
+    nodes[0], nodes[1:, ROW] = (ARCS, 7, 1, 4, -1), np.arange(4)  # the second step's side
+    rows = {'press_end': np.arange(1, 5), 'press_row': np.full(4, 5), 'press': np.ones(4)}
+    shapes = {'point': np.zeros((4, 3, 2)), 'shor': np.zeros((4, 3))}
+    tree = one(np.zeros((3, 2)), np.zeros(3))._replace(
+        nodes=nodes, at=np.zeros(5), **rows, **shapes
+    )
+    start, goals = State.at(np.zeros(2), np.eye(2)), np.full((3, 2), [2.0, 0.0])
+    ends, step = (
+        Verifier(problem).bound(start, goals, tree, limits=NO_LIMITS._replace(bodies=(each,)))
+        for each in (Body(ball, of, np.zeros((4, 2)), np.zeros(3)) for of in (ENDS, STEP))
+    )
+    assert ends == step > -np.inf
 
 
 def test_a_cone_bounds_the_headings_of_its_own_steps_alone():

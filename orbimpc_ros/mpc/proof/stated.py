@@ -526,7 +526,7 @@ class Statement:
         places = (low - origin)[:, None, None] + begun + moved * along
         grown = self._rows([each.grown for each in bodies]).reshape(-1, count)
         margins = np.stack([grown, 0 * grown])
-        curved = [j for j, each in enumerate(bodies) if each.of == STEP and radii[j] > 0]
+        curved = [j for j, each in enumerate(bodies) if each.of != END and radii[j] > 0]
         if curved:
             margins[1, curved] = self._spread(places[curved], start)
         return Bodies(at, extents, places, margins)
