@@ -294,6 +294,8 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
     assert verified(document_of(50, leaves=40)).leaves == 40
     with pytest.raises(Refused, match='work'):  # a leaf counts once for every node that shares it
         verified(document_of(50, leaves=4000))
+    with pytest.raises(Refused, match='work'):  # of which every step has places
+        verified({**document_of(50), 'limits': {'bodies': [BALL] * 1000}})
 
 
 def test_a_problem_in_the_plane_may_state_the_same_cone_twice():

@@ -43,7 +43,7 @@ MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', '
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
-EACH, TERM = 100, 12  # [us] of work per number of a leaf, and per term of a Hessian
+EACH, TERM, PLACE = 100, 12, 60  # [us] of work per number of a leaf, term of a Hessian, place
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 WORD = 'not proved: claimed by the method only'
 OutOfTime = Callable[[], bool]
@@ -147,7 +147,7 @@ def _proved(problems: Sequence[Posed], trees: Sequence[ProofTree], stated: Any) 
     Raises:
         Refused: it takes too much work.
     """
-    work = sum(_work(tree, posed.problem) for posed, tree in zip(problems, trees, strict=True))
+    work = sum(_work(tree, posed) for posed, tree in zip(problems, trees, strict=True))
     if work > LEAST_WORK + WORK * len(json.dumps(stated)):
         raise Refused('it takes more work than its length allows')
     for posed, tree in zip(problems, trees, strict=True):
@@ -159,17 +159,19 @@ def _leaves(trees: Sequence[ProofTree], *kinds: int) -> int:
     return sum(int(np.isin(tree.nodes[:, 0], kinds).sum()) for tree in trees)
 
 
-def _work(tree: ProofTree, problem: Problem) -> int:
+def _work(tree: ProofTree, posed: Posed) -> int:
     """Return an upper bound on the time to verify a tree [us], whose arrays may not fit."""
+    count, bodies = posed.problem.horizon, len(posed.limits.bodies)
+    stated = TERM * count**2 + PLACE * bodies * count
     if tree.shor.ndim != 2 or tree.press_end.shape != tree.shor.shape[:1]:
-        return 0  # it proves nothing
+        return stated  # it proves nothing
     rows = tree.nodes[(tree.nodes[:, 0] == LEAF) | (tree.nodes[:, 0] == EMPTY), -1]
     rows = rows[(rows >= 0) & (rows < len(tree.shor))]  # which leaves may share
     pressed = np.clip(np.diff(tree.press_end, prepend=0), 0, tree.press.size)
     numbers = len(rows) * math.prod(tree.point.shape[1:]) + int(pressed[rows].sum())
     bent = int(np.count_nonzero(np.any(tree.shor[rows] > 0.0, axis=1)))
-    work = EACH * numbers + TERM * (bent + (bent > 0)) * problem.horizon**3 // 6
-    return work + len(tree.nodes) * problem.horizon + TERM * problem.horizon**2
+    work = EACH * numbers + TERM * (bent + (bent > 0)) * count**3 // 6
+    return stated + work + len(tree.nodes) * (2 + bodies) * count // 2
 
 
 # --- refuted claims

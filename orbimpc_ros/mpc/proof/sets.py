@@ -127,7 +127,8 @@ def over_polygon(g, along, known, k, slowest, length, curve, sets):
     for end in ends:
         best = min(best, (g[0] * end[1] + g[1] * end[2]) * end[3])
     outward = sets.least / direction(share / 2)[0]  # of the corners
-    for i in range(math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2) + 1):
+    first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
+    for i in range(first, last + 1):
         x, y = direction((2 * i + 1) * share / 2)
         best = min(best, (g[0] * x + g[1] * y) * outward)
     return best
