@@ -28,7 +28,10 @@ FINE = 200  # bits after the point, of angles
 PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10**60)
 HALF_TURN = math.floor(PI * (1 << FINE))
 # [rad] A turn, rounded up, of each type of numbers.
-TURN = {float: math.nextafter(2.0 * math.pi, 7.0), Fraction: Fraction(HALF_TURN + 1, 1 << FINE - 1)}
+TURN: dict[Any, Number] = {
+    float: math.nextafter(2.0 * math.pi, 7.0),
+    Fraction: Fraction(HALF_TURN + 1, 1 << FINE - 1),
+}
 FLOATS = 1e-15  # rounding of floats, relative to the size of terms
 SWEEPS = 8  # of Jacobi's method: a matrix is diagonal after three or four
 FRACTIONS = Fraction(1, 1 << 110)  # rounding of fractions, likewise
