@@ -20,8 +20,9 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import clamp_goal
+from orbimpc_ros.mpc.solve import arrivals, paced_speeds
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.mpc.solve.stand_ins import turning
+from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
 from orbimpc_ros.sim.vehicle import measured
 
 
@@ -420,18 +421,41 @@ def flown_at_random(rng, dimension, horizon):
     return problem, way
 
 
-@pytest.mark.parametrize(('dimension', 'share'), [(2, 0.8), (3, 0.7)])
-def test_arcs_that_arrive_keep_floor_and_turn_rate_and_most_of_them_do(dimension, share):
-    tried = arrived = 0
+@pytest.mark.parametrize(('dimension', 'tried', 'share'), [(2, 422, 0.8), (3, 372, 0.7)])
+def test_arcs_that_arrive_keep_floor_and_turn_rate_and_most_of_them_do(dimension, tried, share):
+    arrived = 0
     for seed in range(30):
         rng = np.random.default_rng([31, dimension, seed])
         problem, goal = flown_at_random(rng, dimension, int(rng.integers(3, 7)))
         state = State.at(np.zeros(dimension), np.eye(dimension))
         goals = np.tile(goal, (problem.horizon, 1))
         for arc in turning(problem, state, goals):
-            tried += 1
             if arc is not None:
                 arrived += 1
                 plan = assembled(problem, state, goals, coordinates(arc))
                 assert not violations(problem, state, goals, plan)
     assert arrived >= share * tried
+
+
+def counted(monkeypatch, module, name):
+    """Return the list to which each call of a function of a module adds its arguments."""
+    calls, real = [], getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *given: calls.append(given) or real(*given))
+    return calls
+
+
+def test_after_the_deadline_an_arc_is_corrected_a_few_times_only(monkeypatch):
+    problem = Problem(horizon=6, terminal='constraint', floor=Floor('circle', fraction=0.9))
+    state, goals = State.at(np.zeros(2), np.eye(2)), np.tile([-2.0, 0.5], (6, 1))
+    corrected = counted(monkeypatch, arrivals, '_bent')
+    assert list(in_time(turning(problem, state, goals), lambda: True)) == []
+    assert len(corrected) < 10
+
+
+def test_after_the_deadline_one_program_at_most_limits_changes_of_speed(monkeypatch):
+    limits = {'max_acceleration': 0.01, 'terminal': 'constraint'}
+    problem, goals = Problem(horizon=4, **limits), np.tile([2.0, 0.0], (4, 1))
+    solved = counted(monkeypatch, paced_speeds, 'run')
+    with pytest.raises(SolverFailure):
+        Solver(problem).solve(State.at(np.zeros(2), 0.1 * np.eye(2)), goals, None, lambda: True)
+    assert len(solved) == 1

@@ -11,6 +11,7 @@ Mathematics: docs/mathematics.md, 7.6.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -57,8 +58,8 @@ def arc_of(problem: Problem, ahead: Array, z: Array, towards: Array, turn: float
     return Arc(frame, speeds, turns, given)
 
 
-def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | None:
-    """Return headings near an arc, shape (N, n), that arrive; None if none were found."""
+def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator[Array | None]:
+    """Yield None before each correction of an arc, and last, if found, headings, (N, n)."""
     n, rows = problem.dimension, problem.maps.arrival[:, 1:]
     places, velocities = decided(problem, state)
     wanted = np.array([goals[-1] - places[-1], -velocities[-1]][: len(rows)])
@@ -74,12 +75,12 @@ def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Array | 
         missed = max(np.abs(missing[0]).max(), problem.step * np.abs(missing[1:]).max(initial=0.0))
         missed = max(missed, problem.maps.unit * np.abs(aside).max(initial=0.0))
         if missed <= MET * problem.maps.unit:
-            return np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
-        if not missed < PROGRESS * best:
-            return None
+            yield np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
+        if not MET * problem.maps.unit < missed < PROGRESS * best:
+            return
+        yield None
         best = missed
         arc = _bent(problem, arc, frames, (rows / scale, missing / scale, aside, least))
-    return None
 
 
 def _turned_aside(problem: Problem, state: State, unit: Array) -> Array:

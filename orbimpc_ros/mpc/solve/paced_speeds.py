@@ -10,7 +10,7 @@ Mathematics: docs/mathematics.md, 3.10.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain
 
@@ -75,8 +75,11 @@ class PacedSpeeds:
             known.append(found.x)
         else:
             self._regions.bind(request)
-            followed = (self._followed(request, way) for way in self._ways(request, found))
-            known += next(filter(None, followed), [])
+            for way in self._ways(request, found):
+                near = self._followed(request, way, waits=not known)
+                known += near
+                if near or request.late:
+                    break
         if not known:
             return replace(found, x=None, cost=np.inf)
         cost, best = min((self._flown(request, x).cost, i) for i, x in enumerate(known))
@@ -100,11 +103,15 @@ class PacedSpeeds:
         elif not request.late:
             yield self._flown(request, request.guess.x).rotations[1:]
 
-    def _followed(self, request: Request, way: Array) -> list[Array]:
-        """Return coordinates, shape (N, d), of solutions, each near the one before, or ``way``."""
+    def _followed(self, request: Request, way: Array, *, waits: bool) -> list[Array]:
+        """Return coordinates, shape (N, d), of solutions, each near the one before, or ``way``.
+
+        The deadline ends them; if it ``waits``, not the first, without which there is no plan.
+        """
         found, cost = list[Array](), np.inf
-        while len(found) < FOLLOWED and not (found and request.late):
-            x = self._beside(request, way, min(max(cost, TINY), 1.0))
+        while len(found) < FOLLOWED:
+            late = None if waits and not found else request.out_of_time
+            x = self._beside(request, way, min(max(cost, TINY), 1.0), late)
             if x is None:
                 break
             found.append(x)
@@ -114,7 +121,9 @@ class PacedSpeeds:
             cost, way = trajectory.cost, trajectory.rotations[1:]
         return found
 
-    def _beside(self, request: Request, way: Array, unit: float) -> Array | None:
+    def _beside(
+        self, request: Request, way: Array, unit: float, late: Callable[[], bool] | None
+    ) -> Array | None:
         """Return the best coordinates, shape (N, d), near a path, shape (N, n, n), or None.
 
         Bodies are passed on the path's sides, and floors satisfied beyond its tangents or faces.
@@ -136,7 +145,7 @@ class PacedSpeeds:
             (held if wide else rays).extend(_cone(k, units, half * wide))
         data = extended(program.stated(request), *self._limits(state, units))
         data = program.cut(program.cut(data, held), rays, equal=True)
-        answer = run(data, ACCURATE, unit)  # for small costs near the goal
+        answer = run(data, ACCURATE, unit, late)  # the unit is for small costs near the goal
         if answer is None or str(answer.status) not in SOLVED:
             return None
         return program.statement.coordinates(np.asarray(answer.x)[program.statement.x], state)

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.solve.arrivals import WITHIN, arc_of, arriving
 
 # [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
-LATE = 2  # trajectories tried after the deadline: a few milliseconds each
+LATE, EACH = 8, 4  # corrections of an arc after the deadline; a trajectory takes as long as EACH
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
@@ -68,7 +68,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
 
     With hazards, escapes in all directions at the fastest turn come first, the clearest one before
     others. Then turns at the least and at full speed; with a terminal constraint at medium and at
-    full speed, corrected until they satisfy it; None if a correction fails.
+    full speed, corrected until they satisfy it; None before each correction.
 
     Args:
         problem: what to solve.
@@ -87,16 +87,14 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
             z = _headings(problem, speed, ahead[:, 0], towards, angles)
             if problem.rotation_order == 2:
                 z[0] = speed * ahead[:, 0] if first is None else first[:, 0]
-            met: Array | None = z
+            ways: Iterable[Array | None] = [z]
             if arrives:
-                met = arriving(problem, state, goals, arc_of(problem, ahead, z, towards, turn))
-            if met is None:
-                yield None
-                continue
-            rotations = carried(ahead, met)
-            if first is not None:
-                rotations[0] = first
-            yield rotations
+                ways = arriving(problem, state, goals, arc_of(problem, ahead, z, towards, turn))
+            for met in ways:
+                rotations = None if met is None else carried(ahead, met)
+                if rotations is not None and first is not None:
+                    rotations[0] = first
+                yield rotations
 
 
 def _escaping(problem: Problem, state: State, ahead: Array, first: Array | None) -> Iterator[Array]:
@@ -114,18 +112,19 @@ def _escaping(problem: Problem, state: State, ahead: Array, first: Array | None)
 def in_time(
     ways: Iterable[Array | None], out_of_time: Callable[[], bool] | None
 ) -> Iterator[Array]:
-    """Yield trajectories that are not None until the deadline, then at most a few more.
+    """Yield trajectories that are not None until the deadline, then for a few milliseconds.
 
     Args:
         ways: R_1..R_N or None, as from :func:`turning`.
-        out_of_time: polled after each candidate; None for no deadline.
+        out_of_time: polled after each of them; None for no deadline.
     """
     late = 0
     for way in ways:
         if way is not None:
             yield way
-        late += out_of_time is not None and out_of_time()
-        if late == LATE:
+        if out_of_time is not None and out_of_time():
+            late += 1 if way is None else EACH
+        if late >= LATE:
             return
 
 
