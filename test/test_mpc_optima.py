@@ -287,6 +287,14 @@ def test_a_box_ahead_is_passed_without_a_search(n, rate):
     assert plan.positions[:, 0].max() > 0.0
 
 
+@pytest.mark.parametrize('shape', ['circle', 'polygon'])
+def test_a_vehicle_that_can_hardly_turn_slows_down_at_once(shape):
+    problem = Problem(rotation_order=2, floor=floor(shape, 0.1), max_rate=0.02)
+    start, targets = State.at(np.zeros(2), np.eye(2)), np.tile([-1.0, -1.0], (5, 1))
+    plan = Solver(problem).solve(start, targets)
+    assert plan.speed_fraction[2:-1].max() < 0.11
+
+
 def test_what_did_not_come_of_the_search_says_so():
     box = Box([4.4, 0.5, -0.5], [5.6, 1.7, 0.5])
     problem = Problem(3, horizon=8, floor=floor('circle', 0.9), obstacles=(box,))

@@ -170,7 +170,8 @@ class Dives:
         """Solve beside a path; repeat with the solution as the path while the cost falls.
 
         Until a path is feasible, only the choices that it violates are made, and stay. A feasible
-        path satisfies its half-spaces in the next solve, so from then on the cost cannot rise.
+        path satisfies its half-spaces in the next solve, so from then on the cost cannot rise. The
+        best path so far is followed on with free speeds, if turns are limited.
 
         Args:
             headings: of the path, R_0 e1..R_N e1, shape (N + 1, n).
@@ -178,36 +179,43 @@ class Dives:
             cells: half-spaces of the headings with a turn limit; near those of the path by default.
         """
         posed, regions, held, cost = self._posed, self._posed.regions, rows, np.inf
+        slow = coned = False
         for _ in range(FOLLOWED):
             missed = posed.missed(headings)
             if missed:
                 held = held | regions.tangents(headings[1:], missed, rows)
-            elif held is not rows and not any(map(regions.is_round, held)):
-                return  # flat sides stay where they are: there is little to gain
             else:
+                flat = held is not rows and not any(map(regions.is_round, held))
+                if flat or slow:  # flat sides stay where they are: there is little to gain
+                    if coned or posed.turns is None or self.cost < (1.0 - WORTH) * cost:
+                        return
+                    coned = True
                 near = regions.beside(headings[1:], BESIDE * posed.problem.maps.unit)
                 held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
-            x = None if posed.request.late else self._solved(held, headings, cells)
+            x = None if posed.request.late else self._solved(held, headings, cells, coned)
             if x is None:
                 return
             trajectory = self.offer(x)
-            if not missed and trajectory.cost > (1.0 - WORTH) * cost:
-                return
+            slow = not missed and trajectory.cost > (1.0 - WORTH) * cost
             headings, cost, cells = trajectory.headings, trajectory.cost, ()
 
-    def _solved(self, rows: Rows, headings: Array, cells: Held) -> Array | None:
+    def _solved(self, rows: Rows, headings: Array, cells: Held, coned: bool) -> Array | None:
         """Return the solution within half-spaces, shape (N, d); None if there is none.
 
         With a turn limit, headings are within cells, and chords between consecutive headings so
-        short that no turn is too wide.
+        short that no turn is too wide; but speeds can hardly change. If ``coned``, headings are
+        within cones about the path's, which has no wide turns: speeds are free.
 
         Args:
             rows: half-spaces by choice.
             headings: of a path, as in :meth:`follow`.
             cells: of the headings; near those of the path by default.
+            coned: whether directions are limited instead of chords.
         """
         posed, turns, chords = self._posed, self._posed.turns, None
-        if turns is not None:
+        if turns is not None and coned:
+            rows = rows | {ALWAYS: (*rows[ALWAYS], *turns.cones(posed.request.state, headings))}
+        elif turns is not None:
             cells = cells or turns.kept(headings)
             chords, narrow = turns.close(cells), turns.rows(posed.request.state, narrow=True)
             faced = {row.place: (row,) for row in cells}

@@ -17,7 +17,7 @@ from itertools import chain
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import speed_margin, turn_margin
+from orbimpc_ros.mpc.check import speed_margin
 from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
@@ -31,10 +31,10 @@ from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.relaxation import Row
 from orbimpc_ros.mpc.solve.request import Found, Request, method_for
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
+from orbimpc_ros.mpc.solve.turns import cone, spared
 
 ACCURATE = 1e-9  # tolerance of Clarabel
 NARROW = 1e-4  # [rad] thinner cones are replaced by their axes, for Clarabel's accuracy
-WIDEST = 1.5  # [rad] largest half-angle of a cone, since tan grows without limit towards pi / 2
 
 
 class PacedSpeeds:
@@ -132,7 +132,9 @@ class PacedSpeeds:
         regions = self._regions
         before = state.attitude if state.coasted is None else state.coasted
         units = project_all(way, before, 'thrust_aligned')[:, :, 0]
-        spare, first = self._spare(state, units), self._problem.rotation_order - 1
+        spare, first = np.zeros(0), self._problem.rotation_order - 1
+        if self._problem.turns_are_angles:
+            spare = spared(self._problem, state, np.vstack([state.rotation[:, 0], units]), LEEWAY)
         if (spare < 0.0).any():
             return None
         decided = int(first_change_is_decided(self._problem, state))
@@ -142,26 +144,13 @@ class PacedSpeeds:
         rays = list[Row]()
         for k, half in enumerate(spare.tolist(), first):
             wide = half >= NARROW
-            (held if wide else rays).extend(_cone(k, units, half * wide))
+            (held if wide else rays).extend(cone(k, units, half * wide))
         data = extended(program.stated(request), *self._limits(state, units))
         data = program.cut(program.cut(data, held), rays, equal=True)
         answer = run(data, ACCURATE, unit, late)  # the unit is for small costs near the goal
         if answer is None or str(answer.status) not in SOLVED:
             return None
         return program.statement.coordinates(np.asarray(answer.x)[program.statement.x], state)
-
-    def _spare(self, state: State, units: Array) -> Array:
-        """Return the angle that each free direction can deviate by, whatever others do [rad].
-
-        Empty if turns are not limited as angles, negative where a turn is already too wide.
-        """
-        problem = self._problem
-        if not problem.turns_are_angles:
-            return np.zeros(0)
-        headings = np.vstack([state.rotation[:, 0], units])
-        left = LEEWAY + turn_margin(problem, state, headings)[problem.rotation_order - 1 :]
-        left[1:] *= 0.5  # shared by both directions; the first turn is from a fixed one
-        return np.asarray(np.minimum(left, np.append(left[1:], np.inf)))
 
     def _limits(self, state: State, units: Array) -> tuple[Array, Array]:
         """Return A and b of A x <= b: limits (3.10a), made convex about directions, (N, n)."""
@@ -174,17 +163,3 @@ class PacedSpeeds:
         offsets = most + np.append([entry, -entry], np.zeros(len(rows) - 2))
         first = 2 * first_change_is_decided(problem, state)
         return rows[first:], offsets[first:]
-
-
-def _cone(k: int, units: Array, half: float) -> list[Row]:
-    """Return half-spaces whose intersection is within a cone about direction k.
-
-    Args:
-        k: the step, from 0.
-        units: directions, shape (N, n).
-        half: half-angle of the cone [rad]; 0 for planes that intersect in its axis.
-    """
-    _, _, across = np.linalg.svd(units[k : k + 1])
-    sides = np.vstack([across[1:], -across[1:]]) if half else across[1:]
-    wide = math.tan(min(half, WIDEST)) / math.sqrt(len(across) - 1)
-    return [Row(k, np.eye(len(units))[k], wide * units[k] + side, 0.0) for side in sides]

@@ -18,12 +18,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, turned_within
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Row
 
 WITHIN = 1.0 - 1e-6  # share of the widest turn
 KEPT = 0.9  # share of its speed that a heading keeps in the next solve
+THIN, WIDEST = 1e-9, 1.5  # [rad] least half-angle of a cone; largest, since tan grows without limit
 
 
 class Turns:
@@ -97,6 +99,13 @@ class Turns:
             cells.append(cell._replace(offset=max(cell.offset, fast)))
         return tuple(cells)
 
+    def cones(self, state: State, headings: Array) -> tuple[Row, ...]:
+        """Return half-spaces about headings R_0 e1..R_N e1 in which any speeds turn in time."""
+        sizes = np.maximum(np.linalg.norm(headings, axis=1, keepdims=True), HEADING_UNDEFINED)
+        halves = np.maximum(spared(self._problem, state, headings), THIN).tolist()
+        units, first = (headings / sizes)[1:], self._problem.rotation_order - 1
+        return tuple(row for k, half in enumerate(halves, first) for row in cone(k, units, half))
+
     def close(self, cells: Sequence[Row]) -> Array:
         """Return limits on chords that imply the angle limit for headings in these cells."""
         speeds = np.array([cell.offset for cell in cells])
@@ -114,3 +123,27 @@ class Turns:
     def _cell(self, k: int, unit: Array) -> Row:
         """Return the tangent of a round floor, or the face nearest to a direction, (n,)."""
         return Row(k, self._shares[k], self._problem.floor.tangent(unit), self._least)
+
+
+def spared(problem: Problem, state: State, headings: Array, leeway: float = 0.0) -> Array:
+    """Return the angle that each free direction can deviate by, whatever others do [rad].
+
+    Negative where a turn is already too wide by more than ``leeway``.
+    """
+    left = leeway + turn_margin(problem, state, headings)[problem.rotation_order - 1 :]
+    left[1:] *= 0.5  # shared by both directions; the first turn is from a fixed one
+    return np.asarray(np.minimum(left, np.append(left[1:], np.inf)))
+
+
+def cone(k: int, units: Array, half: float) -> list[Row]:
+    """Return half-spaces whose intersection is within a cone about direction k.
+
+    Args:
+        k: the step, from 0.
+        units: directions, shape (N, n).
+        half: half-angle of the cone [rad]; 0 for planes that intersect in its axis.
+    """
+    _, _, across = np.linalg.svd(units[k : k + 1])
+    sides = np.vstack([across[1:], -across[1:]]) if half else across[1:]
+    wide = math.tan(min(half, WIDEST)) / math.sqrt(len(across) - 1)
+    return [Row(k, np.eye(len(units))[k], wide * units[k] + side, 0.0) for side in sides]
