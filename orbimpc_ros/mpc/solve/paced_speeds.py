@@ -132,7 +132,8 @@ class PacedSpeeds:
         regions = self._regions
         before = state.attitude if state.coasted is None else state.coasted
         units = project_all(way, before, 'thrust_aligned')[:, :, 0]
-        spare, first = np.zeros(0), self._problem.rotation_order - 1
+        spare: Array = np.zeros(0)
+        first = self._problem.rotation_order - 1
         if self._problem.turns_are_angles:
             spare = spared(self._problem, state, np.vstack([state.rotation[:, 0], units]), LEEWAY)
         if (spare < 0.0).any():
