@@ -90,7 +90,7 @@ def look(dark: bool = False) -> AbstractContextManager:
         **dict.fromkeys((f'axes3d.{axis}axis.panecolor' for axis in 'xyz'), page),
         'font.size': 9.0,
         'figure.facecolor': page,
-        'savefig.dpi': 200,
+        'figure.dpi': 200,
         'axes.facecolor': page,
         'axes.prop_cycle': cycler(color=colors),
         'axes.titlesize': 10.0,
@@ -141,7 +141,7 @@ def written(flown: Flights, folder: Path) -> list[str]:
     if len(flown) == 1:
         pictures[DATA] = data(*flown.values())
     for name, figure in pictures.items():
-        figure.savefig(folder / name)
+        FigureCanvasAgg(figure).print_png(folder / name)  # savefig would draw it twice
     return [*pictures]
 
 
