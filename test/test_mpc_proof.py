@@ -167,7 +167,7 @@ def test_whatever_a_document_holds_it_is_judged_or_refused():
     judged = filter(None, (adversary.judged(*each) for each in adversary.flights(7, 60)))
     for found in itertools.islice(judged, 6):
         ways = list(_places(found.document))
-        for _ in range(60):
+        for _ in range(30):
             made = copy.deepcopy(found.document)
             *way, last = ways[int(rng.integers(len(ways)))]
             inner = made

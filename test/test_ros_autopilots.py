@@ -310,10 +310,29 @@ def assert_said_once(output, name):
     assert all(one != other for one, other in pairwise(said))
 
 
+def assert_measured(flown, name):
+    """Assert that odometry and wind are those of the motion, with the velocity through the air."""
+    message = flown.odometry[-1]
+    at = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+    place, _, _ = flown.motion(at)
+    _, measured = messages.read_odometry(message, 3, Frames())
+    np.testing.assert_allclose(measured.position, place, atol=1e-3)
+    # Messages of two topics are not ordered: the last attitude received may be an older one.
+    assert min(np.abs(measured.attitude - each).max() for each in flown.turned) < 1e-5
+    np.testing.assert_allclose(measured.body_velocity, [AIRSPEED, 0.0, 0.0], atol=0.2)
+    assert np.linalg.norm(measured.body_velocity) == pytest.approx(AIRSPEED, abs=1e-3)
+    assert measured.body_rate[2] == pytest.approx(TURN, abs=1e-3)
+    told = flown.wind[-1].twist
+    np.testing.assert_allclose([told.twist.linear.x, told.twist.linear.y], WIND, atol=1e-6)
+    variance = told.covariance[0]
+    assert variance == pytest.approx(0.1) if name == 'px4' else variance == -1.0
+
+
 @pytest.mark.parametrize('name', KINDS)
-def test_setpoints_leave_in_the_mode_alone(wing, name):
+def test_what_is_measured_becomes_odometry_and_setpoints_leave_in_the_mode_alone(wing, name):
     flown = wing(name)
-    flown.until(lambda: len(flown.odometry) > 30, 'odometry')
+    flown.until(lambda: len(flown.odometry) > 30 and flown.wind, 'odometry and wind')
+    assert_measured(flown, name)
     assert not flown.setpoints
     engage(flown, name)
     flown.in_mode = False
@@ -341,26 +360,6 @@ def test_an_autopilot_that_stops_gets_no_setpoint_half_a_second_later(wing, name
     said = f'{name}: no position for 0.4 s: silent'
     flown.until(lambda: said in flown.planner.output, said)
     assert_said_once(flown.planner.output, name)
-
-
-@pytest.mark.parametrize('name', KINDS)
-def test_what_is_measured_becomes_odometry_through_the_air(wing, name):
-    flown = wing(name)
-    flown.until(lambda: len(flown.odometry) > 30 and flown.wind, 'odometry and wind')
-    message = flown.odometry[-1]
-    at = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-    place, _, _ = flown.motion(at)
-    _, measured = messages.read_odometry(message, 3, Frames())
-    np.testing.assert_allclose(measured.position, place, atol=1e-3)
-    # Messages of two topics are not ordered: the last attitude received may be an older one.
-    assert min(np.abs(measured.attitude - each).max() for each in flown.turned) < 1e-5
-    np.testing.assert_allclose(measured.body_velocity, [AIRSPEED, 0.0, 0.0], atol=0.2)
-    assert np.linalg.norm(measured.body_velocity) == pytest.approx(AIRSPEED, abs=1e-3)
-    assert measured.body_rate[2] == pytest.approx(TURN, abs=1e-3)
-    told = flown.wind[-1].twist
-    np.testing.assert_allclose([told.twist.linear.x, told.twist.linear.y], WIND, atol=1e-6)
-    variance = told.covariance[0]
-    assert variance == pytest.approx(0.1) if name == 'px4' else variance == -1.0
 
 
 def test_px4_is_kept_in_offboard_mode_and_told_what_it_reads(wing):

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from dying_engine import FAILURES
-from harness import PATIENCE, ROOT, TOOL, orbimpc, wait_for
+from harness import PATIENCE, ROOT, TOOL, wait_for
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters.planner import planner_settings
@@ -143,9 +143,9 @@ def test_the_end_of_an_arrival_is_reported():
 
 def test_an_engine_is_studied_beside_its_own_guidance():
     pytest.importorskip('jsbsim')
-    near = 'rope.center=[400.0, 100.0, 0.0]'
+    near = 'rope.center=[400.0, 100.0, 0.0]', 'max_ticks=60'
     for name in ('lead', 'waypoint'):
-        row = flown(*job('cessna', name, 0, near, seed=700))
+        row = flown(*job('cessna', name, 0, *near, seed=700))
         assert row['airspeed'] > 1.1 * 27.6
         assert 0.0 < row['bank'] < 0.6
 
@@ -205,7 +205,7 @@ def test_results_go_on_where_they_were_cut_off_and_only_with_the_same_study(tmp_
             flights.rows_of(file, about, resumed=True)
 
 
-def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
+def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tool, tmp_path):
     folder = tmp_path / 'study'
     flown = ('--set', 'max_ticks=2', '--runs', 20, '--workers', 1)
     words = ('study', 'retrieval', *flown, '-o', folder)
@@ -226,12 +226,12 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     assert 'Traceback' not in err
     kept = file.read_text().splitlines()
     assert f'kept {len(kept) - 1} of 20 flights' in out
-    done = orbimpc(*words, '--resume')
-    assert done.returncode == 0, done.stderr
+    code, out, err = tool(*words, '--resume')
+    assert code == 0, err
     assert file.read_text().splitlines()[: len(kept)] == kept
     rows = [json.loads(line) for line in file.read_text().splitlines()[1:]]
     assert sorted(row['index'] for row in rows) == list(range(20))
-    assert (folder / 'report.md').read_text() == done.stdout
+    assert (folder / 'report.md').read_text() == out
     assert {each.name for each in folder.glob('*.png')} == {'caught.png', 'caught-dark.png'}
 
 

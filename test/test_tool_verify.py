@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bags import GOLDEN, write
+from bags import GOLDEN, rewritten, write
 from problems import CASES
 from rosbags.typesys import Stores, get_typestore
 
@@ -178,14 +178,15 @@ def test_every_tick_of_a_bag_holds(tool, tmp_path, bag, words, said):
 
 
 def test_ticks_of_a_wing_hold_within_a_cone(tool, tmp_path):
-    code, out, _ = tool('verify', GOLDEN / 'cessna', '--out', tmp_path)
+    first = rewritten(GOLDEN / 'cessna', tmp_path / 'bag', lambda m: m if m.stamp < 1e10 else None)
+    code, out, _ = tool('verify', first, '--out', tmp_path / 'made')
     assert code == 0
-    assert '7 nothing claimed' in out
-    assert int(re.search(r'(\d+) holds', out)[1]) >= 90  # of 103
+    assert '3 nothing claimed' in out
+    assert int(re.search(r'(\d+) holds', out)[1]) >= 32  # of 37
     # Searches round differently on other processors: the other bounds are proved up to rounding.
     others = [line.split()[2:4] for line in out.splitlines() if 'another search' in line]
     assert all(float(claimed) - float(proved) < 1e-7 for claimed, proved in others)
-    known = [json.loads(file.read_text()).get('limits', {}) for file in tmp_path.iterdir()]
+    known = [json.loads(file.read_text()).get('limits', {}) for file in tmp_path.glob('made/*')]
     assert {each['cones'][0]['least'] for each in known if 'cones' in each} == {0.8}
 
 
