@@ -54,6 +54,7 @@ REFUSED = {
     'study --resume': '-o DIR',
     'study -o .': 'other files',
     'study nobody': 'a parameter file, or one of',
+    'study arduplane': 'rope.center is 5 m away; allowed: farther away than a step of 9 m',
     'bench --only chess': 'chess',
     'bench --json /dev/null/x': '--json',
     'bench --json /proc/x.json': '--json',  # a folder that accepts no files

@@ -21,7 +21,8 @@ from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.study import draws_of, report
 
 STUDIES = sorted(file.stem for file in (ROOT / 'config' / 'studies').glob('*.yaml'))
-CONFIGS = [str(file) for file in sorted((ROOT / 'config').glob('*.yaml'))]
+PLANES = 'arduplane', 'px4'  # which state no goal, and fly past the default one in a step
+CONFIGS = [str(file) for file in (ROOT / 'config').glob('*.yaml') if file.stem not in PLANES]
 
 
 @pytest.mark.parametrize('name', [*STUDIES, *CONFIGS])

@@ -247,16 +247,25 @@ def _content(file: Path) -> Values:
 
 
 def _default_rules(values: Values) -> dict[str, Rule]:
-    """Return the rules for a parameter file; among obstacles the goal stays in place."""
+    """Return the rules for a parameter file; among obstacles the goal stays in place.
+
+    Raises:
+        BadInput: the goal is nearer than a step.
+    """
     flat, swing = values['dimension'] == 2, {axis: [0.0, 2.0 * math.pi] for axis in 'xyz'}
     rules: dict[str, Rule] = {'rope.phase': swing, 'seed': {'whole': LARGEST_DRAWN}}
     if not (values['obstacles'] or values['traffic']):
         start, goal = values['start.position'], values['rope.center']
+        step, away = values['step'] * values['forward'], math.dist(goal, start)
+        if values['translation_order'] == 1 and away < step:  # such as the default for a wing
+            raise BadInput(
+                'rope.center', f'{away:g} m away', f'farther away than a step of {step:g} m'
+            )
         if flat or values['glide_slope']:  # as high as it is, so that the vehicle is above it
             distance, start = math.dist(goal[:2], start[:2]), (*start[:2], goal[2])
             around: Rule = {'towards': TURN, 'length': [distance, distance]}
         else:
-            around = {'turned': math.dist(goal, start)}
+            around = {'turned': away}
         rules['rope.center'] = {'from': start, **around}
     if not values['gravity']:
         rules['start.orientation'] = {'heading': TURN} if flat else {'turned': 'any'}
