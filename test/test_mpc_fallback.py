@@ -248,6 +248,8 @@ def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
     free = Stepped(replace(problem, floor=Floor()), safe='hover', disturbance=WEIGHT)
     command = free.safe(UP, Reason(Cause.ODOMETRY, 'lost')).command
     assert command.speed_fraction == pytest.approx(9.81 / 20.0)
+    blown = Stepped(problem, safe='hover', disturbance=2.1 * WEIGHT)  # by more than full thrust
+    assert blown.safe(UP, Reason(Cause.ODOMETRY, 'lost')).command.speed_fraction == 1.0
 
 
 # --- closed loops and arrivals

@@ -224,4 +224,4 @@ def carrying(problem: Problem, attitude: Array, acceleration: Array) -> float:
     upright = -float(acceleration @ attitude[:, 0]) / weight
     if problem.forward * upright >= weight:
         return weight / (problem.forward * upright)
-    return max(0.0, weight * upright / problem.forward)
+    return min(max(0.0, weight * upright / problem.forward), 1.0)
