@@ -136,6 +136,7 @@ SHAPES = {
     'no time': ('a: !!timestamp x', 'malformed'),
     'no truth': ('- !!bool x', 'malformed'),
     'merged': ('<<: ' * 1000 + '{}', 'malformed'),
+    'a word that no path may have': (r'a: "\0"', 'words'),
     'not UTF-8': ('\udcff', 'not UTF-8'),
     'too large': ('#' * (files.LARGEST + 1), f'at most {files.LARGEST} bytes'),
 }

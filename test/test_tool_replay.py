@@ -104,6 +104,10 @@ SPOILT = {
     'objective': (DiagnosticArray, reported('objective', '1.0'), 'objective'),
     'gap': (DiagnosticArray, reported('gap', '0.5'), 'gap'),
     'a word for a number': (DiagnosticArray, reported('gap', '"NaN"'), ''),  # not compared
+    'no number': (DiagnosticArray, reported('solve_time_ms', 'NaN'), ''),
+    'no count': (DiagnosticArray, reported('goal_counts', '{"goal": 0.5, "obstacles": 1}'), ''),
+    'no end of digits': (DiagnosticArray, reported('advanced', '9' * 400), ''),
+    'no end of lists': (DiagnosticArray, reported('nodes', '[' * 100_000), ''),
     'status': (DiagnosticArray, reported('status', 'feasible'), 'status'),
     'fallback': (DiagnosticArray, reported('fallback', 'shifted plan'), 'fallback'),
     'odometry': (Odometry, nudged('pose.pose.orientation.w', 7.0), 'status optimal -> failed'),

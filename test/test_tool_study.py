@@ -84,6 +84,10 @@ def test_a_study_has_what_the_one_it_is_like_has():
     assert draws_of('gates').margin == draws_of('crossing').margin > 0.0
 
 
+FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodies: 1,
+    at: {x: [0, 1]}, when: [0, 1], speed: [0, 1], radius: [1, 1], clear: 99}}}"""
+
+
 @pytest.mark.parametrize(
     ('text', 'named'),
     [
@@ -92,6 +96,13 @@ def test_a_study_has_what_the_one_it_is_like_has():
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: {half: 3}}}', 'rules'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: 3}}', 'rules'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {stepp: [1, 2]}}', 'stepp'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: []}', 'draw is'),
+        ('{about: a, config: retrieval.yaml, set: 3, draw: {}}', 'set is 3'),
+        ('{about: a, config: retrieval.yaml, set: [3], draw: {}}', '--set is 3'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {}, margin: x}', 'margin is x'),
+        ('{about: a, like: own, set: [], draw: {}}', 'like is own; allowed: another study'),
+        ('{about: a, like: ../x, set: [], draw: {}}', 'no such file'),
+        (FAR_AWAY, 'no body starts 99 m clear'),
     ],
 )
 def test_a_malformed_study_is_refused(text, named, tmp_path):

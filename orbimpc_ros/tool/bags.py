@@ -8,6 +8,7 @@ reads a file whose recorder was killed; SQLite uses ``rosbags``.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -37,6 +38,8 @@ LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
 LATEST = 2**63  # [ns], beyond the stamps in metadata
 UNDATED = -1  # [ns], for a missing stamp
+DIGITS = 19  # of the longest integers, stamps in nanoseconds
+FINITE = 'advanced', 'sent', 'solve_time_ms'
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
 FLOWN = ('odom',), ('goal',)
@@ -90,12 +93,41 @@ def point(vector: Any) -> Array:
     return np.array([vector.x, vector.y, vector.z])
 
 
+NUMBER = int, float
+KINDS: dict[str, tuple[Any, Any]] = {
+    **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), (str, None)),
+    **dict.fromkeys(('objective', 'lower_bound', 'gap'), (NUMBER, None)),
+    **dict.fromkeys(('earliest_catch', 'catch_bound', *FINITE), (NUMBER, None)),
+    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), (dict, int)),
+    **dict.fromkeys(('speed_fraction', 'touched'), (list, NUMBER)),
+}  # types of the values that are read, and of what they contain
+
+
+def _is_read(name: str, value: Any) -> bool:
+    """Return whether a value is one that planner or simulator publish by a name."""
+    kind, of = KINDS.get(name, (object, None))
+    if not isinstance(value, kind) or (name in FINITE and not math.isfinite(value)):
+        return False
+    parts = value.values() if kind is dict else value
+    return of is None or all(isinstance(each, of) for each in parts)
+
+
+def _whole(word: str) -> float:
+    return int(word) if len(word) <= DIGITS else float(word)
+
+
 def fields(message: Any) -> dict[str, Any]:
-    """Return the values of a DiagnosticArray's first status by key, decoded if they are JSON."""
-    found = {pair.key: pair.value for pair in message.status[0].values}
-    for name, text in found.items():
-        with suppress(ValueError):
-            found[name] = json.loads(text)
+    """Return the values of a DiagnosticArray's first status by key, decoded if they are JSON.
+
+    Those that no planner or simulator publishes are left out.
+    """
+    found = dict[str, Any]()
+    for pair in message.status[0].values if message.status else ():
+        value = pair.value
+        with suppress(ValueError, RecursionError):
+            value = json.loads(value, parse_int=_whole)
+        if _is_read(pair.key, value):
+            found[pair.key] = value
     return found
 
 

@@ -141,7 +141,7 @@ def _require_plain(value: Any, path: str = '') -> None:
             _require_plain(inner, path)
     elif isinstance(value, (int, float)) and abs(value) > MAX_NUMBER:
         raise BadInput(path, str(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
-    elif value is not None and not isinstance(value, (str, int, float)):
+    elif (value is not None and not isinstance(value, (str, int, float))) or '\0' in str(value):
         raise BadInput(path, str(value), 'numbers, words, lists and mappings')
 
 

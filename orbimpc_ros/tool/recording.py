@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
-from orbimpc_ros.ros.planner.core import READ, TRANSFORMS, others, read
+from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, others, read
 from orbimpc_ros.ros.topics import resolving
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields, point
@@ -36,15 +36,6 @@ TREE = tuple(topic.name for topic in topics.TREE)
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 COMPARED = tuple(topic.name for topic in topics.OUTPUTS if not topic.name.startswith('plan'))
 NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
-NUMBER = (int, float)
-KINDS: dict[str, type | tuple[type, ...]] = {
-    **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), str),
-    **dict.fromkeys(('objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'), NUMBER),
-    **dict.fromkeys(('advanced', 'sent', 'solve_time_ms'), NUMBER),
-    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), dict),
-    'bound_checked': bool,
-    'speed_fraction': list,
-}  # values of ``tick`` that a replay needs; those of another type are dropped
 Messages = Mapping[str, Any]  # by topic
 Answer = dict[str, Any]  # values published on a tick; unknown ones are absent
 
@@ -64,10 +55,7 @@ def published(messages: Messages) -> Answer:
     if 'rotation' in messages:
         q = messages['rotation'].quaternion
         found['rotation'] = np.array([q.w, q.x, q.y, q.z])
-    if 'tick' in messages and messages['tick'].status:
-        values = fields(messages['tick'])
-        found |= {n: each for n, each in values.items() if isinstance(each, KINDS.get(n, object))}
-    return found
+    return found | (fields(messages['tick']) if 'tick' in messages else {})
 
 
 def was_solved(answer: Answer) -> bool:
@@ -229,7 +217,7 @@ def _lost(
     if known.tf or known.transforms:  # whether a goal could be transformed is not recorded
         known = replace(known, frame_id='')
     lost: list[Message] = []
-    for topic, count in now.items():
+    for topic in now.keys() & GOALS:
         good: list[Message] = []
         for each in came:
             unset = topic == 'goal' and each.stamp == 0
@@ -238,7 +226,7 @@ def _lost(
                 with suppress(BadInput):
                     read(topic, each.content, known)
                     good.append(each)
-        lost += good[: max(0, len(good) - (count - before.get(topic, 0)))]
+        lost += good[: max(0, len(good) - (now[topic] - before.get(topic, 0)))]
     return lost
 
 

@@ -164,6 +164,7 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
     return SPEED * full.get(quantity, 0.0)
 
 
+@np.errstate(all='ignore')  # recorded numbers may be of any size
 def distance(quantity: str, before: Any, now: Any, step: float) -> float:
     """Return the distance between two values of a quantity; body rates are held for a step [s]."""
     if now is None:

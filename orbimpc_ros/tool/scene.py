@@ -206,12 +206,12 @@ def _balls(centers: Any, halves: Any, color: str) -> rr.Ellipsoids3D:
 
 def _table(values: dict[str, Any]) -> str:
     """Return the known values of a tick as a Markdown table."""
-    first, *others = [
+    rows = [
         f'| {key} | {_text(value)} |'
         for key, value in values.items()
         if value not in ('', [], {}) and value == value  # NaN is unknown
     ]
-    return '\n'.join([first, '| --- | --- |', *others])
+    return '\n'.join([*rows[:1], '| --- | --- |', *rows[1:]])
 
 
 def _text(value: Any) -> str:

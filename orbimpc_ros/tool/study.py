@@ -40,7 +40,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from orbimpc_ros import __version__
-from orbimpc_ros.mpc.arrays import Array, whole
+from orbimpc_ros.mpc.arrays import Array, number, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import files, settings
 from orbimpc_ros.tool.files import folder_at, new_folder
@@ -53,6 +53,8 @@ MOST_RUNS, LARGEST_SEED, MOST_WORKERS = 1_000_000, 2**63 - 1, 1024
 OUT, FLIGHTS, REPORT, PICTURE = 'out', 'flights.jsonl', 'report.md', 'caught.png'
 Rule = Any
 FIELDS, OPTIONAL = {'about', 'set', 'draw'}, {'config', 'like', 'margin'}
+KINDS = {'set': list, 'draw': dict, 'config': str, 'like': str}  # of fields
+MOST_TRIES = 10_000  # to draw a body that is clear of the origin
 TURN = [-math.pi, math.pi]
 LARGEST_DRAWN = 2**31 - 1  # for seeds of the noise
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
@@ -195,7 +197,7 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
         BadInput: there is no such file, it is malformed, or a change is not allowed.
     """
     content = _content(_file(name))
-    values = settings.resolve(content['config'], [*content['set'], *changes])
+    values = settings.resolve(content['config'], [*map(str, content['set']), *changes])
     fixed = {change.partition('=')[0] for change in changes}
     rules = content['draw'] if content['draw'] is not None else _default_rules(values)
     free = {
@@ -204,7 +206,8 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
         if not {parameter, parameter.removeprefix(settings.OF_SIM)} & fixed
     }
     title = Path(name).stem if name.endswith('.yaml') else name
-    draws = Draws(title, content['about'], values, free, content.get('margin', 0.0))
+    margin = number(content.get('margin', 0.0), f'{name}: margin', 0.0)
+    draws = Draws(title, content['about'], values, free, margin)
     for parameter in free:
         if parameter not in settings.ROWS:
             raise BadInput.unknown('parameter', parameter, settings.ROWS, f'{name}: draw')
@@ -225,7 +228,7 @@ def _file(name: str) -> Path:
     raise BadInput('FILE', name, f'a parameter file, or one of {known}')
 
 
-def _content(file: Path) -> Values:
+def _content(file: Path, *above: Path) -> Values:
     """Return the fields of a study file; a parameter file becomes a study without rules."""
     content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
@@ -238,10 +241,16 @@ def _content(file: Path) -> Values:
     fields = set(content) if isinstance(content, dict) else set()
     if not FIELDS <= fields <= FIELDS | OPTIONAL or ('config' in fields) == ('like' in fields):
         raise BadInput(str(file), sorted(fields), wanted)
+    for name in fields & KINDS.keys():
+        if not isinstance(content[name], KINDS[name]):
+            raise BadInput(f'{file}: {name}', content[name], 'as in docs/recording.md')
     if 'config' in content:
-        named = str(content['config'])
+        named = content['config']
         return content | {'config': file.parent / named if '/' in named else config(named)}
-    base = _content(file.with_name(f'{content["like"]}.yaml'))
+    like = file.parent / f'{content["like"]}.yaml'
+    base = {} if like in (file, *above) else _content(like, file, *above)
+    if base.get('draw') is None:
+        raise BadInput(f'{file}: like', content['like'], 'another study, no parameter file')
     both = {'set': [*base['set'], *content['set']], 'draw': base['draw'] | content['draw']}
     return base | content | both
 
@@ -317,7 +326,7 @@ def _wall(
 
 def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
     """Return position, velocity and radius of a disc that starts clear of the origin."""
-    while True:
+    for _ in range(MOST_TRIES):
         x, y, _ = _drawn(rule['at'], rng)
         when, way = rng.uniform(*rule['when']), rng.uniform(-math.pi, math.pi)
         speed, radius = rng.uniform(*rule['speed']), float(rng.uniform(*rule['radius']))
@@ -325,6 +334,7 @@ def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
         begin = float(x - when * u), float(y - when * v)
         if math.hypot(*begin) > rule['clear'] + radius:
             return [*begin, float(u), float(v), radius]
+    raise ValueError(f'no body starts {rule["clear"]} m clear of the origin')
 
 
 # --- the report
