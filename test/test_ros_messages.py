@@ -222,6 +222,12 @@ def test_halves_of_one_stamp_belong_together_in_any_order(order):
             [(1000, 1000), (1040, 1040)],
         ),
         ([twist(1000), pose(1000), pose(1000), twist(1000)], [(1000, 1000)]),
+        # Equal stamps that end, such as zeros before a clock starts, do not bind those after them.
+        (
+            [pose(0), twist(0)]
+            + [m for k in range(1000, 1130, 10) for m in (twist(k - 5), pose(k))],
+            [(0, 0), (1100, 1095), (1110, 1105), (1120, 1115)],
+        ),
     ],
 )
 def test_where_stamps_differ_a_pose_goes_with_the_last_twist(sent, made):

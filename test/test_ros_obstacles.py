@@ -144,6 +144,15 @@ def test_a_stamp_that_was_never_set_says_so(inputs):
     assert hazards(inputs) == []
 
 
+def test_a_box_thinner_than_rounding_stays_one_far_away(inputs):
+    for k in (1.0, 2.0):
+        inputs.update(
+            'obstacles', array(marker(k, (k, 0.0, 0.0), kind=CUBE, size=(1e-12, 1, 1))), k
+        )
+    (hazard,) = hazards(inputs, 1e5)
+    assert np.all(hazard.body.minimum < hazard.body.centre)
+
+
 def test_one_place_at_a_time_for_each_name(inputs):
     twice = array(marker(place=(9.0, 0.0, 0.0)), marker(place=(5.0, 0.0, 0.0)))
     assert 'duplicate id' in inputs.update('obstacles', twice, 0.0)
@@ -154,9 +163,9 @@ def test_one_place_at_a_time_for_each_name(inputs):
 
 
 def test_a_jump_is_told_and_counted(inputs):
-    inputs.update('obstacles', array(marker()), 0.0)
-    told = inputs.update('obstacles', array(marker(1.1, place=(9.0, 0.0, 0.0))), 0.0)
-    assert told == 'obstacles: a/0 jumped at 90 m/s: taken for a new body at rest'
+    inputs.update('obstacles', array(marker(ns='a\n')), 0.0)
+    told = inputs.update('obstacles', array(marker(1.1, place=(9.0, 0.0, 0.0), ns='a\n')), 0.0)
+    assert told == r"obstacles: 'a\n/0' jumped at 90 m/s: taken for a new body at rest"
     assert inputs.refused == {'obstacles: jump': 1}
     (hazard,) = hazards(inputs, 2.1)
     np.testing.assert_array_equal(hazard.body.centre, [9.0, 0.0])

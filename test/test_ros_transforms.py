@@ -171,6 +171,8 @@ def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all(
     box = inputs(tf=True)
     box.update(TF, tf(2.0, 'map', 'odom', (1.0, 0.0, 0.0)), 0.0)
     box.update(TF, tf(1.0, 'map', 'odom', (9.0, 0.0, 0.0)), 0.0)
+    late = box.update(TF, tf(99.0, 'map', 'odom', (7.0, 0.0, 0.0)), 0.0, 2 * SECOND)
+    assert 'future stamp is 97 s ahead' in late  # no later one would be in order
     box.update('goal', goal(2.0, 5.0, 0.0), 0.0)
     np.testing.assert_allclose(target(box), [4.0, 0.0])
     box.latest.clear()
@@ -182,7 +184,9 @@ def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all(
 def test_a_transform_that_is_no_number_is_refused_where_it_is_used(spoilt):
     box = inputs(tf=True)
     box.update(TF, tf(1.0, 'map', 'odom', (spoilt, 0.0, 0.0)), 0.0)
-    assert 'translation of map -> odom' in refusal(box)[0]
+    said, counts = refusal(box)
+    assert 'invalid transform: map -> odom: translation is ' in said
+    assert counts == {'goal: invalid transform': 1}  # by kind: names from outside are unlimited
 
 
 def test_a_frame_that_lies_in_itself_leads_nowhere():
@@ -190,7 +194,8 @@ def test_a_frame_that_lies_in_itself_leads_nowhere():
     box.update(TF, tf(1.0, 'a', 'odom', (0.0, 0.0, 0.0)), 0.0)
     box.update(TF, tf(1.0, 'odom', 'a', (0.0, 0.0, 0.0)), 0.0)
     assert 'missing transform' in refusal(box)[0]
-    assert '/tf refused' in box.update(TF, tf(1.0, 'a', 'a', (0.0, 0.0, 0.0)), 0.0)
+    for name in ('a', '', 'b' * 999):
+        assert '/tf refused: frames is ' in box.update(TF, tf(1.0, 'a', name, np.zeros(3)), 0.0)
 
 
 @pytest.mark.parametrize(

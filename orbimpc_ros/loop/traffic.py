@@ -82,7 +82,7 @@ class ObstacleTracker:
             speed = way / (seen.time - last.time)
             if speed > fastest:
                 track = None
-                words = f'{seen.name} jumped at {speed:.3g} m/s: taken for a new body at rest'
+                words = f'{seen.name!r} jumped at {speed:.3g} m/s: taken for a new body at rest'
         if track is None:
             track = self._tracks[seen.name] = deque(maxlen=LATEST)
         track.append(seen)

@@ -63,6 +63,8 @@ LONGEST_FRAME = 256  # characters
 SECOND = 1_000_000_000  # [ns]
 POSE_TWIST = ('pose', 'twist')  # topics of odometry in two halves
 APART = SECOND // 10  # [ns] largest difference between a pose and its twist
+PAIRED = 20  # messages after two with equal stamps, in which others are expected
+THINNEST = 1e-3  # [m] least extent of bodies: far from home, rounding would leave nothing of less
 # Possible thrust axes of the body, each with the rotation that turns x into it.
 THRUST_AXES: dict[str, Array] = {
     'x': sealed(np.eye(3)),
@@ -243,8 +245,12 @@ def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
     Raises:
         BadInput: a number or the quaternion is not acceptable; ``name`` is the transform's.
     """
-    unit = _quaternion(message.rotation, f'rotation of {name}')
-    return from_quaternion(unit, 3), _triple(message.translation, f'translation of {name}')
+    try:
+        unit = _quaternion(message.rotation, 'rotation')
+        return from_quaternion(unit, 3), _triple(message.translation, 'translation')
+    except BadInput as error:
+        problem = f'{name}: {error}'
+        raise BadInput.stating('invalid transform', problem, 'publish a valid one') from None
 
 
 def _seen(message: PoseStamped, dimension: int, frame: str) -> tuple[Stamp, Array, Array]:
@@ -293,14 +299,14 @@ def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
 class PoseTwistSynchronizer:
     """Pairs poses with twists as odometry, stamped as the pose.
 
-    If both come with equal stamps, in any order, those with the same stamp are paired. Otherwise
+    While both come with equal stamps, in any order, those with the same stamp are paired. Otherwise
     both are measured at their own rates, and a pose is paired with the latest twist.
     """
 
     def __init__(self) -> None:
         self._latest: dict[str, tuple[int, Any]] = {}  # stamps [ns] and messages, by topic
         self._joined_at = -1  # stamp of the last pose turned into odometry [ns]
-        self._twins = False  # whether equal stamps have been seen
+        self._unequal = PAIRED  # messages since two had equal stamps
 
     def take(self, topic: str, message: PoseStamped | TwistStamped) -> OdometryMessage | None:
         """Take in a message on ``pose`` or ``twist``; return odometry once a pair is complete.
@@ -312,8 +318,8 @@ class PoseTwistSynchronizer:
         if len(self._latest) < len(POSE_TWIST):
             return None
         (stamp, pose), (other, twist) = (self._latest[each] for each in POSE_TWIST)
-        alone = not self._twins if topic == 'pose' else self._joined_at < 0
-        self._twins = self._twins or stamp == other
+        self._unequal = 0 if stamp == other else self._unequal + 1
+        alone = self._unequal > PAIRED if topic == 'pose' else self._joined_at < 0
         if stamp == self._joined_at or not (alone or stamp == other):
             return None
         if abs(stamp - other) > APART:
@@ -537,7 +543,7 @@ def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) 
 
     Its axes in the world are ``turned``, shape (3, 3), and along them it has a size, (3,) [m].
     """
-    half, n = 0.5 * size, dimension
+    half, n = 0.5 * np.maximum(size, THINNEST), dimension
     if kind == Marker.SPHERE:
         return Ball(middle[:n], float(half.max()))
     if kind == Marker.CUBE:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import islice, takewhile
 from typing import Any
@@ -30,6 +30,7 @@ from orbimpc_ros.ros.messages import SECOND
 TF, TF_STATIC = '/tf', '/tf_static'
 MOST_SAMPLES = 4096  # kept of each transform
 MOST_FRAMES = 1024
+AHEAD = 10.0  # [s] of the clock: localisation stamps its transforms with the end of their validity
 ON = 'set tf: true, or give transforms'
 FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
 
@@ -133,20 +134,24 @@ class Transforms:
         """Forget all transforms except permanent ones."""
         self._edges = {child: each for child, each in self._edges.items() if each.fixed}
 
-    def hear(self, topic: str, message: Any) -> None:
+    def hear(self, topic: str, message: Any, judge: Callable[[int], object] = int) -> None:
         """Take in a tf2_msgs/TFMessage; samples out of order are ignored.
 
         Raises:
-            BadInput: a transform has no valid stamp or frame, or there are too many frames.
+            BadInput: a transform has no valid stamp or frame, ``judge`` refuses the stamp [ns], or
+                there are too many frames.
         """
         for each in message.transforms:
             parent, child = each.header.frame_id, each.child_frame_id
-            if not parent or not child or parent == child:
-                raise BadInput('frames', f'{parent!r} and {child!r}', 'two different names')
+            length = len(parent + child)
+            if not parent or not child or parent == child or length > messages.LONGEST_FRAME:
+                raise BadInput('frames', f'{parent!r} and {child!r}', 'two different short names')
             known, fixed = self._edges.get(child), topic == TF_STATIC
             if known is None and len(self._edges) >= MOST_FRAMES:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
             stamp = messages.nanoseconds(each.header.stamp, 'header.stamp')
+            if not fixed:  # else all later ones would be out of order
+                judge(stamp)
             if known is None or fixed or known.fixed or known.parent != parent:
                 known = self._edges[child] = Edge(parent, child, fixed)
             if not known.samples or stamp > known.samples[-1][0]:
@@ -168,8 +173,8 @@ class Transforms:
         move = self.between(frame, found, stamp if at is None else at)
         head = messages.header(stamp, frame)
         if hasattr(message, 'poses'):
-            poses = [_moved(each, move, each.header) for each in message.poses]
-            return Path(header=head, poses=poses)
+            some = message.poses[: messages.LONGEST_PATH + 1]  # enough for it to be refused
+            return Path(header=head, poses=[_moved(each, move, each.header) for each in some])
         return _moved(message, move, head)
 
     def between(self, target: str, source: str, stamp: int) -> Array:

@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.solve.solver import Deadline
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
+from orbimpc_ros.ros.transforms import AHEAD, TF, TF_STATIC, Transforms
 
 T = TypeVar('T')
 
@@ -165,7 +165,7 @@ class Inputs:
             if topic in READ:
                 self._take(topic, message, now, ros)
             elif topic in TRANSFORMS:
-                self.transforms.hear(topic, message)
+                self.transforms.hear(topic, message, lambda stamp: _past(stamp, ros, AHEAD))
             elif topic == OBSTACLES:
                 odd = self._take_obstacles(message, now, ros)
             else:
