@@ -19,9 +19,8 @@ from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
 from orbimpc_ros.mpc.plan import UNPROVED
-from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Problem, State, Weights
 from orbimpc_ros.mpc.proof import document, sets
-from orbimpc_ros.mpc.proof.arithmetic import TURN, direction
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
 from orbimpc_ros.mpc.proof.stated import ENDS, NO_LIMITS, STEP, Body, Cone, Statement
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, ROW, one
@@ -107,18 +106,21 @@ def _tampered(tree, rng):
     return tree._replace(**{name: value})
 
 
-def forged(nodes, at):
+def forged(nodes, at, origin=0.0):
     """Return the bound that a tree of splits proves for headings above a round floor."""
     problem, rng = Problem(horizon=3, floor=floor('circle', 0.6)), np.random.default_rng(1)
     state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
     tree = one(rng.normal(size=(3, 2)), np.zeros(3))
     tree = tree._replace(nodes=np.array(nodes), at=np.array(at))
-    return Verifier(problem).bound(state, goals, tree)
+    origins = np.full(3, origin) if origin else tree.origins
+    return Verifier(problem).bound(state, goals, tree._replace(origins=origins))
 
 
 def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
     leaf = [LEAF, 0, 0, 0, 0]
-    assert forged([[ARCS, 0, 1, 2, -1], leaf, leaf], [0.0] * 3) > -math.inf
+    assert forged([[ARCS, 0, 1, 2, -1], leaf, leaf], [-99.0] * 3) > -math.inf
+    assert forged([[ARCS, 0, 1, 2, -1], leaf, leaf], [101.0] * 3) == -math.inf  # turns are inexact
+    assert forged([leaf], [0.0], origin=99.0) > forged([leaf], [0.0], origin=101.0) == -math.inf
     for count in (0, -1, 1):
         assert forged([[ARCS, 0, 1, count, -1], leaf], [0.0] * 2) == -math.inf
     shared = [[ARCS, 0, 1, 2, -1], [CUT, 0, 3, 2, -1], [CUT, 0, 3, 2, -1], leaf, leaf]
@@ -138,28 +140,6 @@ def _places(known, way=()):
         for key, each in known.items() if isinstance(known, dict) else enumerate(known):
             yield (*way, key)
             yield from _places(each, (*way, key))
-
-
-@pytest.mark.parametrize('number', [float, Fraction])
-@pytest.mark.parametrize('begun', [0.0, -9.0, 1e3, 1e15, 1e17, 1e300])
-def test_arcs_that_begin_many_turns_away_prove_nothing_false(begun, number):
-    """Counted in turns that are not exact, their directions would miss the faces of the floor."""
-    nearest = Weights(position=0.0, input=0.0, terminal=1.0)
-    problem = Problem(horizon=2, floor=Floor('polygon', 4, 0.5), weights=nearest)
-    nodes = np.zeros((257, 5), np.int64)
-    nodes[0], nodes[1:, ROW] = (ARCS, 0, 1, 256, -1), np.arange(256)
-    parts = Fraction(begun) + TURN[Fraction] * np.arange(0.5, 256.0) / 256
-    start, goals = State.at(np.zeros(2), np.eye(2)), np.full((2, 2), [1.4, 0.0])
-    leaf = one(np.zeros((2, 2)), np.zeros(2))
-    points = np.zeros((256, 2, 2))
-    for point, angle in zip(points, parts, strict=True):  # where it seems to be nearest to rest
-        off = float((angle * 2 / math.pi + Fraction(1, 2)) % 1 - Fraction(1, 2)) * math.pi / 2
-        point[0] = np.array(direction(angle), float) * 0.5 / math.cos(off)
-    many = {'shor': np.zeros((256, 2)), 'press_end': np.zeros(256, np.int64), 'point': points}
-    tree = leaf._replace(nodes=nodes, at=np.full(257, begun), **many)
-    bound = Verifier(problem, number).bound(start, goals, tree)
-    assert bound <= 0.01  # at (0.5, 0), 0.1 m from where it would go
-    assert (bound > 0.0099) == (abs(begun) < 100.0)
 
 
 def test_whatever_a_document_holds_it_is_judged_or_refused():
