@@ -93,8 +93,9 @@ FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodie
     [
         ('{about: a, set: [], draw: {}}', 'config or like'),
         ('{about: a, like: b, config: c, set: [], draw: {}}', 'config or like'),
-        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: {half: 3}}}', 'rules'),
-        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: 3}}', 'rules'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: {half: 3}}}', 'draw: seed is {'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: 3}}', 'draw: seed is 3'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: [0, 9]}}', r'seed is \d\.\d+'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {stepp: [1, 2]}}', 'stepp'),
         ('{about: a, config: retrieval.yaml, set: [], draw: []}', 'draw is'),
         ('{about: a, config: retrieval.yaml, set: 3, draw: {}}', 'set is 3'),

@@ -63,7 +63,7 @@ def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -
             raise BadInput('--set', change, 'name=value')
         if name not in ROWS:
             raise BadInput.unknown('parameter', name, ROWS, '--set')
-        given[name] = _typed(ROWS[name], files.parse(word, f'--set {name}'))
+        given[name] = typed(ROWS[name], files.parse(word, f'--set {name}'))
         found.pop(f'{OF_SIM}{name}', None)  # a value for both nodes replaces the simulator's own
     found |= given
     planner_settings(found)
@@ -135,7 +135,7 @@ def _completed(content: Any, name: str) -> Values:
     values: Values = {}
     for given, value in parameters_of(content, name):
         if given in ROWS:
-            values[given] = _typed(ROWS[given], value)
+            values[given] = typed(ROWS[given], value)
         elif given in OF_ROS:
             values[given] = value
         elif not given.startswith('qos_overrides.'):
@@ -164,10 +164,10 @@ def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
             yield f'{prefix}{name}', value
 
 
-def _typed(row: ParameterSpec, value: Any) -> Any:
+def typed(row: ParameterSpec, value: Any) -> Any:
     """Return a value in the parameter's type; integers are accepted for floats."""
     kind: type = type(row.default)
-    if kind is tuple and isinstance(value, list):
+    if kind is tuple and isinstance(value, (list, tuple)):
         return tuple(_of_kind(row, str if row.words else float, each) for each in value)
     return _of_kind(row, kind, value)
 

@@ -176,7 +176,11 @@ class Draws:
         for name, rule in self.rules.items():
             key = (index, zlib.crc32(name.encode()))
             stream = np.random.SeedSequence(seed, spawn_key=key)
-            values[name] = _drawn(rule, np.random.default_rng(stream))
+            try:
+                drawn = _drawn(rule, np.random.default_rng(stream))
+            except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+                raise BadInput(f'draw: {name}', rule, 'a rule of docs/recording.md') from None
+            values[name] = settings.typed(settings.ROWS[name], drawn)
         return values
 
     @property
@@ -211,11 +215,7 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
     for parameter in free:
         if parameter not in settings.ROWS:
             raise BadInput.unknown('parameter', parameter, settings.ROWS, f'{name}: draw')
-    try:
-        settings.changed(draws.of(0, 0), ())
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        known = 'the rules of docs/recording.md'
-        raise BadInput(f'{name}: draw', f'{type(error).__name__}: {error}', known) from None
+    settings.changed(draws.of(0, 0), ())
     return draws
 
 
