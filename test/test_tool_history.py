@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bags import GOLDEN, changed, made_up, rewritten, write
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
 from matplotlib.colors import to_rgb
 from nav_msgs.msg import Odometry
 from PIL import Image
@@ -70,6 +72,21 @@ def test_summary_of_a_run_without_ticks():
     text = history.text(run)
     assert 'no' in text
     assert text.count('unknown') == 2
+
+
+def test_a_goal_set_by_hand_holds_until_the_next(tmp_path):
+    undated = changed('/goal', PoseStamped, lambda m: setattr(m.header, 'stamp', Time()))
+
+    def change(each):
+        second = each.stamp // 10**9
+        if each.topic != '/goal' or second in (0, 10):
+            return undated(each)
+        return None
+
+    goals = of_bag(rewritten(GOLDEN / 'retrieval', tmp_path / 'bag', change)).ropes
+    moved = np.flatnonzero(np.diff(goals, axis=0).any(axis=1))
+    assert len(moved) == 1
+    assert moved[0] in (8, 9)  # dated by the last odometry before it
 
 
 def test_settings_are_defaults_then_file_then_changes(tmp_path):

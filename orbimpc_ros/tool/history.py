@@ -19,6 +19,7 @@ from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
+from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
@@ -152,6 +153,8 @@ def of_bag(path: Path, namespace: str = '') -> History:
     values = settings.of_bag(path, namespace)
     found: dict[str, list[Any]] = defaultdict(list)
     for each in bags.of_vehicle(path, namespace, WANTED):
+        if each.topic == 'goal' and not each.stamp and found['odom']:  # by hand: dated by odometry
+            each.content.header.stamp = found['odom'][-1].header.stamp
         found[each.topic].append(each.content)
     frames = Frames(thrust_axis=values['thrust_axis'], velocity=values['velocity_frame'])
     measured = _valid(read_odometry, found['odom'], frames)
@@ -168,7 +171,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
         attitudes=attitudes,
         velocities=np.einsum('kij,kj->ki', attitudes, measured['body_velocity']),
         rates=measured['body_rate'],
-        ropes=_interpolated(times, sighted['time'], sighted['position']),
+        ropes=_seen(times, sighted, planner_settings(values).goal_timeout),
         plans=tuple((time, np.array(points)) for time, points in plans),
         forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
         ticks=tuple(
@@ -195,6 +198,14 @@ def _valid(
             found[stamp.nanoseconds] = vars(value)
     rows = [found[at] for at in sorted(found)]
     return {name: np.array([row[name] for row in rows]) for row in rows[:1] for name in row}
+
+
+def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
+    """Return a goal's positions at times [s]; it holds where it is not seen for ``longest`` [s]."""
+    times, places = sighted['time'], sighted['position']
+    held = np.flatnonzero(np.diff(times) > longest)
+    times = np.insert(times, held + 1, np.nextafter(times[held + 1], -np.inf))
+    return _interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
 
 
 def _interpolated(at: Any, known: Any, rows: Array) -> Array:

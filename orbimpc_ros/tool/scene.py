@@ -96,8 +96,8 @@ class Scene:
         """Draw a message unless the planner would refuse it; ``topic`` has no namespace."""
         if topic not in TOPICS:
             return
-        if stamp_of(message) != UNDATED:
-            now = seconds(message)
+        now = seconds(message)
+        if stamp_of(message) != UNDATED and (now or topic != 'goal'):  # one by hand has no stamp
             kind = 'timestamp' if now > WALL_CLOCK else 'duration'
             self._to.set_time(TIMELINE, **{kind: now})
         with suppress(BadInput):
