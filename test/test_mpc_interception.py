@@ -67,7 +67,8 @@ def still(goal):
 @pytest.mark.parametrize('n', [2, 3])
 def test_no_inputs_cost_more_than_their_share_of_the_squared_radius(n, order):
     rng = np.random.default_rng(n)
-    problem = catching(Problem(n, rotation_order=order, horizon=6, step=0.2), RADIUS, 4)
+    given = Problem(n, rotation_order=order, horizon=6, step=0.2, arrival_weight=9.0)
+    problem = catching(given, RADIUS, 4)
     assert problem.horizon == 4
     start = State.at(np.zeros(n), rotation(rng, n))
     worst = 0.0

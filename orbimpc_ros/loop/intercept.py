@@ -115,7 +115,8 @@ def catching(problem: Problem, radius: float, end: float) -> Problem:
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
-    return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
+    timed = replace(problem, horizon=steps, step=length, discretisation=how)
+    return replace(timed, weights=weights, arrival_weight=0.0)
 
 
 def _steps_to(problem: Problem, end: float) -> tuple[int, float]:
