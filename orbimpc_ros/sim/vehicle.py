@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import import_module
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -200,13 +201,11 @@ def gusts(time: float, dimension: int, memory: float, seed: int) -> Array:
 @lru_cache(maxsize=64)
 def _series(seed: int, dimension: int, memory: float, blocks: int) -> Array:
     """Return unit-variance samples of gusts from the start on, shape (blocks * BLOCK, n)."""
-    from scipy.signal import lfilter  # slow to import, and most flights are without gusts
-
     rngs = (np.random.default_rng((seed, USE, block)) for block in range(blocks))
     drawn = np.concatenate([rng.normal(size=(BLOCK, dimension)) for rng in rngs])
     kept = math.exp(-SAMPLE / memory)
     drawn[1:] *= math.sqrt(1.0 - kept * kept)  # the first is stationary noise
-    return sealed(lfilter([1.0], [1.0, -kept], drawn, axis=0))
+    return sealed(np.array([*accumulate(drawn, lambda last, new: kept * last + new)]))
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy import stats
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.arrays import Array, number, whole
@@ -360,9 +359,11 @@ def times_of(draws: Draws, rows: Sequence[Row]) -> Array:
 
 def _row(draws: Draws, name: str, rows: Rows) -> dict[str, str]:
     """Return a controller's cells by column."""
+    from scipy.stats import binomtest  # takes a second to import
+
     flights, times = rows[name], times_of(draws, rows[name])
     ticks = max(1, sum(row['ticks'] for row in flights))
-    caught = stats.binomtest(sum(bool(row['caught']) for row in flights), len(flights))
+    caught = binomtest(sum(bool(row['caught']) for row in flights), len(flights))
     share = caught.proportion_ci(method='wilson')
     beside = ''
     if name != OURS and OURS in rows:
