@@ -260,6 +260,19 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert not driven.tick(now + 0.2).disturbance.any()
 
 
+def test_odometry_whose_clock_was_set_back_is_learnt_from_again():
+    driven, far = Driven(disturbance='estimated'), np.array([1000.0, 0.0])
+    for begin, drift in ((1000.0, 0.3), (0.0, -0.3)):
+        for now in 0.1 * np.arange(60):
+            at, place = Stamp(round((begin + now) * SECOND), FRAMES), now * np.array([1.0, drift])
+            sent = messages.odometry_message(at, odometry(place)), messages.goal_message(at, far)
+            for topic, message in zip(('odom', 'goal'), sent, strict=True):
+                assert driven.inputs.update(topic, message, 2000.0 - begin + now) == ''
+            decision = driven.decide(2000.0 - begin + now)
+            driven.planner.sent(decision.command, begin + now)
+        assert decision.disturbance[1] == pytest.approx(drift, abs=0.05)
+
+
 def test_what_is_given_is_planned_with_and_nothing_is_estimated():
     driven = Driven(wind=(0.1, -0.2, 0.0))
     report = driven.tick()

@@ -673,6 +673,9 @@ class Core:
         """
         begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
+        before, known = self.seen.odometry, snapshot.odometry
+        if before is not None and known is not None and known.time < before.time:
+            self.planner.start_afresh()  # the clock of odometry was set back
         heard, self.seen = self.inputs.heard, snapshot
         given = math.inf if self._unlimited else self.settings.deadline
         self._deadline = Deadline(self._clock, begun + given)
