@@ -130,6 +130,9 @@ def flown(report, seconds=2.0, wind=(4.0, -2.0)):
 def test_a_reported_wind_is_believed_at_once():
     found = flown(lambda time: WindReport(time, np.array([4.0, -2.0]), 0.1), seconds=0.05)
     np.testing.assert_allclose(found, [4.0, -2.0], atol=0.1)
+    vague = WindReport(9.0, np.zeros(2), 99.0)  # after which its clock is set back
+    found = flown(lambda time: WindReport(time, found, 0.1) if time else vague, seconds=0.15)
+    np.testing.assert_allclose(found, [4.0, -2.0], atol=0.1)
 
 
 def test_a_report_is_believed_as_much_as_its_variance_and_its_news_are_worth():

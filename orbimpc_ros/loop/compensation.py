@@ -535,8 +535,8 @@ class Compensator:
 
     def _hear(self, wind: WindReport) -> None:
         """Take in a reported wind, once; the sooner it follows another, the less it counts."""
-        since = wind.time - self._reported
-        if since <= 0.0:
+        since = abs(wind.time - self._reported)  # its sender's clock may have been set back
+        if since == 0.0:
             return
         self._reported = wind.time
         variance = wind.variance if wind.variance > 0.0 else UNSTATED
