@@ -19,8 +19,6 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader
@@ -38,7 +36,6 @@ NOTES = 'orbimpc_ros'  # the MCAP record with the recorder's notes
 WRITTEN_CHUNK = 1 << 16  # [bytes] lost at most if the recorder is killed
 LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
-LARGEST_CHUNK, LARGEST_CONTENT = 1 << 28, 1 << 32  # [bytes] of one and of all, uncompressed
 LATEST = 2**63  # [ns], beyond the stamps in metadata
 UNDATED = -1  # [ns], for a missing stamp
 DIGITS = 19  # of the longest integers, stamps in nanoseconds
@@ -271,35 +268,7 @@ def _of_mcap(files: Sequence[Path]) -> Iterator[Message]:
 
 
 def _mcap(stream: BinaryIO) -> NonSeekingReader:
-    """Return a reader of an MCAP file, of which a few bytes may stand for a memory full of zeros.
-
-    Raises:
-        ValueError: its content is too large.
-    """
-    total = 0
-    with suppress(EndOfFile):
-        every = StreamReader(stream, emit_chunks=True, record_size_limit=LARGEST_RECORD).records
-        for each in every:
-            size = _content(each) if isinstance(each, Chunk) else 0
-            total += size
-            if size > LARGEST_CHUNK or total > LARGEST_CONTENT:
-                raise ValueError(f'{size} bytes in a chunk, {total} in all')
-    stream.seek(0)
     return NonSeekingReader(stream, validate_crcs=True, record_size_limit=LARGEST_RECORD)
-
-
-def _content(chunk: Chunk) -> int:
-    """Return the size of a chunk's content [bytes], by its own header or by that of zstd.
-
-    The decoder allocates what the latter states (RFC 8878, 3.1.1.1), whatever the chunk does.
-    """
-    stated, data = chunk.uncompressed_size, chunk.data
-    if chunk.compression != 'zstd' or len(data) < 5:
-        return stated
-    whole, flags = bool(data[4] & 32), data[4]
-    count = (int(whole), 2, 4, 8)[flags >> 6]
-    begin = 6 - whole + (0, 1, 2, 4)[flags & 3]
-    return max(stated, int.from_bytes(data[begin : begin + count], 'little'))
 
 
 # --- writing
