@@ -103,13 +103,13 @@ def test_without_a_catch_the_weights_say_what_is_flown():
 
 
 @needs_machine_code
-@pytest.mark.parametrize('bearing', [0.5, 1.6, 2.8, -0.7, -1.2, -2.4])
+@pytest.mark.parametrize('bearing', [0.5, 2.8, -1.2, -2.4])
 def test_a_goal_within_the_smallest_circle_is_caught_by_who_looks_beyond_the_horizon(bearing):
     goal = 15.0 * exp(np.array([bearing]))[:, 0]  # the smallest turn radius: 23 m
     wing, plant = replace(WING, discretisation='exact'), Plant(forward=15.0)
     tracking, looking = (Stepped(wing, capture_radius=2.0) for _ in range(2))
     flight, known = (2.0, plant, started(plant, 0.0, 0.8)), still(goal)
-    if bearing in (0.5, 1.6, -1.2):  # tracking happens to lead to the other goals
+    if bearing in (0.5, -1.2):  # tracking happens to lead to the other goals
         assert not catches(tracking, *flight, lambda: known[:1], known[2])
     assert catches(looking, *flight, lambda: known, known[2])
 
