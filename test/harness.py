@@ -172,7 +172,7 @@ class Observer:
         """Spin for a time [s], or until ``done``."""
         end = time.monotonic() + seconds
         while not done() and (left := end - time.monotonic()) > 0.0:
-            self.spin_once(min(left, 0.02))
+            self.spin_once(min(left, 0.05))
 
     def until(self, happened: Callable[[], Any], what: str = '') -> None:
         """Spin until a condition holds.
