@@ -12,7 +12,7 @@ from problems import floor, rotation
 
 from orbimpc_ros.mpc.check import command_violations, flaw, violations
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
-from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of, stop
+from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 
 
@@ -187,14 +187,6 @@ def test_no_rotation(n):
 
 
 # --- commands made of plans
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_a_stop_keeps_the_attitude(n):
-    attitude = good(n).rotation
-    command = stop(attitude)
-    np.testing.assert_array_equal(command.body_rate, np.zeros(n * (n - 1) // 2))
-    np.testing.assert_array_equal(command.rotation, attitude)
 
 
 @pytest.mark.parametrize('shape', ['none', 'circle', 'polygon'])

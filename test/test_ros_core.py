@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from planners import FRAMES, settings
-from stepping import launched, odometry, targets
+from planners import odometry as odometry_message
+from stepping import odometry, targets
 
 from orbimpc_ros.loop import planner as planners
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
@@ -35,7 +36,6 @@ from orbimpc_ros.ros.planner.outputs import (
     values,
 )
 from orbimpc_ros.ros.process import NodeClock
-from orbimpc_ros.sim.vehicle import Model, measured
 from orbimpc_ros.tool.offline import OfflinePlanner
 
 
@@ -120,27 +120,23 @@ def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
 
 def test_stamps_of_another_clock_say_nothing_of_the_delay():
     driven = Driven()
-    vehicle = launched(Model(), np.zeros(2), np.eye(2))
     for seconds in (1.0, 1.1):
-        message = messages.odometry_message(
-            Stamp(round(seconds * SECOND), FRAMES), measured(vehicle)
-        )
-        driven.inputs.update('odom', message, seconds, stamp(seconds))
+        driven.inputs.update('odom', odometry_message(seconds), seconds, stamp(seconds))
         driven.goal(seconds, seconds)
         assert driven.report(seconds + 0.05).advanced == 0.0
 
 
-ATTITUDE = exp(np.array([0.4]))
-
-
+@pytest.mark.parametrize('n', [2, 3])
 @pytest.mark.parametrize(
     ('kind', 'order', 'speed'),
     [('stop', 1, 0.0), ('hold_rate_zero', 1, 0.7), ('hold_rate_zero', 2, 0.0)],  # order 2 coasts
 )
-def test_what_stops_or_goes_straight_on_does_not_turn(kind, order, speed):
-    command = safe_command(kind, Problem(translation_order=order), ATTITUDE, 0.7)
-    assert (command.speed_fraction, command.body_rate.tolist()) == (speed, [0.0])
-    np.testing.assert_array_equal(command.rotation, ATTITUDE)
+def test_what_stops_or_goes_straight_on_does_not_turn(kind, order, speed, n):
+    rates = 1 if n == 2 else 3
+    attitude = exp(np.full(rates, 0.4))
+    command = safe_command(kind, Problem(n, translation_order=order), attitude, 0.7)
+    assert (command.speed_fraction, command.body_rate.tolist()) == (speed, [0.0] * rates)
+    np.testing.assert_array_equal(command.rotation, attitude)
 
 
 def floored(dimension, shape, draw):

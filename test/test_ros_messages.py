@@ -91,15 +91,6 @@ def test_a_body_that_pushes_along_z_is_turned_on_the_way_in_and_back_on_the_way_
             assert getattr(sent, axis) == pytest.approx(getattr(same, axis), abs=1e-9)
 
 
-def test_goals_come_back():
-    stamp, sighting = messages.read_sighting(goal_message(), 2, FRAMES)
-    assert stamp.nanoseconds == STAMP.nanoseconds
-    np.testing.assert_array_equal(sighting.position, [5.0, 1.0])
-    _, itinerary = messages.read_itinerary(path_message(), 2, FRAMES)
-    np.testing.assert_array_equal(itinerary.positions, np.arange(8.0).reshape(4, 2))
-    np.testing.assert_allclose(np.diff(itinerary.times), 0.5, atol=1e-6)
-
-
 def set_at(message, path, value):
     *parents, last = path.split('.')
     for name in parents:
