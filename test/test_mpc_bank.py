@@ -180,10 +180,8 @@ def test_harmonic_knows_a_swing_after_seeing_it_once(pace, spacing, noise, swing
         motion = motion._replace(parameters=np.r_[motion.parameters[:-1], rate])
         seconds = max(swings * 2.0 * np.pi / rate, least)
         times, seen = sighted(motion, rng, seconds=seconds, noise=noise, spacing=spacing)
-        forecast, ahead = (
-            shown(times, seen, FORECASTS['harmonic']()),
-            times[-1] + np.arange(1.0, 6.0),
-        )
+        forecast = shown(times, seen, FORECASTS['harmonic']())
+        ahead = times[-1] + np.arange(1.0, 6.0)
         error = np.linalg.norm(forecast.at(ahead) - motion(ahead), axis=1).max()
         assert error < within
 

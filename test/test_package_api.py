@@ -20,6 +20,7 @@ CLASSES = [n for n in orbimpc_ros.__all__ if not n.startswith('_')]
 @pytest.mark.parametrize('name', CLASSES)
 def test_every_name_is_documented_where_it_stands_and_on_the_page(name):
     assert inspect.getdoc(getattr(orbimpc_ros, name))
+    assert name in dir(orbimpc_ros)
     assert f'`{name}' in PAGE
 
 

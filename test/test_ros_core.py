@@ -323,14 +323,19 @@ def test_only_what_somebody_listens_to_is_made():
     assert driven.messages(report, heard=()) == {}
 
 
+def verdict_on(driven, report):
+    """Return the verdict on the certificate that a planner sends with a report; it holds."""
+    sent = driven.messages(report, heard={'certificate'})['certificate']
+    verdict = verified(parsed(bytes(sent.data)))
+    assert verdict.holds
+    return verdict
+
+
 @pytest.mark.skipif(not COMPILED, reason='the method that leaves a certificate needs numba')
 def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
     driven = Driven(publish_certificate=True)
     report = driven.tick(1.0)
-    sent = driven.messages(report, heard={'certificate'})['certificate']
-    verdict = verified(parsed(bytes(sent.data)))
-    assert verdict.holds
-    assert verdict.claimed == report.plan.lower_bound > 0.0
+    assert verdict_on(driven, report).claimed == report.plan.lower_bound > 0.0
 
 
 def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
@@ -363,28 +368,17 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
     assert found[0] == found[1]
 
 
-CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1, 'publish_certificate': True}
-
-
-def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
-    driven = Driven(limits={'clock': lambda: 0.0}, **CAUGHT)
+def test_what_is_said_of_catches_is_counted_or_refuted_on_demand_or_the_methods_word():
+    shown, caught = [0.0], {'objective': 'intercept', 'capture_radius': 0.1}
+    driven = Driven(limits={'clock': lambda: shown[0]}, publish_certificate=True, **caught)
     answered = driven.tick(1.0)
     assert answered.catch.bound == pytest.approx(0.6)
+    assert values(answered)['catch_checked'] is True  # by distance alone
     assert driven.proved(answered) is answered
     report = driven.proved(answered, catches=True)
-    sent = driven.messages(report, heard={'certificate'})['certificate']
-    verdict = verified(parsed(bytes(sent.data)))
-    assert verdict.holds
-    assert verdict.proved == pytest.approx(values(report)['catch_bound'])
+    assert verdict_on(driven, report).proved == pytest.approx(values(report)['catch_bound'])
     assert values(report)['catch_checked'] is True
     assert values(report)['infeasible_checked'] is False
-
-
-def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
-    shown = [0.0]
-    driven = Driven(limits={'clock': lambda: shown[0]}, **CAUGHT)
-    answered = driven.tick(1.0)
-    assert values(answered)['catch_checked'] is True  # by distance alone
     word = replace(answered, catch=replace(answered.catch, counted=0.1))
     assert values(word)['catch_checked'] is False
     assert values(word)['catch_bound'] == 0.1  # as far as it was checked

@@ -24,12 +24,8 @@ QUARTER = math.pi / 2
 TURNED = f'map odom 10.0 0.0 0.0 0.0 0.0 {QUARTER}'  # x of odom is y of map
 
 
-def avoiding(**given):
-    return settings(**{'avoid': (OTHER,), 'avoid_radius': 1.0, **given})
-
-
 def inputs(**given):
-    return Inputs(avoiding(**given))
+    return Inputs(settings(**{'avoid': (OTHER,), 'avoid_radius': 1.0, **given}))
 
 
 def in_map(seconds):
