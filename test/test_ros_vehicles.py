@@ -73,7 +73,7 @@ def test_a_fixed_wing_meets_what_drifts_and_never_flies_too_slowly():
         forward=15.0, speed_lag=0.8, rate_lag=0.3, disturbance=(-3.0, 2.0), max_rate=0.4363
     )
     start = started(craft, 2.4, 0.8)
-    log = flight(recipe('fixed wing'), craft, start, lambda now: [60.0 + now, 30.0 - now], 40.0)
+    log = flight(recipe('fixed wing'), craft, start, lambda now: [60.0 + now, 30.0 - now], 28.0)
     away = [np.linalg.norm(motion.position - [60.0 + now, 30.0 - now]) for now, motion, _ in log]
     assert min(away) < 3.0
     assert min(command.speed_fraction for *_, command in log) >= 0.6667
