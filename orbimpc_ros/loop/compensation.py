@@ -388,7 +388,7 @@ class Compensator:
         odometry = self._settled(self._advanced(odometry, coming))
         led = self.response.lead(self._problem)
         told = {
-            'advanced': odometry.time - measured.time - led,
+            'advanced': latency if coming else 0.0,
             'led': led,
             'disturbance': self.disturbance,
             'innovation': self.innovation if self._estimated else None,

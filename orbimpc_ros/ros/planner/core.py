@@ -645,8 +645,8 @@ class Core:
 
     @property
     def expected(self) -> float:
-        """Return the usual duration of a decision [s]."""
-        return statistics.median(self._recent) if self._recent else 0.0
+        """Return the usual duration of a decision, in whole nanoseconds, as replays count [s]."""
+        return round(statistics.median(self._recent), 9) if self._recent else 0.0
 
     def install(self, settings: PlannerSettings, planner: Planner) -> None:
         """Continue with other settings and their planner."""
@@ -684,7 +684,7 @@ class Core:
             # its limit is the same on every machine, however busy.
             looked = (LOOK * looks for looks in itertools.count(1)).__next__
             self._deadline = Deadline(looked, min(given, LONGEST))
-        at = None if ros is None else ros / SECOND + taking
+        at = None if ros is None else (ros + round(taking * SECOND)) / SECOND
         decision = self.planner.step(snapshot, at, self._deadline)
         took = self._clock() - begun
         if decision.state is None:
