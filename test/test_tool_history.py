@@ -200,6 +200,12 @@ def charts(figure):
 # --- the command
 
 
+def test_a_bag_without_notes_is_drawn_by_a_file(tmp_path):
+    (tmp_path / 'mine.yaml').write_text(bags.notes(GOLDEN / 'lander')['parameters'])
+    bag = write(tmp_path / 'bag', bags.raw(GOLDEN / 'lander'), {})
+    assert of_bag(bag, '', str(tmp_path / 'mine.yaml')).values == of_bag(GOLDEN / 'lander').values
+
+
 def test_a_flight_is_drawn_into_a_folder_that_is_made(tool, tmp_path):
     out = tmp_path / 'deep' / 'obstacles'
     code, printed, _ = tool('plot', GOLDEN / 'obstacles', '-o', out, '--no-animation')

@@ -37,6 +37,7 @@ REFUSED = {
     f'plot {DUBINS} -o thesis.tex --no-animation': '--out',
     f'plot {DUBINS} -o thesis.tex/below --no-animation': '--out',
     f'plot {DUBINS} -o out --namespace /uav7': 'without /uav7/odom',
+    f'plot {DUBINS} -o out --params nowhere.yaml': 'nowhere.yaml',
     **{f'{each} {RETRIEVAL} --tick 26': 'allowed: 0 to 25' for each in ('replay', 'verify')},
     f'replay {RETRIEVAL} --set weights.input=-1': 'weights.input is -1',
     f'replay {RETRIEVAL} --set wait=1': "--set: unknown parameter 'wait'",

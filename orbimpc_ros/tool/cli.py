@@ -150,6 +150,7 @@ PROJECTIONS = ('nearest', 'thrust_aligned')
 WHICH = 'a parameter file, a study file, or the name of one'
 OTHERS = 'separated by commas; all but orbitope need a clone of the repository'
 WHOSE = 'of the vehicle, such as uav1'
+PARAMS = _argument('--params', metavar='FILE', help='parameters of a bag that notes none')
 NAMESPACE = _argument('--namespace', type=_namespace, default='', metavar='NS', help=WHOSE)
 # Summary and arguments of each command; the commands in benchmarks/ declare their own arguments.
 COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
@@ -179,6 +180,7 @@ COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
         _argument('-o', '--out', required=True, metavar='DIR',
             help='folder for the pictures'),
         NAMESPACE,
+        PARAMS,
         _argument('--dark', action='store_true', help='for dark pages, not for print'),
         _argument('--no-animation', dest='animated', action='store_false',
             help='only still pictures'),
@@ -217,13 +219,14 @@ COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
             help='problem that the certificate must be for'),
         _argument('--tick', type=int, metavar='K', help='verify only this tick of a bag'),
         NAMESPACE,
-        _argument('--params', metavar='FILE', help='parameters of a bag that notes none'),
+        PARAMS,
         _argument('--out', metavar='DIR', help="folder for the ticks' certificates"),
     )),
     'view': ('look at a flight in a browser, live or from a bag', (
         _argument('bag', nargs='?', metavar='BAG',
             help='a recorded flight (default: what is running now)'),
         NAMESPACE,
+        PARAMS,
         _argument('--port', type=int, metavar='N',
             help='port of the page (default: 9090, or any free one)'),
         _argument('--no-browser', dest='browser', action='store_false',

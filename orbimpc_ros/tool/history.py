@@ -140,17 +140,18 @@ class History:
         return times, values
 
 
-def of_bag(path: Path, namespace: str = '') -> History:
+def of_bag(path: Path, namespace: str = '', params: str | None = None) -> History:
     """Return the history of a vehicle recorded in a bag.
 
     Args:
         path: path of the bag.
         namespace: of the vehicle, such as ``/uav1``.
+        params: file of its parameters, if not those noted in the bag.
 
     Raises:
         BadInput: no bag, or one without odometry and goal.
     """
-    values = settings.of_bag(path, namespace)
+    values = settings.of_bag(path, namespace, params)
     found: dict[str, list[Any]] = defaultdict(list)
     for each in bags.of_vehicle(path, namespace, WANTED):
         if each.topic == 'goal' and not each.stamp and found['odom']:  # by hand: dated by odometry

@@ -63,9 +63,11 @@ MOVING: dict[str, dict[str, Any]] = {
 }  # styles of the animated lines
 
 
-def run(bag: str, out: str, namespace: str, *, dark: bool, animated: bool) -> int:
+def run(
+    bag: str, out: str, namespace: str, params: str | None, *, dark: bool, animated: bool
+) -> int:
     """Draw a flight."""
-    flight = of_bag(Path(bag), namespace)
+    flight = of_bag(Path(bag), namespace, params)
     if len(flight.times) < 2:
         raise BadInput.stating(bag, 'a single odometry message', 'two or more are needed')
     folder = folder_at(Path(out).resolve())

@@ -112,14 +112,11 @@ def recording_of(
         BadInput: no bag, or not one with odometry, a goal and the planner's answers, or there are
             no parameters, or no such tick.
     """
-    if params is not None:
-        values = settings.resolve(Path(params), changes, simulated=False)
-    elif changes or bags.notes(path):
-        known = settings.of_bag(path, namespace)
-        values = settings.changed(known, changes, simulated=False)
-    else:
+    if params is None and not changes and not bags.notes(path):
         missing = 'no notes of its parameters'
         raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
+    values = settings.of_bag(path, namespace, params)
+    values = settings.changed(values, changes, simulated=False)
     planner = planner_settings(values)
     avoided = others(planner, resolving(namespace))
     read = (*INPUTS, *COMPARED, CLOCK, *TREE, *avoided)

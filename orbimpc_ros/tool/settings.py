@@ -39,13 +39,13 @@ def config(name: str) -> Path:
     return found
 
 
-def resolve(file: Path, changes: Sequence[str] = (), *, simulated: bool = True) -> Values:
+def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     """Return every parameter's value for a run: a file's and defaults, :func:`changed`.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    return changed(_completed(files.read(str(file)), str(file)), changes, simulated=simulated)
+    return changed(_completed(files.read(str(file)), str(file)), changes)
 
 
 def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -> Values:
@@ -103,12 +103,14 @@ def _plain(values: Values) -> Values:
     return {name: value for name, value in plain.items() if value != []}
 
 
-def of_bag(path: Path, namespace: str = '') -> Values:
-    """Return the values in the notes of a bag, as :func:`read` does.
+def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Values:
+    """Return the values in the notes of a bag, as :func:`read` does, or in a file instead.
 
     Raises:
-        BadInput: no bag, or malformed notes.
+        BadInput: no bag, or malformed notes; no such file, or a malformed one.
     """
+    if params is not None:
+        return _completed(files.read(params), params)
     return read(bags.notes(path).get('parameters', '{}'), namespace, f'{path}: parameters')
 
 

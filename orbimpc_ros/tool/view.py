@@ -49,7 +49,9 @@ DEPTH = 20  # a slow viewer loses messages; it never delays a controller
 NODES = {'sim': SIM, 'planner': PLANNER}
 
 
-def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> int:
+def run(
+    bag: str | None, namespace: str, params: str | None, port: int | None, *, browser: bool
+) -> int:
     """Show a bag, or the running nodes, until a signal arrives."""
     if not installed():
         raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
@@ -59,7 +61,7 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
 
     values, messages = settings.read('{}'), list[bags.Message]()
     if bag is not None:
-        values = settings.of_bag(Path(bag), namespace)
+        values = settings.of_bag(Path(bag), namespace, params)
         messages = bags.of_vehicle(Path(bag), namespace, TOPICS)
     recording = rr.RecordingStream('orbimpc')
     recording.set_log_tick_enabled(False)  # the only timeline is that of message stamps
