@@ -233,7 +233,9 @@ def test_a_lag_that_cannot_be_is_refused(name, value):
 
 
 def test_the_applied_thrust_follows_what_was_commanded():
-    history, lag = CommandHistory(), 0.3
+    """Also commands that are forgotten by now: there are many within a lag."""
+    lag = 0.3
+    history = CommandHistory(lag)
     sent = [(0.0, 0.2), (0.5, 1.0), (0.9, 0.4)]
     for at, fraction in sent:
         history.add(Command(fraction, np.zeros(1), np.eye(2)), at)
@@ -247,6 +249,10 @@ def test_the_applied_thrust_follows_what_was_commanded():
     assert history.mean(0.5, 0.9, lag) == pytest.approx(shares[1], abs=1e-6)
     assert history.mean(0.0, 1.2, lag) == pytest.approx(vehicle.velocity[0] / 1.2, abs=1e-6)
     assert history.mean(-0.5, 1.2, lag) is None
+    for k, fraction in enumerate(np.linspace(0.4, 1.0, 200)):
+        history.add(Command(fraction, np.zeros(1), np.eye(2)), 1.2 + 0.005 * k)
+        vehicle = flown(plant, vehicle, fraction, np.zeros(1), 0.005)
+    assert history.applied(1.2 + 0.005 * 200, lag) == pytest.approx(vehicle.fraction, abs=1e-3)
 
 
 @pytest.mark.parametrize(('seed', 'gain'), [(0, 0.97), (1, 1.03)])

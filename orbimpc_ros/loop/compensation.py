@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.problem import Problem
 F = TypeVar('F', float, Array)
 SOURCES = ('ground', 'air')  # of a measured velocity
 PARTS = 4  # of the time between commands, in each of which a vehicle with lags moves evenly
-MEMORY = 32  # commands; the effect of earlier ones counts as measured
+MEMORY = 32  # commands
 TINY = 1e-9  # [s]
 NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
@@ -96,13 +96,18 @@ class Interval(NamedTuple):
 class CommandHistory:
     """The recent commands with their times.
 
+    Args:
+        lag: of the speed or thrust, of which earlier commands leave the share reached [s].
+
     Attributes:
         last: the last command, sent or about to be; None before the first.
         sent: recent commands with known times [s].
         due: the command of the step that begins, of a vehicle with lags; None if it is the last.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lag: float = 0.0) -> None:
+        self._lag = lag
+        self._reached: float | None = None  # share at the oldest command, once one is forgotten
         self.last: Command | None = None
         self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
         self.due: Command | None = None
@@ -124,9 +129,8 @@ class CommandHistory:
         """
         if not self.sent or lag == 0.0:
             return self.fraction
-        since, first = self.sent[0]
-        reached = begun if len(self.sent) < MEMORY else first.speed_fraction
-        for interval in self.intervals(since, time):
+        reached = begun if self._reached is None else self._reached
+        for interval in self.intervals(self.sent[0][0], time):
             assert interval.command is not None
             wanted = interval.command.speed_fraction
             reached, _ = followed(reached, wanted, interval.duration, lag)
@@ -150,13 +154,18 @@ class CommandHistory:
     def add(self, command: Command, at: float | None = None) -> None:
         """Record a command, with its time [s] if that is known; times must not decrease."""
         self.last = command
-        if at is not None:
-            self.sent.append((at, command))
+        if at is None:
+            return
+        if len(self.sent) == MEMORY:
+            (since, first), (until, _) = self.sent[0], self.sent[1]
+            before = first.speed_fraction if self._reached is None else self._reached
+            self._reached, _ = followed(before, first.speed_fraction, until - since, self._lag)
+        self.sent.append((at, command))
 
     def forget(self) -> None:
         """Forget all but the last command, for instance because the clock jumped."""
         self.sent.clear()
-        self.due = None
+        self.due = self._reached = None
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return the commands in force from ``begin`` to ``end`` [s]; empty unless begin < end."""
@@ -338,7 +347,7 @@ class Compensator:
         self._drift = DRIFT_PUSHED if problem.inertial else DRIFT
         variances = NOISE_OF_PLACE**2, NOISE_OF_SPEED**2
         self._variances = np.array(variances[: 1 + problem.inertial])  # of the measured quantities
-        self.history = CommandHistory()
+        self.history = CommandHistory(self.response.speed)
         self.start_afresh(wind=True)
 
     def start_afresh(self, *, wind: bool = False) -> None:
