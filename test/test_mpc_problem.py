@@ -11,7 +11,7 @@ from problems import CASES, ORDERS, disturbed, floor, goals, weights
 
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.errors import BadInput, Infeasible
+from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import coordinates
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
@@ -111,7 +111,11 @@ VALUES = {
         (lambda: State.at([0.0] * 3, np.diag([1.0, 1.0, -1.0])), 'state.rotation'),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         (lambda: asked(np.zeros((4, 2))), 'goals'),
+        (lambda: asked(np.full((5, 2), 'far')), 'goals'),
+        (lambda: asked(np.full((5, 2), np.inf)), 'goals'),
+        (lambda: asked(np.zeros((5, 3)), dimension=3), 'state.position'),
         (lambda: asked(GOALS, np.zeros((4, 2))), 'guess'),
+        (lambda: asked(GOALS, np.full((5, 2), 'left')), 'guess'),
         (lambda: asked(GOALS, rotation_order=2, coasting=True), 'state.coasted'),
         (lambda: asked(GOALS, weights=Weights(attitude=1.0)), 'state.wanted'),
         (lambda: Problem(3, 1, 1, tilt=0.2), 'tilt'),
@@ -292,3 +296,10 @@ def test_a_case_may_state_what_its_weights_mean():
     plain = {**CASES['uav_hull_1'], 'step': 0.5, 'forward': 2.0}
     timed = {**plain, 'weights': {**plain['weights'], 'scaling': 'time'}}
     assert case_of(timed).problem == weighed(case_of(plain).problem, 'time')
+
+
+@pytest.mark.filterwarnings('ignore:overflow', 'ignore:invalid', 'ignore:divide')
+def test_far_too_large_numbers_are_a_failure_and_no_error_of_arithmetic():
+    storm = State.at(np.zeros(2), np.eye(2), disturbance=[1e200, 0.0])
+    with pytest.raises(SolverFailure):
+        Solver(Problem(floor=Floor('circle', fraction=0.5))).solve(storm, GOALS)

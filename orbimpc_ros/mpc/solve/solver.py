@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import coordinate_count, coordinates
@@ -214,7 +214,7 @@ class Solver:
                 returns its best result so far.
 
         Raises:
-            BadInput: goals or guess have a wrong shape.
+            BadInput: state, goals or guess have a wrong shape, or goals are not finite.
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
@@ -227,7 +227,7 @@ class Solver:
         if found.x is None:
             return self._instead(query, found, SolverFailure(found.reason))
         plan = self._assembled(query, found.x, self._proof(query, found))
-        flaws = violations(self.problem, state, goals, plan)
+        flaws = violations(self.problem, state, query.goals, plan)
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(query, found, SolverFailure(found.reason))
@@ -246,7 +246,7 @@ class Solver:
         """Return the plan of the method as in :meth:`solve`, but without check or fallback.
 
         Raises:
-            BadInput: goals or guess have a wrong shape.
+            BadInput: state, goals or guess have a wrong shape, or goals are not finite.
             Infeasible: the method proved that no trajectory satisfies the constraints.
             SolverFailure: the method found no trajectory.
         """
@@ -263,23 +263,23 @@ class Solver:
         guess: Plan | Array | None,
         out_of_time: Callable[[], bool] | None,
     ) -> _Query:
+        self._require(state)
+        goals = frozen(goals, (self.problem.horizon, state.dimension), 'goals')
         searched = clear_of_hazards(self.problem, state) if state.hazards else state
         if isinstance(guess, Plan):
             x = coordinates(guess.rotations[1:])
             guess = x if x.shape == self._shape else None
-        elif guess is not None and np.shape(guess) != self._shape:
-            raise BadInput('guess', np.shape(guess), f'a plan, or an array of shape {self._shape}')
+        elif guess is not None:
+            guess = frozen(guess, self._shape, 'guess')
         return _Query(state, goals, guess, out_of_time, searched)
 
     def _found(self, query: _Query) -> Found:
         """Return the result of the method, with a reason if it is not what was asked for.
 
         Raises:
-            BadInput: goals of a wrong shape, or a state without a rotation that the problem needs.
             Infeasible: no trajectory satisfies the constraints.
         """
         state, goals = query.searched, query.goals
-        self._require(state, goals)
         if self.problem.terminal == 'constraint' or self.problem.approach.exists:
             beyond = beyond_reach(self.problem, state, goals) / self.problem.maps.unit
             if max(beyond, beyond_turning(self.problem, state)) > SURELY:
@@ -293,14 +293,14 @@ class Solver:
             if error.proof is not None and self._verified(query, error.proof)[0] < np.inf:
                 return replace(NOTHING, reason=DOUBTFUL)
             raise Infeasible(reason(self.problem, state, goals)) from None
-        except SolverFailure as error:
+        except (SolverFailure, ArithmeticError, np.linalg.LinAlgError) as error:  # or an overflow
             return replace(NOTHING, reason=str(error))
         return self._judged(found, usable)
 
-    def _require(self, state: State, goals: Array) -> None:
-        wanted = (self.problem.horizon, self.problem.dimension)
-        if np.shape(goals) != wanted:
-            raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
+    def _require(self, state: State) -> None:
+        if state.dimension != self.problem.dimension:
+            allowed = f'{self.problem.dimension} numbers'
+            raise BadInput('state.position', state.position.tolist(), allowed)
         if self._coasting and state.coasted is None:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
         if self._wants_attitude and state.wanted is None:
