@@ -112,7 +112,6 @@ VALUES = {
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         (lambda: asked(np.zeros((4, 2))), 'goals'),
         (lambda: asked(np.full((5, 2), 'far')), 'goals'),
-        (lambda: asked(np.full((5, 2), np.inf)), 'goals'),
         (lambda: asked(np.zeros((5, 3)), dimension=3), 'state.position'),
         (lambda: asked(GOALS, np.zeros((4, 2))), 'guess'),
         (lambda: asked(GOALS, np.full((5, 2), 'left')), 'guess'),

@@ -214,7 +214,7 @@ class Solver:
                 returns its best result so far.
 
         Raises:
-            BadInput: state, goals or guess have a wrong shape, or goals are not finite.
+            BadInput: state, goals or guess have a wrong shape or are no numbers.
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
@@ -246,7 +246,7 @@ class Solver:
         """Return the plan of the method as in :meth:`solve`, but without check or fallback.
 
         Raises:
-            BadInput: state, goals or guess have a wrong shape, or goals are not finite.
+            BadInput: state, goals or guess have a wrong shape or are no numbers.
             Infeasible: the method proved that no trajectory satisfies the constraints.
             SolverFailure: the method found no trajectory.
         """
@@ -264,13 +264,13 @@ class Solver:
         out_of_time: Callable[[], bool] | None,
     ) -> _Query:
         self._require(state)
-        goals = frozen(goals, (self.problem.horizon, state.dimension), 'goals')
+        goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
         searched = clear_of_hazards(self.problem, state) if state.hazards else state
         if isinstance(guess, Plan):
             x = coordinates(guess.rotations[1:])
             guess = x if x.shape == self._shape else None
         elif guess is not None:
-            guess = frozen(guess, self._shape, 'guess')
+            guess = _floats(guess, self._shape, 'guess')
         return _Query(state, goals, guess, out_of_time, searched)
 
     def _found(self, query: _Query) -> Found:
@@ -298,7 +298,7 @@ class Solver:
         return self._judged(found, usable)
 
     def _require(self, state: State) -> None:
-        if state.dimension != self.problem.dimension:
+        if len(state.position) != self.problem.dimension:
             allowed = f'{self.problem.dimension} numbers'
             raise BadInput('state.position', state.position.tolist(), allowed)
         if self._coasting and state.coasted is None:
@@ -495,6 +495,12 @@ class Task:
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
         reasons = unproved, plan.proof.reason, outside
         return plan, plan.status, '; '.join(filter(None, reasons))
+
+
+def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
+    """Return an array of floats as it is, and anything else as one if it is that."""
+    fits = isinstance(value, np.ndarray) and (value.dtype, value.shape) == (float, shape)
+    return value if fits else frozen(value, shape, culprit)
 
 
 def _joined(*words: str) -> str:
