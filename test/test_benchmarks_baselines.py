@@ -66,12 +66,6 @@ def test_baselines_steer_clear_of_what_is_in_the_way(name, side):
     assert side * rate > 0.02 or fraction < 0.7
 
 
-def discs(name, index, seed=4):
-    """Return centres, velocities and radii of a flight's traffic."""
-    drawn = np.array(draws_of(name).of(seed, index)['traffic']).reshape(-1, 5)
-    return drawn[:, :2], drawn[:, 2:4], drawn[:, 4]
-
-
 # --- flown in the planner's place
 
 
@@ -106,7 +100,8 @@ def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
     values = mission.of(4, 0)
     pilot = flown_on(values, 3, margin=mission.margin)
     time, state, *_ = pilot.seen[-1]
-    centres, velocities, radii = discs('crossing', 0)
+    drawn = np.array(values['traffic']).reshape(-1, 5)
+    centres, velocities, radii = drawn[:, :2], drawn[:, 2:4], drawn[:, 4]
     assert sorted(each.body.radius for each in state.hazards) == pytest.approx(sorted(radii + 0.3))
     for each in state.hazards:
         own = int(np.argmin(np.abs(radii + 0.3 - each.body.radius)))

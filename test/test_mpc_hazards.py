@@ -361,31 +361,28 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
         Solver(problem).solve(shut, goals, None, polled(600))
 
 
-@needs_machine_code
-@pytest.mark.parametrize('between', [False, True])
-def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
-    """The present velocity alone decides the path to s_1, which ends in the disc, or crosses it."""
-    problem = Problem(horizon=8, step=0.5, forward=2.0)
-    disc = Ball([0.55, -0.45], 0.5) if between else Ball([1.3, 0.1], 0.4)
-    start = State.at([0.0, 0.0], np.eye(2), hazards=(MovingObstacle.drifting(disc, [0.0, 0.0]),))
-    goals = np.tile([6.0, 0.0], (8, 1))
-    plan = Solver(problem).solve(start, goals)
-    assert violations(problem, start, goals, plan) == []
-    middle = 0.5 * (plan.positions[:1] + plan.positions[1:2])
-    depth = disc.depth(np.vstack([middle, plan.positions[1:]]))
-    assert depth[int(not between)] > 1e-3
-    assert (depth[2:] <= 1e-6).all()
+BOUND = {'horizon': 8, 'step': 0.5, 'forward': 2.0}
 
 
 @needs_machine_code
-def test_who_is_too_fast_to_stop_before_a_disc_leaves_it_again():
-    """The way of the present velocity to s_1 is longer than any that thrust adds in a step."""
-    problem, rock = Problem(horizon=6, translation_order=2), still([4.0, 0.0], 0.8)
-    start = State.at([0.0, 0.0], np.eye(2), velocity=[4.0, 0.0], hazards=(rock,))
-    goals = np.tile([12.0, 0.0], (6, 1))
+@pytest.mark.parametrize(
+    ('given', 'velocity', 'disc'),
+    [
+        (BOUND, None, still([1.3, 0.1], 0.4)),  # s_1 is in the disc
+        (BOUND, None, still([0.55, -0.45], 0.5)),  # the path to it crosses the disc
+        ({'horizon': 6, 'translation_order': 2}, [4.0, 0.0], still([4.0, 0.0], 0.8)),
+    ],
+)
+def test_who_is_bound_to_enter_a_margin_leaves_it_again(given, velocity, disc):
+    """The present velocity alone decides the path to s_1, or thrust adds too little to stop."""
+    problem = Problem(**given)
+    start = State.at([0.0, 0.0], np.eye(2), velocity=velocity, hazards=(disc,))
+    goals = np.tile([10.0, 0.0], (problem.horizon, 1))
     plan = Solver(problem).solve(start, goals)
     assert violations(problem, start, goals, plan) == []
-    assert (rock.body.depth(plan.positions[2:]) <= 1e-6).all()
+    first = np.linspace(plan.positions[0], plan.positions[1], 5)
+    assert disc.body.depth(first).max() > 1e-3
+    assert (disc.body.depth(plan.positions[2:]) <= 1e-6).all()
 
 
 def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():

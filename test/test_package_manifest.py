@@ -265,10 +265,6 @@ def test_a_general_method_says_in_a_line_what_it_needs(bare):
     [
         ('rosbags.typesys', f'rosbags is missing: .*{INSTALL}rosbags$'),
         ('mcap', f'mcap is missing: .*{INSTALL}mcap$'),
-        (
-            'lifecycle_msgs.srv',
-            'lifecycle_msgs is missing: install ROS 2, or .*pip install',
-        ),
         ('orbimpc_ros.nowhere', ''),
         (None, ''),
     ],

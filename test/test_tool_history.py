@@ -310,12 +310,8 @@ def test_a_flight_along_x_is_drawn_above_its_charts_with_its_box(aside, boxes, w
 # --- numbers over time
 
 
-def panels(flight):
-    return charts(plot.data(flight))
-
-
 def test_thrust_is_shown_as_it_was_applied():
-    shown = panels(flight('spacecraft', line([5.0, 10.0, 25.0], 21)))
+    shown = charts(plot.data(flight('spacecraft', line([5.0, 10.0, 25.0], 21))))
     assert {'Position [m]', 'Velocity [m/s]', 'Body rates [rad/s]', 'Thrust [N]'} <= set(shown)
     thrust = shown['Thrust [N]'].get_lines()[0]
     assert np.allclose(thrust.get_xdata(), np.arange(21))
@@ -330,5 +326,5 @@ def test_ticks_without_a_plan_leave_holes_not_zeros(caught):
     flown = replace(caught, ticks=holes)
     times, gaps = flown.series('gap')
     assert len(times) == len(gaps) == (len(holes) + 1) // 2
-    planned, fallen = panels(flown)['Time of each tick [ms]'].get_lines()[:2]
+    planned, fallen = charts(plot.data(flown))['Time of each tick [ms]'].get_lines()[:2]
     assert len(planned.get_xdata()) == 2 * len(fallen.get_xdata())

@@ -140,13 +140,6 @@ def test_headings_at_the_closest_approach_are_those_between_the_ends():
 AHEAD = replace(dubins(), **rope_at(3.0, 0.0), max_ticks=3, arrival_radius=0.1)
 
 
-def flown(scenario, fractions):
-    flight = departure(scenario)
-    for fraction in fractions:
-        flight = flight.after(fraction, np.zeros(1))
-    return flight
-
-
 @pytest.mark.parametrize(
     ('changes', 'fractions', 'captured'),
     [
@@ -159,7 +152,9 @@ def flown(scenario, fractions):
     ],
 )
 def test_an_arrival_is_judged_at_the_end_alone_by_place_and_speed(changes, fractions, captured):
-    flight = flown(replace(AHEAD, **changes), fractions)
+    flight = departure(replace(AHEAD, **changes))
+    for fraction in fractions:
+        flight = flight.after(fraction, np.zeros(1))
     assert flight.captured == captured
     assert flight.over == (len(fractions) == 3)
     assert flight.speed == pytest.approx(fractions[-1])
