@@ -153,16 +153,6 @@ def test_a_bag_without_anything_that_a_planner_would_take_is_refused(tmp_path):
         of_bag(path)
 
 
-def test_a_vehicle_of_a_fleet_is_asked_for_by_its_namespace(tmp_path):
-    fleet = rewritten(
-        GOLDEN / 'retrieval',
-        tmp_path / 'bag',
-        lambda each: each._replace(topic=f'/uav1{each.topic}'),
-    )
-    with pytest.raises(BadInput, match='without /odom; give --namespace /uav1'):
-        of_bag(fleet)
-
-
 # --- pictures: their contents, and their files
 
 
