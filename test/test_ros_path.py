@@ -7,30 +7,25 @@ from itertools import groupby
 from operator import le
 from pathlib import Path
 
-import numpy as np
+import planners
 import pytest
 from geometry_msgs.msg import PoseStamped
 from harness import PATIENCE, ROOT
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
-from stepping import launched
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.planner import node as planner_node
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.process import initialised
-from orbimpc_ros.sim.vehicle import Model, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,
 # and the calls among them to a file passed before.
 FILES, HOPS, RETURNS = 18, 42, 25
-FRAMES = Frames('odom', 'base_link')
 
 
 class Trace:
@@ -77,10 +72,8 @@ def planner(unconfigured):
 
 def message(topic):
     """Return a message stamped now: odometry at the origin, or a goal ahead."""
-    stamp = Stamp(time.time_ns(), FRAMES)
-    if topic == 'goal':
-        return messages.goal_message(stamp, np.array([5.0, 0.5]))
-    return messages.odometry_message(stamp, measured(launched(Model(), np.zeros(2), np.eye(2))))
+    now = time.time()
+    return planners.goal(now, y=0.5) if topic == 'goal' else planners.odometry(now)
 
 
 def hear(node, topic):

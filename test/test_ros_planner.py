@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from harness import python
 from nav_msgs.msg import Odometry, Path
-from planners import QUICK, Bench, goal, moving, odometry, told
+from planners import FRAMES, QUICK, Bench, goal, moving, odometry, told
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, UInt8MultiArray
@@ -20,7 +20,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.mpc.proof.document import parsed, verified
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, Stamp, shown
+from orbimpc_ros.ros.messages import Stamp, shown
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import NUMBERS
 
@@ -143,7 +143,6 @@ def test_qos_is_as_documented(launch, observer):
 
 
 OTHER = '/uav2/plan'
-FRAMES = Frames('odom', 'base_link')
 
 
 def planned_with(crowded, count, seconds):

@@ -12,10 +12,9 @@ from bags import GOLDEN, changed, rewritten, ros2_bag, write
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry
+from planners import odometry, tf
 from planners import settings as settings_of
-from planners import tf
 from rclpy.serialization import deserialize_message, serialize_message
-from stepping import launched
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
@@ -25,7 +24,6 @@ from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, shown
 from orbimpc_ros.ros.transforms import TF
-from orbimpc_ros.sim.vehicle import Model, measured
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag
@@ -480,7 +478,6 @@ def tree(second):
 def inputs(second):
     """Return the messages that come with a second's odometry, in the order of sending."""
     stamp, in_map = (Stamp(second * SECOND, Frames(each, 'base_link')) for each in ('odom', 'map'))
-    vehicle = launched(Model(), np.array([0.5 * second, 0.0]), np.eye(2))
     away = [np.array([3.0 - 0.5 * k, -1.5]) for k in range(4)]
     ball = Ball(np.array([0.5 * second + 1.5, 1.6 - 0.3 * second]), 0.4)
     marker = shown(Marker(header=messages.header(second * SECOND, 'odom')), ball)
@@ -489,7 +486,7 @@ def inputs(second):
         'obstacles': MarkerArray(markers=[marker]),
         OTHER: messages.path_message(stamp, 1.0, map(messages.pose, away)),
         'goal': messages.goal_message(in_map, np.array([9.0, 0.0])),
-        'odom': messages.odometry_message(stamp, measured(vehicle)),
+        'odom': odometry(second, (0.5 * second, 0.0)),
     }
     sent = second * SECOND
     return [
