@@ -137,16 +137,13 @@ def test_not_finite(n, value):
     ],
 )
 def test_a_command_may_be_at_its_limits_and_not_beyond(given, name, most, told):
-    """Without max_rate the limit is half a turn per step."""
+    """Without max_rate the limit is half a turn per step; in space the vector counts."""
     problem, rate = Problem(**given), name == 'body_rate'
     for value, fine in ((most, True), (np.nextafter(most, 9.0), False)):
         command = replace(good(2), **{name: np.array([-value]) if rate else value})
         assert (flaw(problem, command) == '') is fine
         assert fine or told in flaw(problem, command)
     assert rate or told in flaw(problem, replace(good(2), speed_fraction=-1e-9))
-
-
-def test_a_rate_in_space_is_as_large_as_its_vector():
     size = float(np.linalg.norm(good(3).body_rate))
     assert flaw(Problem(3, max_rate=size), good(3)) == ''
     assert 'beyond' in flaw(Problem(3, max_rate=0.99 * size), good(3))

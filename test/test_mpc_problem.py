@@ -289,10 +289,7 @@ def test_the_paper_means_sums_and_the_weight_of_the_attitude_has_no_unit():
     problem = Problem(step=0.1, forward=30.0, weights=Weights(attitude=4.0))
     assert weighed(problem, 'paper') is problem
     assert weighed(problem, 'time').weights.attitude == 4.0
-
-
-def test_a_case_may_state_what_its_weights_mean():
-    plain = {**CASES['uav_hull_1'], 'step': 0.5, 'forward': 2.0}
+    plain = {**CASES['uav_hull_1'], 'step': 0.5, 'forward': 2.0}  # a case may state what is meant
     timed = {**plain, 'weights': {**plain['weights'], 'scaling': 'time'}}
     assert case_of(timed).problem == weighed(case_of(plain).problem, 'time')
 

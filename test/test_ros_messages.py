@@ -11,6 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
+from planners import FRAMES
 from stepping import launched
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -28,7 +29,6 @@ from orbimpc_ros.ros.messages import (
 )
 from orbimpc_ros.sim.vehicle import Model, measured
 
-FRAMES = Frames('odom', 'base_link')
 STAMP = Stamp(1_700_000_000_123_456_789, FRAMES)
 
 
@@ -225,18 +225,14 @@ def test_where_stamps_differ_a_pose_goes_with_the_last_twist(sent, made):
     assert joined(*sent) == made
 
 
-def test_halves_too_far_apart_are_refused():
-    halves = PoseTwistSynchronizer()
+def test_halves_too_far_apart_and_a_stamp_that_is_none_are_refused():
+    halves, unstamped = PoseTwistSynchronizer(), pose(1000)
+    unstamped.header.stamp.nanosec = SECOND
+    with pytest.raises(BadInput, match=r'pose\.header\.stamp'):
+        halves.take('pose', unstamped)
     halves.take('twist', twist(1000))
     with pytest.raises(BadInput, match=r'twist.header.stamp.*0.101 s from that of pose'):
         halves.take('pose', pose(1001 + APART // 1_000_000))
-
-
-def test_a_stamp_that_is_none_is_refused():
-    halves, message = PoseTwistSynchronizer(), pose(1000)
-    message.header.stamp.nanosec = SECOND
-    with pytest.raises(BadInput, match=r'pose\.header\.stamp'):
-        halves.take('pose', message)
 
 
 @pytest.mark.parametrize(('dimension', 'axis'), [(2, 'x'), (3, 'x'), (3, 'z')])

@@ -270,7 +270,10 @@ def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
     """As with ``ros2 param dump`` and ``ros2 param load``: all live parameters, at once."""
     assert change(running, {'obstacles': boxes})[0] or not boxes
     names = [*(row.name for row in PLANNER if row.live), 'use_sim_time']
-    values = {name: value_of(each) for name, each in zip(names, held(running, names), strict=True)}
+    values = {
+        name: Parameter.from_parameter_msg(ParameterMessage(value=each)).value
+        for name, each in zip(names, held(running, names), strict=True)
+    }
     values['obstacles'], values['wind'] = boxes, list(values['wind'])
     values['approach.direction'] = list(values['approach.direction'])
     file = tmp_path / 'dump.yaml'
@@ -279,10 +282,6 @@ def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
     answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=loaded)
     assert answer.result.successful, answer.result.reason
     assert list(held(running, ['obstacles'])[0].double_array_value) == boxes
-
-
-def value_of(message):
-    return Parameter.from_parameter_msg(ParameterMessage(value=message)).value
 
 
 def test_wind_and_gravity_add_up_to_one_disturbance_of_planner_and_simulator():

@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped, Wren
 from harness import Observer, new_domain
 from lifecycle_msgs.msg import TransitionEvent
 from nav_msgs.msg import Odometry, Path
+from planners import FRAMES
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -192,9 +193,6 @@ def test_bad_commands_are_refused_counted_and_not_flown(launch, observer):
 
 
 NOW = 5_000_000_000  # [ns]
-FRAMES = Frames('odom', 'base_link')
-
-
 STEPPED = SimSettings(forward=2.0, step=0.5)
 PUSHED = SimSettings(translation_order=2, forward=2.0, mass=3.0)
 

@@ -126,11 +126,8 @@ def test_who_is_headed_elsewhere_has_not_caught_the_goal():
         flown = departure(coned).after(1.0, np.zeros(1))
         assert flown.near
         assert flown.captured == done
-
-
-def test_headings_at_the_closest_approach_are_those_between_the_ends():
-    ends = np.array([1.0, 0.0]), np.array([0.0, 1.0])
-    cone = Approach(0.1, (3.0, 3.0))
+    # The heading at the closest approach is one between those at the ends.
+    ends, cone = (np.array([1.0, 0.0]), np.array([0.0, 1.0])), Approach(0.1, (3.0, 3.0))
     assert [is_headed(cone, ends, share) for share in (0.0, 0.5, 1.0)] == [False, True, False]
     assert is_headed(Approach(), ends, 0.0)
 
