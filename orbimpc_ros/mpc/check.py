@@ -177,8 +177,8 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        is_round = problem.floor.shape == 'circle'
-        above = _sizes(turned) if is_round else (turned @ problem.floor_normals.T).max(axis=-1)
+        outward = problem.floor_normals
+        above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
         found['floor'] = above - problem.floor.fraction
     if problem.max_rate:
         found['max_rate'] = turn_margin(problem, state, headings)

@@ -177,6 +177,8 @@ class Draws:
             stream = np.random.SeedSequence(seed, spawn_key=key)
             try:
                 drawn = _drawn(rule, np.random.default_rng(stream))
+            except BadInput:
+                raise
             except (AttributeError, IndexError, KeyError, TypeError, ValueError):
                 raise BadInput(f'draw: {name}', rule, 'a rule of docs/recording.md') from None
             values[name] = settings.typed(settings.ROWS[name], drawn)
@@ -333,7 +335,8 @@ def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
         begin = float(x - when * u), float(y - when * v)
         if math.hypot(*begin) > rule['clear'] + radius:
             return [*begin, float(u), float(v), radius]
-    raise ValueError(f'no body starts {rule["clear"]} m clear of the origin')
+    found = f'no body starts {rule["clear"]} m clear of the origin'
+    raise BadInput.stating('draw: traffic', found, 'let them start farther away')
 
 
 # --- the report

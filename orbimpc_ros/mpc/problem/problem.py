@@ -269,11 +269,9 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
-    def floor_normals(self) -> Array:
-        """Return the unit normals of the floor's half-spaces, shape (m, n); not of a round one."""
-        normals = self.floor.normals(self.dimension)
-        assert normals is not None
-        return normals
+    def floor_normals(self) -> Array | None:
+        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
+        return self.floor.normals(self.dimension)
 
     @cached_property
     def has_cones(self) -> bool:
