@@ -51,6 +51,7 @@ from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log, turned
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
@@ -503,10 +504,9 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    coasted = state.position + problem.maps.places[-1, -1] * state.disturbance
     flown = mean_shares(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
     way = problem.step * problem.forward * flown
-    return np.asarray(coasted + way - plan.positions[-1])
+    return np.asarray(adrift(problem, state)[-1] + way - plan.positions[-1])
 
 
 def _means(attitudes: Array) -> Array:

@@ -126,10 +126,10 @@ def over_polygon(g, along, known, k, slowest, length, curve, sets):
     best = along * fastest
     for end in ends:
         best = min(best, (g[0] * end[1] + g[1] * end[2]) * end[3])
-    outward = sets.least / direction(share / 2)[0]  # of the corners
     first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
     for i in range(first, last + 1):
         x, y = direction((2 * i + 1) * share / 2)
+        outward = sets.least / direction(share / 2)[0]
         best = min(best, (g[0] * x + g[1] * y) * outward)
     return best
 
