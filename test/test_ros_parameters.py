@@ -145,7 +145,7 @@ BAD_STARTS = [
     ('sim', {'step': '.nan'}, 'step is nan; allowed: a double in [0.001, 1000]'),
     ('planner', {'horizn': 5}, "unknown parameter 'horizn'; did you mean 'horizon' or "),
     ('sim', {'rope.center': '[5, 0]'}, 'rope.center is [5, 0]; allowed: doubles'),
-    ('planner', {'use_sim_time': 1}, 'use_sim_time is 1; allowed: true | false'),
+    ('planner', {'use_sim_time': 1}, "'1' of type 'INTEGER', expecting type 'BOOL'"),
     (
         'sim',
         {'qos_overrides./cmd_vel.publisher.depth': 5},

@@ -12,16 +12,10 @@ import math
 import os
 import signal
 import sys
-import textwrap
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
-from itertools import takewhile
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from orbimpc_ros.ros.parameters.spec import ParameterSpec
 
 # Needed by the tool and the general methods, besides ROS, NumPy and SciPy.
 OTHERS = ('clarabel', 'matplotlib', 'mcap', 'rosbags')
@@ -31,32 +25,10 @@ ROS = (
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
 PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
-TABLES = {'planner': 'orbimpc_ros.ros.parameters.planner', 'sim': 'orbimpc_ros.sim.parameters'}
 DONE, BAD_INPUT = 0, 2  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-WIDTH = 80  # of --help
-TOPICS = {
-    'planner': 'Plans from odom and goal, and commands on cmd_vel (cmd_thrust at translation '
-    'order 2). Reports on tick, plan and /diagnostics; arrived and caught are events.',
-    'sim': 'Flies a vehicle by the commands on cmd_vel and cmd_thrust, and publishes odom, goal '
-    'and captured.',
-}
 COMPILING = 'compiling machine code, only once'
 PAUSE = 5.0  # [s] between lines of progress
-USAGE = """\
-usage: {name} [--ros-args ARGUMENT...]
-
-{topics}
-
-arguments of ROS:
-  --params-file FILE   parameters, as in config/retrieval.yaml
-  -p NAME:=VALUE       one parameter; decimal numbers need a point: 1.0
-  -r FROM:=TO          another name of a topic, or __ns:=/NAMESPACE
-
-parameters (name, default, meaning):
-{parameters}
-
-exit codes: 0 done or ended by a signal, 1 failed, 2 bad input"""
 
 
 def leave_at_signals() -> None:
@@ -69,25 +41,11 @@ def leave_at_signals() -> None:
         signal.signal(number, lambda _number, _frame: os._exit(0))
 
 
-def planner() -> int:
-    """Run the planner; return the exit code."""
-    return _run('planner')
-
-
-def sim() -> int:
-    """Run the simulator; return the exit code."""
-    return _run('sim')
-
-
 def _run(node: str) -> int:
+    """Run a node; return the exit code."""
     leave_at_signals()
     gc.disable()  # until the node runs: objects of the start are permanent
-    plain = takewhile('--ros-args'.__ne__, sys.argv)
     try:
-        if any(word in ('-h', '--help') for word in plain):
-            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # for uses like `planner --help | head`
-            print(_help(node))
-            return DONE
         main = import_module(f'{PACKAGES[node]}.node').main
     except ModuleNotFoundError as error:
         line = in_a_line(error)
@@ -98,24 +56,7 @@ def _run(node: str) -> int:
     return int(main())
 
 
-def _help(node: str) -> str:
-    """Return the text of ``--help`` of a node: topics, arguments, parameters, exit codes."""
-    specs = getattr(import_module(TABLES[node]), node.upper())
-    name = Path(sys.argv[0]).name
-    return USAGE.format(
-        name=node if name == '__main__.py' else name,
-        topics=textwrap.fill(TOPICS[node], WIDTH),
-        parameters='\n'.join(map(_help_on, sorted(specs, key=lambda spec: spec.name))),
-    )
-
-
-def _help_on(spec: ParameterSpec) -> str:
-    default, indent = spec.default, ' ' * 6
-    if isinstance(default, tuple):
-        default = f'[{", ".join(map(str, default))}]'
-    shown = str(default).lower() if isinstance(default, bool) else default
-    meaning = textwrap.wrap(spec.description, WIDTH - len(indent))
-    return f'\n{indent}'.join([f'  {spec.name}  {shown} {spec.unit}'.rstrip(), *meaning])
+planner, sim = partial(_run, 'planner'), partial(_run, 'sim')
 
 
 def in_a_line(error: ModuleNotFoundError) -> str:

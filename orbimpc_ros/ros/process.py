@@ -8,6 +8,7 @@ transition is requested: here, both are logged in one line, and the node continu
 
 from __future__ import annotations
 
+import argparse
 import ast
 import faulthandler
 import functools
@@ -67,19 +68,14 @@ class Managed(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        try:
-            Node.__init__(self, name, parameter_overrides=list(parameters))
-        except InvalidParameterTypeException as error:  # a parameter that every node has
-            wrong = next(each for each in self._parameter_overrides if each in str(error))
-            given = self._parameter_overrides[wrong].value
-            raise BadInput(wrong, given, 'true | false') from None
+        Node.__init__(self, name, parameter_overrides=list(parameters))
         self.kind = name
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.failures = 0
         self.active = False
         self._in_a_row: Counter[str] = Counter()
-        self._lasting: set[Any] | None = None  # endpoints that exist while unconfigured
+        self._lasting: dict[Any, str] | None = None  # endpoints while unconfigured, and kinds
         self._error: BaseException | None = None  # of the last transition
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
@@ -133,9 +129,7 @@ class Managed(LifecycleNodeMixin, Node):
 
         return guarded
 
-    def at_work(self, callback: Callable[..., Any], *known: str) -> Callable[..., Any]:
-        """Return the callback, guarded, which does nothing while the node is not active."""
-        return self.guard(callback, *known, at_work=True)
+    at_work = functools.partialmethod(guard, at_work=True)
 
     def every(self, period: float, callback: Callable[[], None]) -> Any:
         """Call back every ``period`` [s] of the steady clock while the node is active."""
@@ -178,14 +172,14 @@ class Managed(LifecycleNodeMixin, Node):
             self.get_logger().info('unconfigured: waits for ~/change_state')
             return
         self._error = None
-        for trigger in (self.trigger_configure, self.trigger_activate):
-            try:
-                trigger()
-            except RuntimeError:  # rclpy failed to publish the transition
-                if self._error is None:
-                    raise
-            if self._error is not None:
-                raise self._error
+        try:
+            self.trigger_configure()
+            if self._error is None:
+                self.trigger_activate()
+        except RuntimeError as error:  # rclpy failed to publish the transition
+            self._error = self._error or error
+        if self._error is not None:
+            raise self._error
 
     def on_configure(self, state: LifecycleState) -> Ended:
         """Configure the node, or clean up after a failure."""
@@ -210,11 +204,9 @@ class Managed(LifecycleNodeMixin, Node):
     def on_cleanup(self, _state: LifecycleState) -> Ended:
         """Destroy all endpoints created since the node was configured."""
         self.flush()  # a publisher destroyed at once may take its safe command with it
-        lasting = self._endpoints() if self._lasting is None else self._lasting
-        for kind in ENDPOINTS:
-            for each in [*getattr(self, f'{kind}s')]:
-                if each not in lasting:
-                    getattr(self, f'destroy_{kind}')(each)
+        for each, kind in self._endpoints().items():
+            if self._lasting is not None and each not in self._lasting:
+                getattr(self, f'destroy_{kind}')(each)
         self._lasting = None
         return Ended.SUCCESS
 
@@ -236,8 +228,8 @@ class Managed(LifecycleNodeMixin, Node):
         """Return True if the node is configured, or being configured."""
         return self._lasting is not None
 
-    def _endpoints(self) -> set[Any]:
-        return {each for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}
+    def _endpoints(self) -> dict[Any, str]:
+        return {each: kind for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}
 
     def _tried(self, change: Callable[[], None]) -> Ended:
         """Run a part of a transition; bad input only refuses it, other exceptions are errors."""
@@ -338,9 +330,12 @@ LIFE = 0.1  # [s] liveliness lease of a planner, for its monitors
 SPIN = 0.05  # [s] longest response to a signal
 LAST_RESORT = 30.0  # [s] after which a process that hangs on exit is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
-CLOSED = ('LOCALHOST', 'OFF')  # ranges that exclude other machines
 SECURITY = 'ROS_SECURITY_ENABLE'
 KNOWN_WORDS = 'arguments of ROS, such as --params-file FILE, -p NAME:=VALUE, -r FROM:=TO'
+USAGE = (
+    f'ARGUMENT: {KNOWN_WORDS}. Parameters: docs/parameters.md, or ros2 param describe. '
+    'Exit codes: 0 done or ended by a signal, 1 failed, 2 bad input.'
+)
 
 
 def qos(depth: int = 1, lease: float = 0.0, **policies: Any) -> QoSProfile:
@@ -444,7 +439,7 @@ def run(make: Callable[[], Managed]) -> int:
             stack.callback(_destroy, node)
             node.begin()
             return _live(node)
-    except BadInput as error:
+    except (BadInput, InvalidParameterTypeException) as error:  # use_sim_time of another type
         return _ended(error, BAD_INPUT)
     except rclpy_implementation.RCLError as error:  # for example, security is required but missing
         return _ended(f'the node cannot be created: {error}', FAILED)
@@ -477,8 +472,9 @@ def _require_files() -> None:
 
 
 def _require_ros_words() -> None:
-    """Reject arguments that would be ignored."""
-    _, *plain = remove_ros_args(args=sys.argv)
+    """Reject arguments that would be ignored; print the usage and exit for --help."""
+    parser = argparse.ArgumentParser(usage='%(prog)s [--ros-args ARGUMENT...]', epilog=USAGE)
+    _, plain = parser.parse_known_args(remove_ros_args(args=sys.argv)[1:])
     if plain:
         problem = f'{shlex.join(plain)} must follow --ros-args'
         hint = f'allowed: --ros-args, then {KNOWN_WORDS}'
@@ -488,10 +484,9 @@ def _require_ros_words() -> None:
 def _live(node: Managed) -> int:
     """Spin a node until it is done or signalled, send final safe commands; return its code."""
     received = _signals()
-    if os.environ[RANGE] not in CLOSED:
-        node.get_logger().warning(f'{RANGE}={os.environ[RANGE]}: open to other machines')
-    if os.environ.get(PEERS):
-        node.get_logger().warning(f'{PEERS}={os.environ[PEERS]}: open to these machines')
+    for name, closed in ((RANGE, ('LOCALHOST', 'OFF')), (PEERS, (None, ''))):
+        if (given := os.environ.get(name)) not in closed:
+            node.get_logger().warning(f'{name}={given}: open to other machines')
     executor = executor_named(node.get_parameter('executor').value)
     executor.add_node(node)
     spin = node.guard(executor.spin_once)  # callbacks of rclpy itself fail on a malformed /clock
