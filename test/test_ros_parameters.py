@@ -146,11 +146,7 @@ BAD_STARTS = [
     ('planner', {'horizn': 5}, "unknown parameter 'horizn'; did you mean 'horizon' or "),
     ('sim', {'rope.center': '[5, 0]'}, 'rope.center is [5, 0]; allowed: doubles'),
     ('planner', {'use_sim_time': 1}, "'1' of type 'INTEGER', expecting type 'BOOL'"),
-    (
-        'sim',
-        {'qos_overrides./cmd_vel.publisher.depth': 5},
-        'parameter qos_overrides./cmd_vel.publisher.depth: 5 would have no effect; leave it out',
-    ),
+    ('sim', {'qos_overrides./cmd_vel.publisher.depth': 5}, "unknown parameter 'qos_overrides."),
 ]
 
 

@@ -89,14 +89,6 @@ class SimSettings(VehicleParameters):
         "planner's steps; continuous, with lags, limits and gusts; or in an engine: cessna in "
         'JSBSim, hummingbird of RotorPy in MuJoCo, servicer, a spacecraft, in Basilisk',
         choices=('discrete', 'continuous', *ENGINES))
-    max_rate: float = parameter('max_rate', 0.0, "Limit on the vehicle's body rate; 0 for no limit",
-        'rad/s', 0.0, 1e4)
-    max_acceleration: float = parameter('max_acceleration', 0.0,
-        'Limit on the change of speed (translation order 1); 0 for no limit', 'm/s^2', 0.0, 1e6)
-    speed_lag: float = parameter('response.speed', 0.0, 'Lag of speed or thrust, first order',
-        's', 0.0, 10.0)
-    rate_lag: float = parameter('response.rate', 0.0, 'Lag of the body rate, first order',
-        's', 0.0, 10.0)
     gust: float = parameter('gust', 0.0,
         'Standard deviation of gusts along each axis, on top of wind', 'm/s or m/s^2', 0.0, 1e3)
     gust_time: float = parameter('gust_time', 3.0, 'Correlation time of gusts', 's', 0.1, 1e3)
@@ -123,8 +115,6 @@ class SimSettings(VehicleParameters):
         'Drift of the middle: x, y, z', 'm/s', -1e3, 1e3)
     rope_length: float = parameter('rope.length', 0.0, 'Length of the rope, half of it above the '
         'plane of flight; for aircraft, which leave that plane', 'm', 0.0, FAR)
-    capture_radius: float = parameter('capture_radius', 0.2,
-        'Distance within which the goal is caught', 'm', TINY, FAR)
     finish: str = parameter('finish', 'capture',
         'Whether a flight ends by capture, or at max_ticks by arrival',
         choices=('capture', 'arrival'))

@@ -9,7 +9,7 @@ misspelt there keeps its defaults.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib import import_module
 from itertools import pairwise
@@ -84,8 +84,7 @@ class DynamicParameters(Generic[S]):
         """Return the changes, with the parameter's type for empty lists, which YAML's [] lacks."""
         arrays = {spec.name: spec.kind for spec in self._specs if isinstance(spec.default, tuple)}
         for k, each in enumerate(changes):
-            empty = isinstance(each.value, Sized) and not isinstance(each.value, str)
-            if each.name in arrays and empty and not each.value:
+            if each.name in arrays and each.type_.name.endswith('_ARRAY') and not each.value:
                 changes[k] = Parameter(each.name, arrays[each.name], [])
         return changes
 
@@ -116,30 +115,20 @@ def _refuse_unknown(node: Node, specs: Sequence[ParameterSpec]) -> None:
         # One file may serve both nodes, so a name is unknown only if neither has it.
         simulator = import_module('orbimpc_ros.sim.parameters')
         known.update(spec.name for spec in (*PLANNER, *simulator.SIM))
-    for name, given in node._parameter_overrides.items():
-        if name.startswith('qos_overrides.'):
-            problem = f'{given.value!r} would have no effect'
-            hint = 'leave it out: qualities of service are fixed'
-            raise BadInput.stating(f'parameter {name}', problem, hint)
+    for name in node._parameter_overrides:
         if name not in known:
             raise BadInput.unknown('parameter', name, sorted(known))
 
 
 def _declare(node: Node, spec: ParameterSpec) -> None:
-    empty = spec.default == ()
-    default = spec.kind if empty else spec.default
-    descriptor = spec.descriptor
-    descriptor.read_only &= not empty
+    empty, given = spec.default == (), node._parameter_overrides
     try:
-        node.declare_parameter(spec.name, default, descriptor)
+        # An empty list is declared by its type: rclpy would take it for one of bytes.
+        node.declare_parameter(spec.name, spec.kind if empty else spec.default, spec.descriptor)
     except (InvalidParameterTypeException, InvalidParameterValueException):
-        given = node._parameter_overrides[spec.name].value
-        raise BadInput(spec.name, given, spec.allowed) from None
-    if empty and node.get_parameter_or(spec.name).type_ == Parameter.Type.NOT_SET:
-        # rclpy reads an undeclared [] as bytes, so the type is set separately.
-        node.set_parameters([Parameter(spec.name, spec.kind, [])])
-    if empty:  # a read-only parameter could not be given its type
-        node.set_descriptor(spec.name, spec.descriptor)
+        raise BadInput(spec.name, given[spec.name].value, spec.allowed) from None
+    if empty and spec.name not in given:
+        node._parameters[spec.name] = Parameter(spec.name, spec.kind, [])
 
 
 PARAMETERS = 'ros__parameters'

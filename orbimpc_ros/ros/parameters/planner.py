@@ -73,14 +73,6 @@ class PlannerSettings(VehicleParameters):
         'Faces of the polygon, or of the solid (6, 12, 20) in space', '', 3, 64, live=True)
     floor_fraction: float = parameter('floor.fraction', math.sqrt(0.3),
         'Minimum share of full speed', '', TINY, 1.0, live=True)
-    max_rate: float = parameter('max_rate', 0.0, 'Limit on the body rate; 0 for none, at most '
-        'pi/step. Without a floor it also limits changes of speed: R e1 moves by at most 2 '
-        'sin(step * max_rate / 2) in a step. With a floor it limits the angle of each step, at any '
-        'speed. For thrust in space without a floor, cones or a terminal constraint it limits only '
-        'commands', 'rad/s', 0.0, 1e4, live=True)
-    max_acceleration: float = parameter('max_acceleration', 0.0, 'Limit on the change of speed '
-        '(translation_order 1); 0 for none. From one command to the next the speed changes by at '
-        'most step * max_acceleration', 'm/s^2', 0.0, 1e6, live=True)
     tilt: float = parameter('tilt', 0.0, 'Largest angle of the thrust axis from the vertical '
         '(dimension 3, translation_order 2); 0 for any', 'rad', 0.0, 0.5 * math.pi, live=True)
     glide_slope: float = parameter('glide_slope', 0.0, 'Stay in a cone above the goal, of this '
@@ -108,9 +100,6 @@ class PlannerSettings(VehicleParameters):
         'How a point of the orbitope is projected to a rotation', choices=PROJECTIONS, live=True)
     objective: str = parameter('objective', 'track', 'Whether to stay near the goal, or to catch '
         'it as soon as possible', choices=('track', 'intercept'), live=True)
-    goal_radius: float = parameter('capture_radius', 0.2, 'Distance at which the goal is caught: '
-        'in plans (objective intercept), and on the topics caught and arrived',
-        'm', TINY, 1e6, live=True)
     centred: bool = parameter('capture_centred', False, 'Whether plans of a catch lead through the '
         'centre of the goal with a small margin: their gentle turns suit vehicles that are slow to '
         'begin a turn; otherwise they gain the last centimetre', live=True)
@@ -138,10 +127,6 @@ class PlannerSettings(VehicleParameters):
         choices=('timer', 'odom'))
     plan_period: float = parameter('plan_period', 0.0, 'Period of planning (trigger timer) or of '
         'odometry (trigger odom), at most a step; 0 for a step', 's', 0.0, MAX_DURATION)
-    response_speed: float = parameter('response.speed', 0.0, 'First-order lag of speed or thrust; '
-        'a vehicle with any lag obeys at once, not at the end of a step', 's', 0.0, 10.0, live=True)
-    response_rate: float = parameter('response.rate', 0.0, 'First-order lag of the body rate',
-        's', 0.0, 10.0, live=True)
     sideslip: bool = parameter('sideslip', False, 'Whether the twist of odom has the full velocity '
         "through the air (velocity_source air, in the plane): a wing's heading and speed are then "
         'those of its motion through the air, not of its nose')
@@ -220,7 +205,7 @@ class PlannerSettings(VehicleParameters):
     @cached_property
     def response(self) -> Response:
         """Return the lags of the vehicle."""
-        return Response(self.response_speed, self.response_rate)
+        return Response(self.speed_lag, self.rate_lag)
 
     @cached_property
     def estimated(self) -> bool:
@@ -228,9 +213,9 @@ class PlannerSettings(VehicleParameters):
         return self.given_disturbance == ESTIMATED
 
     @cached_property
-    def capture_radius(self) -> float:
-        """Return the radius within which the goal is caught; 0 without interception [m]."""
-        return self.goal_radius if self.objective == 'intercept' else 0.0
+    def catch_radius(self) -> float:
+        """Return the radius within which plans catch the goal; 0 without interception [m]."""
+        return self.capture_radius if self.objective == 'intercept' else 0.0
 
     @cached_property
     def approach(self) -> Approach:

@@ -213,6 +213,18 @@ class VehicleParameters(ProcessParameters):
     discretisation: str = parameter('discretisation', 'euler', 'How a step moves: euler, along the '
         'axis at its start, as in the paper; exact, integrated while the axis turns',
         choices=('euler', 'exact'))
+    max_rate: float = parameter('max_rate', 0.0, 'Limit on the body rate; 0 for none, at most '
+        'pi/step. Without a floor it also limits changes of speed: R e1 moves by at most 2 '
+        'sin(step * max_rate / 2) in a step. With a floor it limits the angle of each step, at any '
+        'speed. For thrust in space without a floor, cones or a terminal constraint it limits only '
+        'commands', 'rad/s', 0.0, 1e4, live=True)
+    max_acceleration: float = parameter('max_acceleration', 0.0, 'Limit on the change of speed '
+        '(translation_order 1); 0 for none. From one command to the next the speed changes by at '
+        'most step * max_acceleration', 'm/s^2', 0.0, 1e6, live=True)
+    speed_lag: float = parameter('response.speed', 0.0, 'First-order lag of speed or thrust; '
+        'a vehicle with any lag obeys at once, not at the end of a step', 's', 0.0, 10.0, live=True)
+    rate_lag: float = parameter('response.rate', 0.0, 'First-order lag of the body rate',
+        's', 0.0, 10.0, live=True)
     wind: tuple[float, ...] = parameter('wind', (0.0, 0.0, 0.0), 'Known wind in the world frame '
         '(an acceleration at translation order 2): x, y, z', 'm/s or m/s^2', -1e3, 1e3, live=True)
     gravity: float = parameter('gravity', 0.0, 'Along -z (dimension 3, translation order 2); '
@@ -224,6 +236,9 @@ class VehicleParameters(ProcessParameters):
         'Body frame of twists; empty accepts any')
     thrust_axis: str = parameter('thrust_axis', 'x', 'Body axis of thrust, along which speed and '
         'force are given: x, or in space z, as for a multirotor', choices=tuple(THRUST_AXES))
+    capture_radius: float = parameter('capture_radius', 0.2, 'Distance at which the goal is '
+        'caught: in plans (objective intercept), and on the topics caught and arrived',
+        'm', TINY, 1e6, live=True)
     approach_cone: float = parameter('approach.cone', 0.0, 'A catch counts only with the thrust '
         'axis within this angle of approach.direction, whatever the velocity; 0 for any',
         'rad', 0.0, WIDEST_APPROACH, live=True)

@@ -60,7 +60,7 @@ DISABLED = Reason(Cause.DISABLED, 'disabled')
 INACTIVE = Reason(Cause.DISABLED, 'inactive')  # as a managed node
 OF_PLANNER = (
     *('projection', 'gap_tolerance', 'response', 'disturbance', 'velocity_source', 'sideslip'),
-    *('capture_radius', 'approach', 'centred', 'odom_timeout', 'goal_timeout'),
+    *('approach', 'centred', 'odom_timeout', 'goal_timeout'),
 )
 RECENT = 15  # decisions
 LOOK = 1e-4  # [s] counted per check of the deadline in lock-step; some take 3e-3
@@ -598,6 +598,7 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
         # On a dry run, the commands of another node are unknown.
         estimated=settings.estimated and not settings.dry_run,
         reserve=settings.obstacle_reserve,
+        capture_radius=settings.catch_radius,
         **{name: getattr(settings, name) for name in OF_PLANNER},
     )
     if settings.avoid:

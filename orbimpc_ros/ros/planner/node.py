@@ -448,7 +448,7 @@ class PlannerNode(Managed):
         (goal, wanted), approach = found, settings.approach
         if approach.is_the_goals and wanted is not None:
             approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
-        within = settings.goal_radius, settings.odom_timeout, approach
+        within = settings.capture_radius, settings.odom_timeout, approach
         self._events.note(known.value, goal, *within)
         self._send([('~/distance', Float64(data=math.dist(known.value.position, goal)))])
         self._publish_events()

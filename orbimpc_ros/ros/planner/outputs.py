@@ -262,7 +262,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
             '[s], and discretisation exact'
         )
     turned = problem.horizon * problem.step * rate  # interception plans beyond the horizon
-    if not settings.capture_radius and problem.turns_are_angles and turned < math.pi:
+    if not settings.catch_radius and problem.turns_are_angles and turned < math.pi:
         needed = math.ceil(math.pi / (problem.step * rate))
         found.append(
             f'within {problem.horizon * problem.step:.4g} s of horizon the vehicle turns by at '
