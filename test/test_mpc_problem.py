@@ -117,6 +117,8 @@ VALUES = {
         (lambda: asked(GOALS, np.full((5, 2), 'left')), 'guess'),
         (lambda: asked(GOALS, rotation_order=2, coasting=True), 'state.coasted'),
         (lambda: asked(GOALS, weights=Weights(attitude=1.0)), 'state.wanted'),
+        (lambda: Solver(Problem(), projection='near'), 'projection'),
+        (lambda: Solver(Problem(), gap_tolerance=np.nan), 'gap_tolerance'),
         (lambda: Problem(3, 1, 1, tilt=0.2), 'tilt'),
         (lambda: Problem(3, 1, 2, tilt=1.6), 'tilt'),
         (lambda: Problem(3, 1, 2, tilt=-0.1), 'tilt'),
@@ -297,5 +299,10 @@ def test_the_paper_means_sums_and_the_weight_of_the_attitude_has_no_unit():
 @pytest.mark.filterwarnings('ignore:overflow', 'ignore:invalid', 'ignore:divide')
 def test_far_too_large_numbers_are_a_failure_and_no_error_of_arithmetic():
     storm = State.at(np.zeros(2), np.eye(2), disturbance=[1e200, 0.0])
+    circle = Floor('circle', fraction=0.5)
     with pytest.raises(SolverFailure):
-        Solver(Problem(floor=Floor('circle', fraction=0.5))).solve(storm, GOALS)
+        Solver(Problem(floor=circle)).solve(storm, GOALS)
+    with pytest.raises(SolverFailure):  # there is no path in a plane either
+        Solver(Problem(3, floor=circle, max_rate=1.0)).solve(
+            State.at(np.zeros(3), np.eye(3)), np.full((5, 3), 1.7e308)
+        )

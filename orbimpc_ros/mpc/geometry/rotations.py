@@ -27,6 +27,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 ROLL_UNDEFINED = 1e-6  # below this length of the fitted vector the roll is undetermined
 SMALL = 1e-2  # [rad] below it series are more accurate than closed forms
 HEADING_UNDEFINED = 1e-9  # below this speed fraction R e1 has no meaningful direction
+PROJECTIONS = ('nearest', 'thrust_aligned')
 MEMBERSHIP_TOLERANCE = 1e-6  # allowance for rounding of matrices from files, outside conv SO(n)
 
 
@@ -158,7 +159,7 @@ def project_all(matrices: Array, first: Array, how: str) -> Array:
     Args:
         matrices: points in order, shape (K, n, n).
         first: the rotation before them, shape (n, n).
-        how: ``'nearest'`` or ``'thrust_aligned'``.
+        how: one of :data:`PROJECTIONS`.
     """
     sizes = _lengths(matrices[:, :, 0])
     defined = np.flatnonzero(sizes[:, 0] >= HEADING_UNDEFINED)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
+ALONE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
@@ -61,7 +63,7 @@ class BranchAndBound:
     def __init__(
         self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
     ) -> None:
-        self.problem = problem
+        self.problem, self._coasting = problem, coasting
         among = among or len(problem.boxes) < len(problem.obstacles)
         rounded = problem.dimension == 3 and problem.floor.radius > 0.0
         slow = problem.has_cones or among or rounded
@@ -73,8 +75,10 @@ class BranchAndBound:
         self.turns = Turns(problem) if problem.turns_are_angles else None
         ordered = _steps_are_exchangeable(problem)
         self._regions = Regions(problem, self._inverse, self.turns, ordered=ordered)
-        self.program = _program(problem, coasting, beside=among or bool(problem.obstacles))
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
+        spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
+        self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
+        self._beside = among or bool(problem.obstacles)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -90,8 +94,22 @@ class BranchAndBound:
         traffic = traffic_of(self.problem, request.state)
         if traffic is None and not self._chooses:
             return self._relaxed(request)
-        planar = [] if self._plane is None else [self._plane.way(request)]
+        planar = [] if self._plane is None else self._plane.ways(request)
+        if planar and request.hurried and self._in_plane:
+            return self._better(request, planar[0])
         return self._run(request).run(planar, among=traffic is not None)
+
+    @cached_property
+    def program(self) -> Relaxed:
+        """Return the relaxation of the problem; its machine code takes a while to load."""
+        return _program(self.problem, self._coasting, beside=self._beside)
+
+    def _better(self, request: Request, x: Array) -> Found:
+        """Return a path in a plane or the guess: without a search in space, neither has a bound."""
+        cost = trajectory_of(self.problem, request.state, request.goals, x).cost
+        if request.guess is not None and request.guess.cost <= cost:
+            x, cost = request.guess.x, request.guess.cost
+        return Found(x, cost, -np.inf, 1, ALONE)
 
     def exceeding(self, request: Request, cost: float) -> ProofTree | None:
         """Return a proof that every trajectory costs more than a value; None if none was found.

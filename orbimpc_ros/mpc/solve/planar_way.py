@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Turns without bodies: the best path within one plane; interception by such paths.
+"""Turns without bodies: the best path within one plane.
 
 A fixed wing turns towards its goal in the plane spanned by its heading and the goal. This planar
 problem is solved by the search over sectors in a millisecond or two, and its headings, mapped back
@@ -13,19 +13,16 @@ Mathematics: docs/mathematics.md, 4.9.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
-from orbimpc_ros.mpc.model.dynamics import position_weights, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import position_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
-from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request, general
-
-ALONE = 'only paths in the plane of heading and goal were searched'
+from orbimpc_ros.mpc.solve.request import Guess, Request
 
 
 class PlanarWay:
@@ -47,13 +44,12 @@ class PlanarWay:
         fits = problem.dimension == 2 or problem.rotation_order == 1
         return fits and plain and problem.turns_are_angles and PlanarSearch.solves(_planar(problem))
 
-    def way(self, request: Request) -> Array:
-        """Return the rotation coordinates of R_1..R_N of the best path found, shape (N, d)."""
+    def ways(self, request: Request) -> list[Array]:
+        """Return the coordinates of R_1..R_N of the best path, shape (N, d); none on overflow."""
         state, attitude = request.state, request.state.attitude
         if self._problem.dimension == 2:
             found = self._search.solve(request)
-            assert found.x is not None  # the search begins with one
-            return found.x
+            return [] if found.x is None else [found.x]
         aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
         plane = np.column_stack([attitude[:, 0], attitude[:, 1:] @ across])
@@ -67,49 +63,7 @@ class PlanarWay:
         guess = request.guess and Guess(request.guess.x[:, :3] @ plane, np.inf)
         goals = (request.goals - state.position) @ plane
         found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
-        assert found.x is not None
-        return coordinates(carried(attitude, found.x @ plane.T))
-
-
-class PlanarCatch:
-    """Solver for spatial problems with a floor and a turn rate where only the last goal matters.
-
-    Plans in a plane have no bound in space; unless time is short, the general search is used.
-
-    Args:
-        problem: what to solve.
-        tolerance: relative gap at which the planar search stops.
-    """
-
-    takes_guess = trusts_guess = True
-
-    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        self._problem, self._tolerance = problem, tolerance
-        self._plane = PlanarWay(problem, tolerance)
-
-    @staticmethod
-    def solves(problem: Problem) -> bool:
-        """Return True if this method applies to a problem and is fast on this machine."""
-        return (
-            problem.dimension == 3
-            and problem.weights.position == problem.weights.attitude == 0.0
-            and not problem.obstacles
-            and PlanarWay.leads(problem)
-        )
-
-    @cached_property
-    def _general(self) -> Method:
-        return general(self._problem, self._tolerance)
-
-    def solve(self, request: Request) -> Found:
-        """Return the best planar trajectory, or if time allows that of the general search."""
-        if not request.hurried:
-            return self._general.solve(request)
-        x, guess = self._plane.way(request), request.guess
-        cost = trajectory_of(self._problem, request.state, request.goals, x).cost
-        if guess is not None and guess.cost <= cost:
-            x, cost = guess.x, guess.cost
-        return Found(x, cost, -np.inf, 1, ALONE)
+        return [] if found.x is None else [coordinates(carried(attitude, found.x @ plane.T))]
 
 
 def _planar(problem: Problem) -> Problem:

@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.proof.tree import ProofTree
 METHODS = [
     ('search.engine', 'PlanarSearch'),
     ('search.round_floor', 'RoundFloor'),
-    ('solve.planar_way', 'PlanarCatch'),
     ('solve.branch_and_bound', 'BranchAndBound'),
 ]
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # imports Clarabel, hence only with max_acceleration

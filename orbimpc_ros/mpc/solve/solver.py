@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, frozen
+from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
-from orbimpc_ros.mpc.geometry.rotations import coordinate_count, coordinates
+from orbimpc_ros.mpc.geometry.rotations import PROJECTIONS, coordinate_count, coordinates
 from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, shifted
@@ -165,6 +165,9 @@ class Solver:
             this takes a second or so.
         enough: criteria for stopping a search before the gap is closed.
 
+    Raises:
+        BadInput: an unknown projection, or a tolerance outside [0, 1].
+
     Attributes:
         problem: what it solves.
         takes_guess: whether it benefits from a warm start; with hazards it always does.
@@ -180,8 +183,10 @@ class Solver:
         patient: bool = False,
         enough: Enough | None = None,
     ) -> None:
-        self.problem = problem
-        self._projection, self._tolerance = projection, gap_tolerance
+        if projection not in PROJECTIONS:
+            raise BadInput.choice('projection', projection, PROJECTIONS)
+        self.problem, self._projection = problem, projection
+        self._tolerance = number(gap_tolerance, 'gap_tolerance', 0.0, 1.0)
         self._units, self._patient = Units.of(problem), patient
         self._shape = problem.horizon, coordinate_count(problem.dimension)  # of guesses
         self._verifier = Verifier(problem) if problem.floor.shape in SPEEDS else None
