@@ -7,15 +7,18 @@ import socket
 import subprocess
 import time
 from collections import defaultdict
-from types import SimpleNamespace
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
 from bags import GOLDEN
 from harness import PATIENCE, TOOL, wait_for
+from std_msgs.msg import Bool
+from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.tool import bags, settings, view
+from orbimpc_ros.mpc.problem import Ball, Box
+from orbimpc_ros.ros.messages import RED, SECOND, Frames, Stamp, marker, shown
+from orbimpc_ros.tool import bags, view
 
 INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/recording.md says"
 needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk: {INSTALL}')
@@ -48,21 +51,22 @@ class Drawing:
 @pytest.fixture(scope='module')
 def drawn():
     pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool.scene import TOPICS, Scene
+    from orbimpc_ros.tool.scene import Scene
 
     found = {}
     for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
-        values, messages = settings.of_bag(bag := GOLDEN / name), bags.of_vehicle(bag, '', TOPICS)
-        found[name] = Drawing(), SimpleNamespace(values=values, messages=messages)
-        scene = Scene(found[name][0], values)
+        messages = bags.of_vehicle(GOLDEN / name, '', Scene.topics)
+        found[name] = Drawing(), messages
+        scene = Scene(found[name][0])
         for each in messages:
             scene.take(each.topic, each.content)
+        scene.take('captured', Bool(data=True))
     return found
 
 
 def test_every_odometry_moves_the_vehicle_at_its_own_time(drawn):
-    drawing, flight = drawn['retrieval']
-    odometry = [each.content for each in flight.messages if each.topic == 'odom']
+    drawing, messages = drawn['retrieval']
+    odometry = [each.content for each in messages if each.topic == 'odom']
     moves = drawing.drawn['world/vehicle']
     assert [at['duration'] for at, _ in moves] == [m.header.stamp.sec for m in odometry]
     for number, message in enumerate(odometry):
@@ -73,35 +77,45 @@ def test_every_odometry_moves_the_vehicle_at_its_own_time(drawn):
 
 
 def test_every_part_is_drawn(drawn):
-    for drawing, flight in drawn.values():
-        for entity in ('world/flown', 'world/goal', 'world/plan', 'thrust/hull', 'tick'):
+    for drawing, _ in drawn.values():
+        for entity in ('world/flown', 'world/goal', 'world/plan', 'world/captured', 'tick'):
             assert drawing.drawn[entity], entity
         for entity in ('distance', 'speed', 'gap', 'solve_time_ms'):
             assert len(drawing.drawn[f'charts/{entity}']) > 10, entity
-        assert bool(drawing.drawn['charts/floor']) == (flight.values['floor.shape'] != 'none')
         assert drawing.layouts == 1
 
 
-def test_obstacles_are_drawn_where_they_are(drawn):
-    drawing, flight = drawn['obstacles']
-    low, high = np.reshape(flight.values['obstacles'], (-1, 2, 2)).transpose(1, 0, 2)
-    centers = drawing.numbers('world/obstacles', 0, 'centers')
-    halves = drawing.numbers('world/obstacles', 0, 'half_sizes')
-    assert np.allclose((centers - halves)[:, :2], low)
-    assert np.allclose((centers + halves)[:, :2], high)
+def test_obstacles_are_drawn_where_they_are():
+    pytest.importorskip('rerun', reason=INSTALL)
+    from orbimpc_ros.tool.scene import Scene
+
+    drawing, box = Drawing(), Box(np.array([1.0, -2.0]), np.array([3.0, 2.0]))
+    at = Stamp(SECOND, Frames())
+    markers = [
+        shown(marker(at, 'obstacles', 0, Marker.CUBE, RED, 1.0), box),
+        shown(
+            marker(at, 'hazards', 7, Marker.CUBE, RED, 1.0), Ball(np.array([5.0, 1.0, 2.0]), 0.5)
+        ),
+    ]
+    Scene(drawing).take('plan_markers', MarkerArray(markers=markers))
+    place = 'world/plan_markers'
+    assert np.allclose(drawing.numbers(f'{place}/obstacles/0', 0, 'centers')[0, :2], [2.0, 0.0])
+    assert np.allclose(drawing.numbers(f'{place}/obstacles/0', 0, 'half_sizes')[0, :2], [1.0, 2.0])
+    assert np.allclose(drawing.numbers(f'{place}/hazards/7', 0, 'centers'), [[5.0, 1.0, 2.0]])
+    assert np.allclose(drawing.numbers(f'{place}/hazards/7', 0, 'half_sizes'), 0.5)
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):
     from orbimpc_ros.tool.scene import Scene
 
-    _, flight = drawn['retrieval']
-    hostile = [each.content for each in flight.messages if each.topic == 'odom'][-1]
+    _, messages = drawn['retrieval']
+    hostile = [each.content for each in messages if each.topic == 'odom'][-1]
     hostile.pose.pose.position.x = float('nan')
     drawing = Drawing()
-    scene = Scene(drawing, settings.read('{}'))
+    scene = Scene(drawing)
     scene.take('odom', hostile)
     scene.take('unheard', hostile)
-    empty = next(each.content for each in flight.messages if each.topic == 'tick')
+    empty = next(each.content for each in messages if each.topic == 'tick')
     empty.status.clear()
     scene.take('tick', empty)
     assert not drawing.drawn['world/vehicle']
@@ -197,7 +211,7 @@ def test_it_leaves_nothing_when_it_is_killed():
 
 
 @needs_rerun
-def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch):
+def test_live_nodes_are_drawn_with_their_markers(launch, domain, monkeypatch):
     pytest.importorskip('rclpy')
     from orbimpc_ros.tool.scene import Scene
 
@@ -207,15 +221,16 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
     # No capture may end the flight while a busy machine is still discovering topics.
     launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500, 'capture_radius': 1e-6})
     found = drawing.drawn
-    wanted = ('world/vehicle', 'world/goal', 'world/plan', 'thrust/plan', 'tick')
+    floor, wanted = (
+        'world/plan_markers/floor/0',
+        ('vehicle', 'goal', 'plan', 'world_markers/rope/0'),
+    )
 
     def going():
         assert time.monotonic() < end, 'in vain'
-        # The floor is empty until the planner has returned its parameters.
-        floor = found['thrust/floor'] and drawing.numbers('thrust/floor', -1, 'strips')
-        square = np.shape(floor) == (4, 2, 3)
-        return not (square and all(len(found[each]) > 3 for each in wanted))
+        return not (found[floor] and all(len(found[f'world/{each}']) > 3 for each in wanted))
 
-    view.draw_live(Scene(drawing, settings.read('{}')), '', going)
+    view.draw_live(Scene(drawing), '', going)
+    assert drawing.numbers(floor, 0, 'strips').shape == (4, 2, 3)  # a square
     at, _ = found['world/vehicle'][-1]
     assert abs(at['timestamp'] - time.time()) < 60.0, at

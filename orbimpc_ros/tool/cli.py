@@ -226,7 +226,6 @@ COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
         _argument('bag', nargs='?', metavar='BAG',
             help='a recorded flight (default: what is running now)'),
         NAMESPACE,
-        PARAMS,
         _argument('--port', type=int, metavar='N',
             help='port of the page (default: 9090, or any free one)'),
         _argument('--no-browser', dest='browser', action='store_false',

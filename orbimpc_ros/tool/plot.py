@@ -118,11 +118,6 @@ def in_both_looks(file: Path) -> Iterator[Path]:
             yield file.with_stem(f'{file.stem}-dark') if dark else file
 
 
-def rgb(color: str) -> tuple[int, ...]:
-    """Return red, green and blue, 0 to 255, of a cycle colour in the look for print."""
-    return tuple(bytes.fromhex(PRINT[int(color[1:])][1:]))
-
-
 def paper() -> str:
     """Return the background colour of the current look."""
     return mpl.rcParams['axes.facecolor']

@@ -3,205 +3,160 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from visualization_msgs.msg import Marker
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import sphere
-from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros.messages import Frames, read_itinerary, read_odometry, read_sighting
-from orbimpc_ros.ros.parameters.planner import planner_settings
-from orbimpc_ros.tool import settings
+from orbimpc_ros.ros.messages import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    Frames,
+    read_itinerary,
+    read_odometry,
+    read_sighting,
+)
 from orbimpc_ros.tool.bags import UNDATED, fields, point, seconds, stamp_of
-from orbimpc_ros.tool.plot import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 
-TOPICS = ('odom', 'goal', 'plan', 'plan_markers', 'tick', 'captured')  # that are drawn
 TIMELINE = 'ros_time'
-WORLD, THRUST, TICK, CHARTS = 'world', 'thrust', 'tick', 'charts'
+WORLD, TICK, CHARTS = 'world', 'tick', 'charts'
 SHOWN = {
     'Distance to the goal [m]': ('distance',),
-    'Share of full speed |R e₁|, floor': ('speed', 'floor'),
-    'Gap to the proved bound, log₁₀': ('gap',),
+    'Share of full speed |R e₁|': ('speed',),
+    'Gap to the bound, log₁₀': ('gap',),
     'Solve time [ms]': ('solve_time_ms',),
     'Earliest catch, and its bound [s]': ('earliest_catch', 'catch_bound'),
 }  # lines of each chart, below CHARTS
+CHARTED = ('speed', 'gap', 'solve_time_ms', 'earliest_catch', 'catch_bound')  # of a tick
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # positions kept of the flown path
 SWING = 50  # sightings kept of the goal
-SIZE = 0.06  # of a vehicle, as a share of the scene
+SIZE = 0.06  # of a vehicle's axes, as a share of its largest distance from the goal
 LEAST_GAP = 1e-12  # drawn for smaller gaps, since zero has no logarithm
-CUBE = 1  # type of a Marker; all other bodies are balls
 CLEAR = rr.components.FillMode.TransparentFillMajorWireframe
-
-# A paper dart: nose, wing tips, and a keel to distinguish up from down.
-NOSE, LEFT, RIGHT, TAIL, KEEL = (
-    (0.6, 0.0, 0.0),
-    (-0.4, 0.32, 0.08),
-    (-0.4, -0.32, 0.08),
-    (-0.3, 0.0, 0.08),
-    (-0.4, 0.0, -0.16),
-)
-DART = np.array([NOSE, LEFT, TAIL, NOSE, TAIL, RIGHT, NOSE, TAIL, KEEL])  # three triangles
-SHADES = np.array([[70, 140, 190], [0, 90, 150], [40, 60, 80]], dtype=np.uint8)  # one for each
+THIN, THICK = (rr.components.Radius.ui_points(points) for points in (1.5, 5.0))
 
 
 class Scene:
-    """Draws the messages of one vehicle.
+    """Draws the messages of one vehicle, and the markers that its nodes publish for viewers.
 
     Args:
         recording: to draw into.
-        values: parameters of planner and simulator, or their defaults.
     """
 
-    def __init__(self, recording: rr.RecordingStream, values: settings.Values) -> None:
+    topics = ('odom', 'goal', 'plan', 'plan_markers', 'world_markers', 'tick', 'captured')
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
         self._to = recording
         self._way: deque[Array] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
-        self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
-        self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # tick's stamp [s], directions
-        self._shares: tuple[float, Array] = self._pointing
-        self.configure(values)
-
-    def configure(self, values: settings.Values) -> None:
-        """Draw hull, floor and obstacles of the parameters; invalid ones give a default problem."""
-        try:
-            self._problem = planner_settings(values).problem
-        except BadInput:
-            self._problem = Problem()
-        self._frames = Frames(thrust_axis=values['thrust_axis'])
-        self._radius = float(settings.of_sim(values)['capture_radius'])
-        self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
-        n, floor = self._problem.dimension, self._problem.floor
-        self._to.send_blueprint(layout(n, intercepting=values['objective'] == 'intercept'))
-        self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
-        self._to.log(f'{THRUST}/floor', _lines(floor.outline(n), RED, 0.014), static=True)
-        corners = np.zeros((len(self._problem.boxes), 2, 3))
-        corners[:, :, :n] = [(box.minimum, box.maximum) for box in self._problem.boxes] or 0.0
-        boxes = rr.Boxes3D(
-            centers=corners.mean(axis=1),
-            sizes=np.diff(corners, axis=1)[:, 0],
-            colors=[rgb(GREY)],
-            fill_mode=rr.components.FillMode.Solid,
-        )
-        self._to.log(f'{WORLD}/obstacles', boxes, static=True)
+        self._farthest = 0.0  # from the goal so far [m]
+        self._to.send_blueprint(layout())
 
     def take(self, topic: str, message: Any) -> None:
         """Draw a message unless the planner would refuse it; ``topic`` has no namespace."""
-        if topic not in TOPICS:
+        if topic not in self.topics:
             return
         now = seconds(message)
         if stamp_of(message) != UNDATED and (now or topic != 'goal'):  # one by hand has no stamp
             kind = 'timestamp' if now > WALL_CLOCK else 'duration'
             self._to.set_time(TIMELINE, **{kind: now})
         with suppress(BadInput):
-            getattr(self, f'_take_{topic}')(message)
+            if topic.endswith('_markers'):
+                self._take_markers(topic, message)
+            else:
+                getattr(self, f'_take_{topic}')(message)
 
     def _take_odom(self, message: Any) -> None:
-        _, odometry = read_odometry(message, 3, self._frames)
-        place, turned = odometry.position, odometry.attitude
+        _, odometry = read_odometry(message, 3, Frames())
+        place = odometry.position
         self._way.append(place)
-        self._begin()
-        own = rr.Transform3D(translation=place, mat3x3=self._frames.own(turned))
-        self._to.log(f'{WORLD}/vehicle', own)
-        self._to.log(f'{WORLD}/flown', _lines([np.array(self._way)], SKY, 0.05 * self._unit))
+        self._to.log(f'{WORLD}/flown', _line(self._way, BLUE))
         if self._swing:
-            apart = np.linalg.norm(place - self._swing[-1])
-            self._to.log(f'{CHARTS}/distance', rr.Scalars([apart]))
+            apart = float(np.linalg.norm(place - self._swing[-1]))
+            self._farthest = max(self._farthest, apart)
+            self._chart('distance', apart)
+        own = rr.Transform3D(translation=place, mat3x3=odometry.attitude)
+        axes = rr.TransformAxes3D(SIZE * (self._farthest or 1.0))
+        self._to.log(f'{WORLD}/vehicle', own, axes)
 
     def _take_goal(self, message: Any) -> None:
         self._swing.append(read_sighting(message, 3, Frames())[1].position)
-        self._begin()
-        ball = _balls([self._swing[-1]], [[self._radius] * 3], ORANGE)
-        trail = _lines([np.array(self._swing)], ORANGE, 0.05 * self._unit)
-        self._to.log(f'{WORLD}/goal', ball, trail)
-
-    def _begin(self) -> None:
-        """Choose the scale and draw the vehicle's body once vehicle and goal have been seen."""
-        if self._unit or not (self._way and self._swing):
-            return
-        ends = np.array([self._way[0], self._swing[0]])
-        self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
-        shades = np.repeat(SHADES, 3, axis=0)
-        dart = rr.Mesh3D(vertex_positions=self._unit * DART, vertex_colors=shades)
-        axes = rr.Arrows3D(
-            vectors=self._unit * np.eye(3),
-            colors=[rgb(RED), rgb(GREEN), rgb(BLUE)],
-            radii=0.06 * self._unit,
-        )
-        self._to.log(f'{WORLD}/vehicle/body', dart, axes, static=True)
+        dot = rr.Points3D(self._swing[-1], radii=THICK, colors=[ORANGE])
+        self._to.log(f'{WORLD}/goal', dot, _line(self._swing, ORANGE))
 
     def _take_plan(self, message: Any) -> None:
         places = read_itinerary(message, 3, Frames())[1].positions
-        dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
-        self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
-        turned = [read_sighting(each, 3, self._frames)[1].attitude for each in message.poses]
-        self._pointing = seconds(message), np.array(turned)[:, :, 0]
-        self._draw_thrust()
+        dots = rr.Points3D(places, radii=2.0 * THIN, colors=[GREEN])
+        self._to.log(f'{WORLD}/plan', dots, _line(places, GREEN))
 
-    def _take_plan_markers(self, message: Any) -> None:
-        """Draw the obstacles that a plan avoids."""
-        bodies = [each for each in message.markers if each.ns == 'hazards']
-        places = [(point(m.pose.position), 0.5 * point(m.scale)) for m in bodies]
-        found = np.reshape(places, (-1, 2, 3))
-        if not np.isfinite(found).all():
-            raise BadInput.stating('plan_markers', 'NaN or infinite', 'finite numbers')
-        cube = np.array([each.type == CUBE for each in bodies], dtype=bool)
-        boxes, balls = found[cube], found[~cube]
-        how: Any = {'colors': [rgb(RED)], 'fill_mode': CLEAR}
-        shown = rr.Boxes3D(centers=boxes[:, 0], half_sizes=boxes[:, 1], **how)
-        self._to.log(f'{WORLD}/hazards/boxes', shown)
-        self._to.log(f'{WORLD}/hazards/balls', _balls(balls[:, 0], balls[:, 1], RED))
+    def _take_markers(self, topic: str, message: Any) -> None:
+        """Draw markers in place of the last ones on their topic."""
+        self._to.log(f'{WORLD}/{topic}', rr.Clear(recursive=True))
+        for each in message.markers:
+            if each.action == Marker.ADD and (drawn := _drawn(each)) is not None:
+                self._to.log(f'{WORLD}/{topic}/{each.ns}/{each.id}', drawn)
 
     def _take_tick(self, message: Any) -> None:
         values = fields(message)
-        self._shares = seconds(message), _numbers(values.get('speed_fraction'))
         self._to.log(TICK, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
-        charted = values | dict(zip(('start', 'speed'), self._shares[1][:2].tolist(), strict=False))
-        if self._problem.floor.exists:
-            charted['floor'] = self._problem.floor.fraction
-        for name, value in charted.items():
-            for number in _numbers([value]):
-                shown = np.log10(max(number, LEAST_GAP)) if name == 'gap' else number
-                self._to.log(f'{CHARTS}/{name}', rr.Scalars([shown]))
-        self._draw_thrust()
-
-    def _draw_thrust(self) -> None:
-        """Draw R_k e1 = sigma_k Q_k e1 once directions and shares of the same tick have arrived."""
-        (planned, axes), (ticked, shares) = self._pointing, self._shares
-        if planned != ticked or len(axes) != len(shares):
-            return
-        ends = shares[:, None] * axes
-        names = [str(k) for k in range(len(ends))]
-        dots = rr.Points3D(ends, radii=0.03, colors=[rgb(GREEN)], labels=names)
-        self._to.log(f'{THRUST}/plan', dots, _lines([ends], GREEN, 0.008))
+        values |= zip(('start', 'speed'), values.get('speed_fraction', ()), strict=False)
+        if 'gap' in values:
+            values['gap'] = math.log10(max(values['gap'], LEAST_GAP))
+        for name in CHARTED:
+            self._chart(name, values.get(name))
 
     def _take_captured(self, message: Any) -> None:
         if message.data and self._swing:
-            radius, place = 0.3 * self._unit, self._swing[-1]
-            star = rr.Points3D([place], radii=radius, colors=[rgb(GREEN)], labels=[self._done])
-            self._to.log(f'{WORLD}/done', star)
+            star = rr.Points3D(self._swing[-1], radii=THICK, colors=[GREEN], labels=['captured'])
+            self._to.log(f'{WORLD}/captured', star)
+
+    def _chart(self, name: str, value: Any) -> None:
+        if isinstance(value, (int, float)) and math.isfinite(value):
+            self._to.log(f'{CHARTS}/{name}', rr.Scalars([value]))
 
 
-def _numbers(value: Any) -> Array:
-    """Return a list of finite numbers as an array, anything else as an empty one."""
-    whole = isinstance(value, list) and all(isinstance(each, (int, float)) for each in value)
-    found = np.array(value if whole else [], dtype=float)
-    return found if np.isfinite(found).all() else np.zeros(0)
+def _line(points: Iterable[Array], color: tuple[float, ...]) -> rr.LineStrips3D:
+    return rr.LineStrips3D([np.array(points)], colors=[color], radii=THIN)
 
 
-def _lines(strips: Sequence[Array], color: str, radius: float) -> rr.LineStrips3D:
-    return rr.LineStrips3D(list(strips), colors=[rgb(color)], radii=[radius])
+def _drawn(marker: Marker) -> Any:
+    """Return what shows a marker; None for those of kinds that no node here publishes.
 
-
-def _balls(centers: Any, halves: Any, color: str) -> rr.Ellipsoids3D:
-    return rr.Ellipsoids3D(centers=centers, half_sizes=halves, colors=[rgb(color)], fill_mode=CLEAR)
+    Raises:
+        BadInput: its pose is not acceptable, or a number is not finite.
+    """
+    _, seen = read_sighting(marker, 3, Frames())  # a marker has a header and a pose, too
+    size, ends = point(marker.scale), [seen.position + point(each) for each in marker.points]
+    if not np.isfinite([size, *ends]).all():
+        raise BadInput.stating(f'marker {marker.ns}', 'NaN or infinite', 'finite numbers')
+    shade = marker.color
+    how: Any = {'colors': [(shade.r, shade.g, shade.b, shade.a)]}
+    match marker.type:
+        case Marker.CUBE:
+            return rr.Boxes3D(centers=[seen.position], sizes=[size], fill_mode=CLEAR, **how)
+        case Marker.SPHERE | Marker.CYLINDER:
+            half = 0.5 * size
+            return rr.Ellipsoids3D(
+                centers=[seen.position], half_sizes=[half], fill_mode=CLEAR, **how
+            )
+        case Marker.ARROW:
+            along = size[0] * seen.attitude[:, 0]
+            return rr.Arrows3D(origins=[seen.position], vectors=[along], **how)
+        case Marker.LINE_STRIP:
+            return rr.LineStrips3D([ends], radii=THIN, **how)
+        case Marker.LINE_LIST:
+            return rr.LineStrips3D(np.reshape(ends, (-1, 2, 3)), radii=THIN, **how)
+    return None
 
 
 def _table(values: dict[str, Any]) -> str:
@@ -222,28 +177,18 @@ def _text(value: Any) -> str:
     return f'{value:.4g}' if isinstance(value, float) else str(value)
 
 
-def layout(dimension: int, *, intercepting: bool) -> rrb.Blueprint:
-    """Return the layout of the page: the world, the thrust set, the tick as text, and charts."""
+def layout() -> rrb.Blueprint:
+    """Return the layout of the page: the world, the tick as text, and charts."""
     charts = [
         rrb.TimeSeriesView(name=title, contents=[f'/{CHARTS}/{name}' for name in lines])
         for title, lines in SHOWN.items()
     ]
-    axes = 'the (a, b) disk' if dimension == 2 else 'the unit ball'
-    thrusts = f'R e₁ of the plan in {axes}: hull, floor'
-    lines = rrb.LineGrid3D(visible=False)
+    world = rrb.Spatial3DView(origin=WORLD, name='Vehicle, plan, goal')
+    text = rrb.TextDocumentView(origin=TICK, name='Tick')
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(origin=WORLD, name='Vehicle, plan, rope'),
-                rrb.Horizontal(charts[0], charts[1]),
-                row_shares=[9, 3],
-            ),
-            rrb.Vertical(
-                rrb.Spatial3DView(origin=THRUST, name=thrusts, line_grid=lines),
-                rrb.TextDocumentView(origin=TICK, name='Tick'),
-                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),  # the last: catches
-                row_shares=[9, 9, 6],
-            ),
+            rrb.Vertical(world, rrb.Horizontal(*charts[:3]), row_shares=[3, 1]),
+            rrb.Vertical(text, *charts[3:], row_shares=[2, 1, 1]),
             column_shares=[3, 2],
         ),
         rrb.TimePanel(timeline=TIMELINE, state='collapsed'),

@@ -22,18 +22,11 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
-from rclpy.task import Future
-
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import LATCHED, LATEST, RANGE, attached, qos
 from orbimpc_ros.ros.topics import VEHICLE
-from orbimpc_ros.sim.parameters import SIM
-from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.processes import Child, interruptions
 
 if TYPE_CHECKING:
@@ -44,25 +37,18 @@ PAUSE = 0.05  # [s] between checks of the server
 HOST = '127.0.0.1'
 PORT = 9090  # of the page, unless it is in use
 PATIENCE = 30.0  # [s] for the page to come up
-ASK = 2.0  # [s] between requests for parameters: they may change, nodes may start later
 DEPTH = 20  # a slow viewer loses messages; it never delays a controller
-NODES = {'sim': SIM, 'planner': PLANNER}
 
 
-def run(
-    bag: str | None, namespace: str, params: str | None, port: int | None, *, browser: bool
-) -> int:
+def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> int:
     """Show a bag, or the running nodes, until a signal arrives."""
     if not installed():
         raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
     import rerun as rr
 
-    from orbimpc_ros.tool.scene import TOPICS, Scene
+    from orbimpc_ros.tool.scene import Scene
 
-    values, messages = settings.read('{}'), list[bags.Message]()
-    if bag is not None:
-        values = settings.of_bag(Path(bag), namespace, params)
-        messages = bags.of_vehicle(Path(bag), namespace, TOPICS)
+    messages = bags.of_vehicle(Path(bag), namespace, Scene.topics) if bag is not None else []
     recording = rr.RecordingStream('orbimpc')
     recording.set_log_tick_enabled(False)  # the only timeline is that of message stamps
     recording.set_log_time_enabled(False)
@@ -78,7 +64,7 @@ def run(
 
         recording.connect_grpc(data)
         try:
-            scene = Scene(recording, values)
+            scene = Scene(recording)
             for each in messages:
                 scene.take(each.topic, each.content)
             recording.flush()
@@ -103,40 +89,15 @@ def draw_live(scene: Scene, namespace: str, going: Callable[[], bool]) -> None:
     """Draw the running vehicle in a namespace, such as ``/uav1``, while ``going()``."""
     os.environ.setdefault(RANGE, 'LOCALHOST')
     latest = qos(DEPTH, reliability=LATEST.reliability)
-    from orbimpc_ros.tool.scene import TOPICS  # needs rerun
-
     with attached('viewer', namespace=namespace or '/') as (node, executor):
         for topic in VEHICLE:
-            if topic.name in TOPICS:
+            if topic.name in scene.topics:
                 # Late subscribers get latched messages only with reliable QoS.
                 profile = LATCHED if topic.latched else latest
                 take: Any = partial(scene.take, topic.name)
                 node.create_subscription(topic.message, topic.name, take, profile)
-        watch_parameters(node, scene)
         while going():
             executor.spin_once(timeout_sec=PAUSE)
-
-
-def watch_parameters(node: Node, scene: Scene) -> None:
-    """Poll the parameters of a vehicle's nodes; redraw the scene if they change."""
-    learned: dict[str, settings.Values] = {name: {} for name in NODES}
-    clients = {name: AsyncParameterClient(node, name) for name in NODES}
-
-    def ask() -> None:
-        for name, client in clients.items():
-            if client.services_are_ready():
-                answer = client.get_parameters([row.name for row in NODES[name]])
-                answer.add_done_callback(partial(learn, name))
-
-    def learn(name: str, answer: Future) -> None:
-        response: Any = answer.result()
-        found = map(parameter_value_to_python, response.values if response is not None else ())
-        values = {row.name: value for row, value in zip(NODES[name], found, strict=False)}
-        if values and values != learned[name]:
-            learned[name] = values
-            scene.configure(settings.read('{}') | learned['sim'] | learned['planner'])
-
-    node.create_timer(ASK, ask)
 
 
 # --- the page
