@@ -14,7 +14,7 @@ import pytest
 from bags import GOLDEN
 from harness import PATIENCE, TOOL, wait_for
 from std_msgs.msg import Bool
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros.messages import RED, SECOND, Frames, Stamp, marker, shown
@@ -89,20 +89,14 @@ def test_obstacles_are_drawn_where_they_are():
     pytest.importorskip('rerun', reason=INSTALL)
     from orbimpc_ros.tool.scene import Scene
 
-    drawing, box = Drawing(), Box(np.array([1.0, -2.0]), np.array([3.0, 2.0]))
-    at = Stamp(SECOND, Frames())
-    markers = [
-        shown(marker(at, 'obstacles', 0, Marker.CUBE, RED, 1.0), box),
-        shown(
-            marker(at, 'hazards', 7, Marker.CUBE, RED, 1.0), Ball(np.array([5.0, 1.0, 2.0]), 0.5)
-        ),
-    ]
-    Scene(drawing).take('plan_markers', MarkerArray(markers=markers))
-    place = 'world/plan_markers'
-    assert np.allclose(drawing.numbers(f'{place}/obstacles/0', 0, 'centers')[0, :2], [2.0, 0.0])
-    assert np.allclose(drawing.numbers(f'{place}/obstacles/0', 0, 'half_sizes')[0, :2], [1.0, 2.0])
-    assert np.allclose(drawing.numbers(f'{place}/hazards/7', 0, 'centers'), [[5.0, 1.0, 2.0]])
-    assert np.allclose(drawing.numbers(f'{place}/hazards/7', 0, 'half_sizes'), 0.5)
+    drawing, at = Drawing(), Stamp(SECOND, Frames())
+    bodies = Box(np.array([1.0, -2.0, 0.0]), np.array([3.0, 2.0, 1.0])), Ball(np.ones(3), 0.5)
+    told = [shown(marker(at, 'obstacles', k, 0, RED, 1.0), each) for k, each in enumerate(bodies)]
+    Scene(drawing).take('plan_markers', MarkerArray(markers=told))
+    for number, place, half in ((0, [2.0, 0.0, 0.5], [1.0, 2.0, 0.5]), (1, [1.0] * 3, [0.5] * 3)):
+        entity = f'world/plan_markers/obstacles/{number}'
+        assert np.allclose(drawing.numbers(entity, 0, 'centers'), place)
+        assert np.allclose(drawing.numbers(entity, 0, 'half_sizes'), half)
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):

@@ -136,6 +136,7 @@ def _drawn(marker: Marker) -> Any:
         BadInput: its pose is not acceptable, or a number is not finite.
     """
     _, seen = read_sighting(marker, 3, Frames())  # a marker has a header and a pose, too
+    assert seen.attitude is not None
     size, ends = point(marker.scale), [seen.position + point(each) for each in marker.points]
     if not np.isfinite([size, *ends]).all():
         raise BadInput.stating(f'marker {marker.ns}', 'NaN or infinite', 'finite numbers')
