@@ -289,22 +289,23 @@ def test_a_problem_in_the_plane_may_state_the_same_cone_twice():
     assert once == twice > -np.inf
 
 
-def test_both_ends_on_a_side_of_a_ball_prove_no_more_than_the_whole_step_there():
-    """With Euler steps they are the same, except in the first step."""
-    problem, ball = Problem(horizon=3), Ball(np.array([1.0, 0.2]), 0.5)
-    nodes = np.zeros((5, 5), np.int64)
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
+def test_the_end_of_a_step_on_a_side_of_a_ball_proves_the_same_with_its_start_or_all_of_it(
+    discretisation,
+):
+    problem, ball = Problem(horizon=3, discretisation=discretisation), Ball([1.0, 0.2], 0.5)
+    nodes, shifts = np.zeros((5, 5), np.int64), np.outer(np.arange(4.0), [-3.0, 0.0])
     nodes[0], nodes[1:, ROW] = (ARCS, 7, 1, 4, -1), np.arange(4)  # the second step's side
-    rows = {'press_end': np.arange(1, 5), 'press_row': np.full(4, 5), 'press': np.ones(4)}
-    shapes = {'point': np.zeros((4, 3, 2)), 'shor': np.zeros((4, 3))}
-    tree = one(np.zeros((3, 2)), np.zeros(3))._replace(
-        nodes=nodes, at=np.zeros(5), **rows, **shapes
-    )
-    start, goals = State.at(np.zeros(2), np.eye(2)), np.full((3, 2), [2.0, 0.0])
-    ends, step = (
-        Verifier(problem).bound(start, goals, tree, limits=NO_LIMITS._replace(bodies=(each,)))
-        for each in (Body(ball, of, np.zeros((4, 2)), np.zeros(3)) for of in (ENDS, STEP))
-    )
-    assert ends == step > -np.inf
+    shapes = {'point': np.zeros((4, 3, 2)), 'shor': np.zeros((4, 3)), 'at': np.zeros(5)}
+    start, goals, bounds = State.at(np.zeros(2), np.eye(2)), np.full((3, 2), [2.0, 0.0]), []
+    for of, row in ((ENDS, 1), (STEP, problem.translation.degree)):
+        rows = {'press_end': np.arange(1, 5), 'press_row': np.full(4, 4 + row)}
+        tree = one(np.zeros((3, 2)), np.zeros(3))._replace(
+            nodes=nodes, press=np.ones(4), **rows, **shapes
+        )
+        limits = NO_LIMITS._replace(bodies=(Body(ball, of, shifts, np.zeros(3)),))
+        bounds.append(Verifier(problem).bound(start, goals, tree, limits=limits))
+    assert bounds[0] == bounds[1] > -np.inf
 
 
 def test_a_cone_bounds_the_headings_of_its_own_steps_alone():

@@ -528,18 +528,19 @@ class Statement:
         margins = np.stack([grown, 0 * grown])
         curved = [j for j, each in enumerate(bodies) if each.of != END and radii[j] > 0]
         if curved:
-            margins[1, curved] = self._spread(places[curved], start)
+            spread = self._rows(np.arange(degree + 1.0))[:, None] / degree
+            margins[1, curved] = self._spread((begun + moved * spread)[curved], start)
         return Bodies(at, extents, places, margins)
 
     def _spread(self, centres: Rows, start: Rows) -> Rows:
         """Return the largest distance of control points, relative to bodies, shape (J, N).
 
-        Headings have a length of at most 1.
+        Headings have a length of at most 1. Bodies are at ``centres``, shape (J, N, degree + 1, n).
         """
         n, count, m = self.problem.dimension, self.problem.horizon, self._motion.degree + 1
         free, (a, b) = self._controls(start[:, :n], np.zeros((count, n))), np.triu_indices(m, 1)
         fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
-        places = free - centres[:, :, :m]
+        places = free - centres
         gaps = roots(((places[:, :, a] - places[:, :, b]) ** 2).sum(axis=-1))
         return (fastest * self._apart + gaps).max(axis=2)
 
