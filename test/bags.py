@@ -53,7 +53,7 @@ def made_up(positions, values, **others):
         'ticks': tuple((t, {'speed_fraction': [1.0, 0.6]}) for t in times),
         'captured': True,
     }
-    return History(times, positions, values=values, **known | others)
+    return History(times, positions, values=values, **known | others).to_the_catch()
 
 
 GOLDEN = Path(__file__).parent / 'golden'

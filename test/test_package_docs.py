@@ -75,7 +75,7 @@ def test_every_command_of_the_pages_is_followed_or_left_out_for_a_reason():
     named = {block.file for block in followed} - {''}
     assert named == {'wing.yaml', 'problem.yaml', 'boat.py', 'boat.yaml'}
     assert all(block.output for block in followed if block.language == 'python' and not block.file)
-    (rope,) = (b for b in followed if b.output and 'near misses' in ' '.join(b.output))
+    (rope,) = (b for b in followed if b.output and 'captured at' in ' '.join(b.output))
     assert 'make demo' in rope.text
 
 

@@ -19,10 +19,10 @@ from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.settings import config
 
 
-def at_distances(distances, captured, **changes):
+def at_distances(distances, captured, aside=0.0, **changes):
     """Return a run whose vehicle is at given distances from a still rope, tick by tick."""
     positions = np.zeros((len(distances), 3))
-    positions[:, 0] = distances
+    positions[:, 0], positions[:, 1] = distances, aside
     own = {'capture_radius': 0.1, 'rope.center': (0.0, 0.0, 0.0)}
     fields = {'solve_time_ms': 2.0, 'gap': 1e-6, 'fallback': '', 'speed_fraction': [1.0, 0.6, 0.6]}
     ticks = tuple((10.0 + k, fields) for k in range(len(distances)))
@@ -31,35 +31,34 @@ def at_distances(distances, captured, **changes):
 
 
 def test_passing_by_is_closest_on_the_way():
-    passing = at_distances([1.0, -1.0], captured=True)
-    passing.positions[:, 1] = 0.05
-    approach = passing.capture
-    assert approach.time == pytest.approx(10.5)
+    passing = at_distances([1.0, -1.0], captured=True, aside=0.05)
+    approach = passing.moments[-1]
+    assert approach.time == passing.times[-1] == pytest.approx(10.5)
     assert approach.distance == pytest.approx(0.05)
     np.testing.assert_allclose(approach.vehicle, [0.0, 0.05, 0.0])
-    assert at_distances([1.0, 0.5], captured=False).capture is None
-    assert at_distances([1.0], captured=True).capture is None
+    assert not at_distances([1.0, 0.5], captured=False).caught
+    assert not at_distances([1.0], captured=True).caught
 
 
 def test_near_misses_are_local_minima_that_came_near():
     run = at_distances([3.0, 0.15, 0.9, 0.18, 0.6, 2.0, 0.5, 2.0, 0.05], captured=True)
     assert [m.distance for m in run.near_misses] == pytest.approx([0.15, 0.18])
     assert [m.time for m in run.near_misses] == pytest.approx([11.0, 13.0])
-    assert run.capture.time == pytest.approx(18.0)
+    assert run.times[-1] == pytest.approx(18.0)
     # An engine may detect contact slightly farther from the centre than the radius.
-    touched = at_distances([3.0, 0.15, 0.9, 0.12], captured=True)
-    touched.positions[2:, 1] = [0.0, 0.13]
+    aside = [0.0, 0.0, 0.0, 0.13]
+    touched = at_distances([3.0, 0.15, 0.9, 0.12], captured=True, aside=aside)
     assert [m.time for m in touched.near_misses] == pytest.approx([11.0])
 
 
 def test_summary_tells_the_story():
-    text = history.text(at_distances([3.0, 0.15, 0.9, 0.05], captured=True))
-    assert 't = 3.00 s, 50 mm from the rope' in text
-    assert 'near misses   1: 0.15 m at 1.0 s' in text
+    text = history.text({'': at_distances([3.0, 0.15, 0.9, 0.05], captured=True)})
+    assert 'captured at t = 3.00 s, 0.05 m from the goal' in text
+    assert '1 near misses: 0.15 m at 1.0 s' in ' '.join(text.split())
     assert 'p50 2.0 ms, p99 2.0 ms, max 2.0 ms' in text
     assert '1.0e-06' in text
-    without = history.text(replace(at_distances([1.0, 2.0], captured=False), ticks=()))
-    assert 'no' in without
+    without = history.text({'': replace(at_distances([1.0, 2.0], captured=False), ticks=())})
+    assert 'not captured by t = 1.00 s, 2 m from the goal' in without
     assert without.count('unknown') == 2
 
 
@@ -167,7 +166,7 @@ def _for_print():
 
 @pytest.fixture(scope='module')
 def caught():
-    return replace(of_bag(GOLDEN / 'retrieval'), captured=True)
+    return replace(of_bag(GOLDEN / 'retrieval'), captured=True).to_the_catch()
 
 
 def flight(name, positions, *changes):

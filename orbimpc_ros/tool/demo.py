@@ -122,13 +122,8 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
     """Summarise flights by name, or a fleet's by namespace; draw pictures; return the exit code."""
     from orbimpc_ros.tool import plot  # its import is slow and would delay the start of nodes
 
-    clear = True
-    if any(name.startswith('/') for name in flown):
-        print(history.of_fleet(flown))
-        clear = clearance(flown)
-    else:
-        for name, each in flown.items():
-            print(f'{name}:\n{history.text(each)}' if name else history.text(each))
+    print(history.text(flown))
+    clear = not any(name.startswith('/') for name in flown) or clearance(flown)
     for path in paths:
         print(f'bag           {shown(path)}')
     with plot.look():

@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,7 +40,7 @@ class Encounter(NamedTuple):
 
 @dataclass(frozen=True)
 class History:
-    """A recorded run."""
+    """A recorded run; its last sample is at the catch, if there is one."""
 
     times: Array  # of odometry, shape (M,) [s]
     positions: Array  # of the vehicle, shape (M, 3) [m]
@@ -64,6 +64,11 @@ class History:
         return bool(self.values['finish'] == 'arrival')
 
     @property
+    def caught(self) -> bool:
+        """Return whether the goal was caught in passing, between two samples."""
+        return self.captured and not self.arrives and len(self.times) > 1
+
+    @property
     def radius(self) -> float:
         """Return the simulator's capture radius, or its arrival radius for an arrival [m]."""
         name = 'arrival_radius' if self.arrives else 'capture_radius'
@@ -75,8 +80,8 @@ class History:
         values = settings.of_sim(self.values)
         return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
 
-    def encounters(self, steps: Sequence[float] | Array) -> list[Encounter]:
-        """Return encounters at fractional indices of odometry, by linear interpolation."""
+    def encounters(self, steps: Array) -> list[Encounter]:
+        """Return encounters at fractional indices of samples, by linear interpolation."""
         known = np.column_stack([self.times, self.positions, self.ropes])
         return [
             Encounter(float(row[0]), math.dist(row[1:4], row[4:]), row[1:4], row[4:])
@@ -85,49 +90,38 @@ class History:
 
     @cached_property
     def moments(self) -> list[Encounter]:
-        """Return encounters up to the capture: at odometry and at closest approaches between."""
+        """Return encounters at samples, and at closest approaches between them."""
         flown, swung = ((each[:-1], each[1:]) for each in (self.positions, self.ropes))
-        shares = closest_approach(flown, swung)[1].tolist()
-        count = len(self.times)
-        steps = sorted({*range(count), *(k + share for k, share in enumerate(shares))})
-        end = count - 2 + shares[-1] if self._caught else count
-        return self.encounters([step for step in steps if step <= end])
+        shares = closest_approach(flown, swung)[1]
+        between = np.arange(len(shares)) + shares
+        return self.encounters(np.union1d(np.arange(len(self.times)), between))
 
     @property
     def near_misses(self) -> list[Encounter]:
         """Return the local minima of the distance that are near the goal but no catch."""
         radius, moments = self.radius, self.moments
         # The catch itself may be outside of the radius if an engine detects contact.
-        margin = 0.5 * float(self.values['step']) if self._caught else 0.0
+        margin = 0.5 * float(self.values['step']) if self.caught else 0.0
         return [
             now
             for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
             if radius < now.distance <= NEAR * radius
-            and now.time <= self.end - margin
+            and now.time <= self.times[-1] - margin
             and before.distance > now.distance <= after.distance
         ]
 
-    @property
-    def end(self) -> float:
-        """Return the time of the catch or, without one, the last time [s]."""
-        return self.moments[-1].time
-
-    @property
-    def capture(self) -> Encounter | None:
-        """Return the encounter of the catch; None without one, and for an arrival."""
-        return self.moments[-1] if self._caught else None
-
-    @property
-    def _caught(self) -> bool:
-        return self.captured and not self.arrives and len(self.times) > 1
-
-    @property
-    def way(self) -> Array:
-        """Return the positions up to the capture, shape (M, 3) [m]."""
-        points = self.positions.copy()
-        if self.capture is not None:
-            points[-1] = self.capture.vehicle
-        return points
+    def to_the_catch(self) -> History:
+        """Return the history with its last sample at the catch, which ended the last interval."""
+        if not self.caught:
+            return self
+        last = [each[-2:] for each in (self.positions, self.ropes)]
+        _, share = closest_approach(*last)
+        ends = {
+            name: np.append(known[:-1], (1.0 - share) * known[-2:-1] + share * known[-1:], axis=0)
+            for name in ('times', 'positions', 'ropes')
+            for known in [getattr(self, name)]
+        }
+        return replace(self, **ends)
 
     def series(self, name: str) -> tuple[Array, Array]:
         """Return times [s] and values of a field, of the ticks where it is a finite number."""
@@ -181,7 +175,7 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
         captured=any(m.data for m in found['captured']),
         values=values,
         truth=next((fields(m) for m in reversed(found['truth']) if m.status), {}),
-    )
+    ).to_the_catch()
 
 
 def _valid(
@@ -209,53 +203,66 @@ def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
     return _interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
 
 
-def _interpolated(at: Any, known: Any, rows: Array) -> Array:
+def _interpolated(at: Array, known: Array, rows: Array) -> Array:
     """Return rows, given at known places, at other places, interpolated linearly."""
     return np.column_stack([np.interp(at, known, column) for column in rows.T])
 
 
-# --- as text: captures, arrivals, collisions and solve times
+# --- as text
 
 
-def text(history: History) -> str:
-    """Return the summary of a run."""
-    rows = {_job(history): _end(history)}
-    if not history.arrives:
-        begun, misses = history.times[0], history.near_misses
-        places = ', '.join(f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses)
-        rows['near misses'] = f'{len(misses)}: {places}' if misses else '0'
-    # Collisions and stalls of a continuous-time vehicle, where they are possible.
-    truth, values = history.truth, settings.of_sim(history.values)
-    touched, least = truth.get('touched'), truth.get('least_airspeed')
-    if (values['obstacles'] or values['traffic']) and isinstance(touched, list):
-        boxes = len(history.boxes)
-        rows['touched'] = touched_in_words(touched, boxes) or f'no {"box" if boxes else "ball"}'
-    if values['stall_speed'] and isinstance(least, (int, float)):
-        rows['airspeed'] = f'at least {least:.2f} m/s, {truth.get("stalls")} stalls'
-    return lines(rows | _ticks([history]))
+def text(flown: Mapping[str, History]) -> str:
+    """Return the summary of flights by name, or of a fleet by namespace.
+
+    There is a line on how each ended, and totals of their ticks.
+    """
+    rows = {}
+    for name, each in flown.items():
+        rows[name.strip('/') or 'flight'] = '; '.join([ending(each), *_incidents(each)])
+    times, gaps = (
+        np.concatenate([each.series(name)[1] for each in flown.values()])
+        for name in ('solve_time_ms', 'gap')
+    )
+    spent = 'unknown'
+    if times.size:
+        p50, p99 = np.percentile(times, (50, 99))
+        spent = f'p50 {p50:.1f} ms, p99 {p99:.1f} ms, max {times.max():.1f} ms'
+    # The last command of a flight is never applied.
+    ticks = [tick for each in flown.values() for tick in each.ticks if tick[0] < each.times[-1]]
+    rows['ticks'] = str(sum(len(each.ticks) for each in flown.values()))
+    rows['solve time'] = spent
+    rows['worst gap'] = f'{gaps.max():.1e}' if gaps.size else 'unknown'
+    rows['fallbacks'] = str(sum(bool(fields.get('fallback')) for _, fields in ticks))
+    return lines(rows)
 
 
-def of_fleet(flown: Mapping[str, History]) -> str:
-    """Return the summary of a fleet's flights by namespace: a line for each, and totals."""
-    rows = {
-        name.strip('/'): f'{_end(each)}; {len(each.ticks)} ticks' for name, each in flown.items()
-    }
-    done = sum(each.captured for each in flown.values())
-    rows[_job(next(iter(flown.values())))] = f'{done} of {len(flown)}'
-    return lines(rows | _ticks(list(flown.values())))
+def ending(flight: History) -> str:
+    """Return in a line how a flight ended."""
+    job, span = 'arrived' if flight.arrives else 'captured', flight.times[-1] - flight.times[0]
+    apart = np.linalg.norm(flight.positions[-1] - flight.ropes[-1])
+    speed = np.linalg.norm(flight.velocities[-1])
+    done = f'{job} at' if flight.captured else f'not {job} by'
+    return f'{done} t = {span:.2f} s, {apart:.2g} m from the goal, {speed:.2g} m/s'
+
+
+def _incidents(flight: History) -> Iterator[str]:
+    """Yield the near misses of a flight, its collisions and its stalls."""
+    if misses := flight.near_misses:
+        told = (f'{m.distance:.2f} m at {m.time - flight.times[0]:.1f} s' for m in misses)
+        yield f'{len(misses)} near misses: {", ".join(told)}'
+    if flight.truth.get('touched'):
+        yield f'touched {touched_in_words(flight.truth["touched"], len(flight.boxes))}'
+    if settings.of_sim(flight.values)['stall_speed'] and 'least_airspeed' in flight.truth:
+        least, stalls = flight.truth['least_airspeed'], flight.truth.get('stalls')
+        yield f'airspeed at least {least:.2f} m/s, {stalls} stalls'
 
 
 def story(flown: Mapping[str, History]) -> str:
     """Return a headline on how flights ended: a line for each, or one for a fleet."""
-    job = _job(next(iter(flown.values()))).capitalize()
     if len(flown) > 2:
-        return f'{job}: {sum(each.captured for each in flown.values())} of {len(flown)}'
-    return '\n'.join(
-        f'{name.replace("_", " ").capitalize()}: {_end(each, _job(each))}'
-        if name
-        else f'{job}: {_end(each)}'
-        for name, each in flown.items()
-    )
+        return f'{sum(each.captured for each in flown.values())} of {len(flown)} reached the goal'
+    told = (f'{name.replace("_", " ")}: {ending(each)}' for name, each in flown.items())
+    return '\n'.join(line.removeprefix(': ').capitalize() for line in told)
 
 
 def lines(rows: Mapping[str, str]) -> str:
@@ -264,47 +271,3 @@ def lines(rows: Mapping[str, str]) -> str:
         textwrap.fill(f'{name:<{NAMES}}{value}', WIDTH, subsequent_indent=' ' * NAMES)
         for name, value in rows.items()
     )
-
-
-def _job(history: History) -> str:
-    return 'arrived' if history.arrives else 'captured'
-
-
-def _end(history: History, yes: str = 'yes') -> str:
-    capture, begun = history.capture, history.times[0]
-    no = 'no' if yes == 'yes' else f'not {yes}'
-    if history.arrives:
-        apart, velocity = history.positions[-1] - history.ropes[-1], history.velocities[-1]
-        done, when = yes if history.captured else no, history.times[-1] - begun
-        return f'{done}, {_length(apart)} from the goal at {_length(velocity)}/s, t = {when:.0f} s'
-    if capture is None:
-        return no
-    apart = capture.vehicle - capture.rope
-    return f't = {capture.time - begun:.2f} s, {_length(apart)} from the rope'
-
-
-def _length(vector: Array) -> str:
-    """Return the length of a vector as text, in m or mm."""
-    metres = float(np.linalg.norm(vector))
-    if metres < 1e-3:
-        return 'less than 1 mm'
-    return f'{metres:.2f} m' if metres >= 0.1 else f'{1e3 * metres:.0f} mm'
-
-
-def _ticks(flown: Sequence[History]) -> dict[str, str]:
-    times, gaps = (
-        np.concatenate([each.series(name)[1] for each in flown])
-        for name in ('solve_time_ms', 'gap')
-    )
-    spent = 'unknown'
-    if times.size:
-        p50, p99 = np.percentile(times, (50, 99))
-        spent = f'p50 {p50:.1f} ms, p99 {p99:.1f} ms, max {times.max():.1f} ms'
-    # The last command is never applied.
-    commanded = [tick for each in flown for time, tick in each.ticks if time < each.times[-1]]
-    return {
-        'ticks': str(sum(len(each.ticks) for each in flown)),
-        'solve time': spent,
-        'worst gap': f'{gaps.max():.1e}' if gaps.size else 'unknown',
-        'fallbacks': str(sum(bool(tick.get('fallback')) for tick in commanded)),
-    }

@@ -207,7 +207,7 @@ def _draw_boxes(axes: Any, history: History) -> None:
 
 
 def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) -> None:
-    n, (color, line), path = history.values['dimension'], kind, history.way
+    n, (color, line), path = history.values['dimension'], kind, history.positions
     for _, points in history.plans[:: max(1, math.ceil(len(history.plans) / MOST_PLANS))]:
         axes.plot(*points.T[:n], color=SKY, lw=0.9, label='some plans')
     label = f'flown path, {name}' if name else 'flown path'
@@ -223,9 +223,8 @@ def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) 
     for number, miss in enumerate(history.near_misses, start=1):
         axes.plot(*miss.rope[:n, None], 'x', color=RED, ms=6, label='near miss', **point)
         axes.text(*miss.rope[:n], str(number), color=RED, path_effects=halo(), zorder=9)
-    goal = history.ropes[-1] if history.capture is None else history.capture.rope
-    label = 'goal' if history.capture is None else 'goal when caught'
-    axes.plot(*goal[:n, None], '*', color=GREEN, mec=INK, ms=14, label=label, **point)
+    label = 'goal when caught' if history.caught else 'goal'
+    axes.plot(*history.ropes[-1, :n, None], '*', color=GREEN, mec=INK, ms=14, label=label, **point)
 
 
 # --- charts over time
@@ -297,7 +296,7 @@ def shares(flown: Flights) -> Panel:
         found = [
             (time - each.times[0], fields['speed_fraction'][1])
             for time, fields in each.ticks
-            if len(fields.get('speed_fraction') or ()) > 1 and time <= each.end
+            if len(fields.get('speed_fraction') or ()) > 1 and time <= each.times[-1]
         ]
         lines[_label(name, flown)] = tuple(np.reshape(found, (-1, 2)).T)
     what = 'thrust' if first['translation_order'] == 2 else 'speed'
@@ -387,11 +386,11 @@ def planning(history: History) -> list[Panel]:
 
 def instants(history: History) -> Iterator[dict[str, Array]]:
     """Yield the points of each animated line, shape (K, 3) [m], interpolated between odometry."""
-    path, odometry = history.way, np.arange(len(history.times))
+    path = history.positions
     reach = NOSE * float(np.ptp(path, axis=0).max())
     per_step = int(np.clip(FRAMES // max(1, len(path) - 1), 1, PER_STEP))
-    end = float(np.interp(history.end, history.times, odometry))
-    steps = np.linspace(0.0, end, math.ceil(end * per_step) + 1)
+    end = len(path) - 1
+    steps = np.linspace(0.0, end, end * per_step + 1)
     for step, moment in zip(steps, history.encounters(steps), strict=True):
         k, now = int(step), moment.vehicle
         made = [points for time, points in history.plans if time <= history.times[k]]

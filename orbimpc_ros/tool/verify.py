@@ -14,30 +14,33 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.loop.intercept import steps_before
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.check import TOLERANCE
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import Document, Unproved, certificate_of, refutation, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
-from orbimpc_ros.tool import bags, files
+from orbimpc_ros.tool import bags, files, recording
 from orbimpc_ros.tool.files import folder_at
-
-if TYPE_CHECKING:
-    from orbimpc_ros.tool.recording import ReplayedTick
+from orbimpc_ros.tool.recording import Answer
 
 LARGEST = 64 << 20  # [bytes] of a certificate's file
 COST, CATCH = 'cost', 'catch'
 HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
 
 
-class TickVerdict(NamedTuple):
+class Refuted(OrbimpcError):
+    """A claim is wrong; the message tells why."""
+
+
+class Row(NamedTuple):
     """The verdict on a bound."""
 
     tick: int | None  # its number; None for a published certificate
@@ -54,10 +57,6 @@ class TickVerdict(NamedTuple):
         claimed, proved = (f'{each:<24}' for each in shown)
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.outcome}{self.more}'
 
-    def because(self, outcome: str, why: str) -> TickVerdict:
-        """Return the verdict with another outcome, and its reason."""
-        return self._replace(outcome=outcome, more=f': {why}')
-
 
 def run(
     path: str,
@@ -68,20 +67,18 @@ def run(
     out: str | None,
 ) -> int:
     """Verify, print a row for each bound, and return 1 if one of them does not hold."""
-    of_file = path.endswith('.json')
-    first, found = '' if of_file else '  tick  ', list[TickVerdict]()
+    of_file, counts = path.endswith('.json'), Counter[str]()
     bag = Path(path), namespace, params, tick, out
     for row in [_file(Path(path), problem)] if of_file else _bag(*bag):
-        if not found:  # no header above an error about the file
-            print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
-        found.append(row)
+        if not counts:  # no header above an error about the file
+            print(f'{"" if of_file else "  tick  "}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
+        counts[row.outcome] += 1
         print(row, flush=True)
-    counts = Counter(row.outcome for row in found)
     print(', '.join(f'{count} {outcome}' for outcome, count in counts.items()))
     return 1 if counts[FAILS] else 0
 
 
-def _file(path: Path, problem: str | None) -> TickVerdict:
+def _file(path: Path, problem: str | None) -> Row:
     try:
         with files.opened(path, LARGEST) as stream:
             known = document.parsed(stream.read())
@@ -103,92 +100,91 @@ def _is_of(known: Any, case: Case) -> bool:
     return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 
 
-def _verified(tick: int | None, known: Any) -> TickVerdict:
+def _verified(tick: int | None, known: Any) -> Row:
     verdict = document.verified(known)
     catch = 'radius' in known.get('refuted', ())
     more = f', within {known["refuted"]["radius"]!r} m' if catch else ''
     outcome, of = HOLDS if verdict.holds else FAILS, CATCH if catch else COST
-    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, more)
+    return Row(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, more)
 
 
 def _bag(
     path: Path, namespace: str, params: str | None, tick: int | None, out: str | None
-) -> Iterator[TickVerdict]:
-    from orbimpc_ros.tool import recording  # needs ROS, unlike a certificate file
-
+) -> Iterator[Row]:
     if tick is None:
         for each in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
             yield _published(bytes(each.content.data))
     known = recording.recording_of(path, namespace, params, tick=tick)
     gc.freeze()  # else each full collection scans all imported objects
-    for number, answer in enumerate(recording.replayed(known)):
+    for number, each in enumerate(recording.replayed(known)):
         if tick in (None, number):
-            yield _tick(number, answer, out)
-            yield from _catch(number, answer, out)
+            yield from _tick(number, each.recorded.answer, each.decision, out)
 
 
-def _published(text: bytes) -> TickVerdict:
+def _published(text: bytes) -> Row:
     """Verify a certificate that a planner published, without solving again."""
     try:
         return _verified(None, document.parsed(text))
     except document.Refused as error:
-        return TickVerdict(None, COST).because(FAILS, str(error))
+        return Row(None, COST, outcome=FAILS, more=f': {error}')
 
 
-def _tick(number: int, each: ReplayedTick, out: str | None) -> TickVerdict:
-    """Certify the bound published on a tick, for the problem that its inputs define."""
-    then, tick, plan = each.recorded.answer, each.decision, each.decision.plan
-    claimed = then.get('lower_bound')
+def _tick(number: int, then: Answer, now: Decision, out: str | None) -> Iterator[Row]:
+    """Certify what was claimed on a tick, by the decision of its replay."""
+    bound, soonest = then.get('lower_bound'), then.get('catch_bound')
     if then.get('status') == Status.INFEASIBLE:
-        row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
-        if sought is None:
-            return row.because(FAILS, f'the replay is {tick.status}')
-        return _certified(row, out, lambda: refutation_of(sought))
-    row = TickVerdict(number, COST, claimed)
-    if claimed is None or not claimed > 0.0:
-        return row
-    if plan is None:
-        return row.because(FAILS, f'the replay is {tick.status}')
+        yield _certified(Row(number, COST, math.inf), out, lambda: _infeasible(now))
+    elif bound is not None and bound > 0.0:
+        yield _certified(Row(number, COST, bound), out, lambda: _bound(then, now))
+    else:
+        yield Row(number, COST, bound)
+    if soonest is not None and math.isfinite(soonest):
+        catch = now.catch
+        if catch is None or steps_before(soonest, catch.sought.problem.step):
+            yield _certified(Row(number, CATCH, soonest), out, lambda: _no_catch(soonest, now))
+
+
+def _infeasible(now: Decision) -> Document:
+    if now.infeasible is None:
+        raise Refuted(f'the replay is {now.status}')
+    return refutation_of(now.infeasible)
+
+
+def _bound(then: Answer, now: Decision) -> Document:
+    """Return a proof of the bound published on a tick, for the problem that its inputs define."""
+    plan, posed, claimed = now.plan, now.case, then['lower_bound']
+    if plan is None or posed is None:
+        raise Refuted(f'the replay is {now.status}')
     # Each time of catch is a separate problem, and a deadline can end the search for the earliest.
-    earliest, catch = then.get('earliest_catch'), tick.catch
+    earliest, catch = then.get('earliest_catch'), now.catch
     if catch and earliest is not None and not np.isclose(catch.time, earliest, equal_nan=True):
-        return row.because(NONE, 'it planned another catch, or none, at its deadline')
+        raise Unproved('it planned another catch, or none, at its deadline')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
-        return row.because(FAILS, f'a trajectory costs {plan.objective!r}')
-    posed, proof = tick.case, replace(plan.proof, lower_bound=claimed)
-    assert posed is not None
-    return _certified(row, out, lambda: certificate_of(*posed, proof))
+        raise Refuted(f'a trajectory costs {plan.objective!r}')
+    return certificate_of(*posed, replace(plan.proof, lower_bound=claimed))
 
 
-def _catch(number: int, each: ReplayedTick, out: str | None) -> Iterator[TickVerdict]:
-    """Certify the time before which a tick claims that no trajectory catches the goal."""
-    claimed, catch = each.recorded.answer.get('catch_bound'), each.decision.catch
-    if claimed is None or not math.isfinite(claimed):
-        return
-    row = TickVerdict(number, CATCH, claimed)
+def _no_catch(claimed: float, now: Decision) -> Document:
+    """Return a proof that no trajectory catches the goal before a claimed time [s]."""
+    catch = now.catch
     if catch is None:
-        yield row.because(FAILS, 'the replay seeks no catch')
-        return
-    sought = catch.sought
-    count = steps_before(claimed, sought.problem.step)
+        raise Refuted('the replay seeks no catch')
     if catch.time < claimed * (1.0 - TOLERANCE):
-        yield row.because(FAILS, f'a plan catches the goal at {catch.time!r}')
-    elif count:
-        yield _certified(row, out, lambda: refutation_of(sought, count))
+        raise Refuted(f'a plan catches the goal at {catch.time!r}')
+    return refutation_of(catch.sought, steps_before(claimed, catch.sought.problem.step))
 
 
-def _certified(row: TickVerdict, out: str | None, make: Callable[[], Document]) -> TickVerdict:
+def _certified(row: Row, out: str | None, make: Callable[[], Document]) -> Row:
     """Return the verdict on a claim by making and verifying its certificate."""
     try:
         made = text_of(make())
         found = _verified(row.tick, document.parsed(made.encode()))
-    except Unproved as error:
-        return row.because(NONE, str(error).removeprefix(f'{NONE}: '))
-    except document.Refused as error:
-        return row.because(NONE, f'refused: {error}')
+    except (Refuted, Unproved, document.Refused) as error:
+        outcome = FAILS if isinstance(error, Refuted) else NONE
+        return row._replace(outcome=outcome, more=f': {str(error).removeprefix(f"{NONE}: ")}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
         (folder_at(Path(out)) / name).write_text(made + '\n')
     if found.outcome == FAILS:  # not refuted: no trajectory is known to cost less
-        return found.because(NONE, f'another search proves {found.proved!r}')
+        return found._replace(outcome=NONE, more=f': another search proves {found.proved!r}')
     return found
