@@ -28,7 +28,7 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import ENGINES, class_of
 from orbimpc_ros.tool import history, settings
 from orbimpc_ros.tool.bags import UNDATED, BagWriter, stamp_of
-from orbimpc_ros.tool.files import new_folder, shown
+from orbimpc_ros.tool.files import new_folder
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.processes import Child, Processes, ProgressLine, interruptions, isolate
 from orbimpc_ros.tool.settings import Values
@@ -125,12 +125,12 @@ def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) ->
     print(history.text(flown))
     clear = not any(name.startswith('/') for name in flown) or clearance(flown)
     for path in paths:
-        print(f'bag           {shown(path)}')
+        print(f'bag           {path}')
     with plot.look():
         pictures = plot.written(flown, folder)
     for name in pictures:
         label = 'picture' if name == plot.PATH else Path(name).stem
-        print(f'{label:<14}{shown(folder / name)}')
+        print(f'{label:<14}{folder / name}')
     return 0 if clear and all(each.captured for each in flown.values()) else 1
 
 
@@ -167,7 +167,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     simulated = values['clock'] != 'wall'
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
-    print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {shown(folder)}')
+    print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {folder}')
     names, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
     with interruptions() as received, Processes() as started:
 

@@ -167,14 +167,8 @@ def new_folder(out: str, name: str) -> Path:
     Raises:
         BadInput: it cannot be created.
     """
-    folder, number = Path(out).resolve() / name, 1
+    folder, number = Path(out) / name, 1
     while folder.exists():
         number += 1
         folder = folder.with_name(f'{name}-{number}')
     return folder_at(folder)
-
-
-def shown(path: Path) -> Path:
-    """Return a path for display: relative if it is below the working directory."""
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path

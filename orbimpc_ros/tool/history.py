@@ -80,7 +80,7 @@ class History:
         values = settings.of_sim(self.values)
         return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
 
-    def encounters(self, steps: Array) -> list[Encounter]:
+    def encounters(self, steps: Any) -> list[Encounter]:
         """Return encounters at fractional indices of samples, by linear interpolation."""
         known = np.column_stack([self.times, self.positions, self.ropes])
         return [
@@ -114,14 +114,14 @@ class History:
         """Return the history with its last sample at the catch, which ended the last interval."""
         if not self.caught:
             return self
-        last = [each[-2:] for each in (self.positions, self.ropes)]
-        _, share = closest_approach(*last)
-        ends = {
-            name: np.append(known[:-1], (1.0 - share) * known[-2:-1] + share * known[-1:], axis=0)
-            for name in ('times', 'positions', 'ropes')
-            for known in [getattr(self, name)]
-        }
-        return replace(self, **ends)
+        _, share = closest_approach(tuple(self.positions[-2:]), tuple(self.ropes[-2:]))
+        (end,) = self.encounters(len(self.times) - 2 + share)
+        return replace(
+            self,
+            times=np.append(self.times[:-1], end.time),
+            positions=np.vstack([self.positions[:-1], end.vehicle]),
+            ropes=np.vstack([self.ropes[:-1], end.rope]),
+        )
 
     def series(self, name: str) -> tuple[Array, Array]:
         """Return times [s] and values of a field, of the ticks where it is a finite number."""
@@ -203,7 +203,7 @@ def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
     return _interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
 
 
-def _interpolated(at: Array, known: Array, rows: Array) -> Array:
+def _interpolated(at: Any, known: Any, rows: Array) -> Array:
     """Return rows, given at known places, at other places, interpolated linearly."""
     return np.column_stack([np.interp(at, known, column) for column in rows.T])
 

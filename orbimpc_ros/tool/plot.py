@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.files import folder_at, shown
+from orbimpc_ros.tool.files import folder_at
 from orbimpc_ros.tool.history import History, of_bag, story
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
@@ -70,13 +70,13 @@ def run(
     flight = of_bag(Path(bag), namespace, params)
     if len(flight.times) < 2:
         raise BadInput.stating(bag, 'a single odometry message', 'two or more are needed')
-    folder = folder_at(Path(out).resolve())
+    folder = folder_at(Path(out))
     with look(dark):
         names = written({'': flight}, folder)
         if animated:
             write_gif(flight, folder / ANIMATION)
             names.append(ANIMATION)
-    print(f'written: {", ".join(names)} in {shown(folder)}')
+    print(f'written: {", ".join(names)} in {folder}')
     return 0
 
 

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import number
-from orbimpc_ros.mpc.errors import BadInput, Infeasible
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
 from orbimpc_ros.mpc.proof import document
-from orbimpc_ros.mpc.proof.document import Unproved, text_of
+from orbimpc_ros.mpc.proof.document import WORD, Document, held_in_time, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
-from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Deadline, Solver
 from orbimpc_ros.tool import files
 
 
@@ -33,51 +33,40 @@ def run(
     if case.state.hazards:
         solver.expect_hazards()
     begin = time.perf_counter()
-    end = begin + time_limit
-
-    def late() -> bool:
-        return time.perf_counter() > end
-
+    late = Deadline(time.perf_counter, begin + time_limit)
     try:
         plan = solver.solve(case.state, case.goals, None, late)
     except Infeasible as error:
-        _refute(case, certificate, error, late)
+        sought = Sought(*case)
+        refuted = held_in_time(lambda late: refutation_of(sought, 1, late), late.clock, late.end)
+        if refuted is None:
+            raise Infeasible(f'{error}; {WORD}') from None
+        _write(certificate, refuted)
         raise
-    elapsed = time.perf_counter() - begin
-    found = answer(case, plan, 1e3 * elapsed)
+    found = answer(case, plan, 1e3 * (time.perf_counter() - begin))
     if as_json or not sys.stdout.isatty():
         print(json.dumps(found, indent=1, allow_nan=False))
     else:
         print(table(case, plan, found))
     if certificate:
-        Path(certificate).write_text(text_of(document.certificate_of(*case, plan.proof)) + '\n')
+        _write(certificate, document.certificate_of(*case, plan.proof))
     return 0
 
 
-def _refute(case: Case, path: str | None, why: Infeasible, late: document.OutOfTime) -> None:
-    """Prove infeasibility, and write the certificate if a path is given.
-
-    Raises:
-        Infeasible: it could not be proved; the message adds why.
-    """
-    try:
-        made = refutation_of(Sought(*case), out_of_time=late)
-        if not document.holds(made):
-            raise Unproved('the proof found does not hold in exact arithmetic')
-    except (Unproved, BadInput) as error:  # BadInput if Clarabel is not installed
-        raise Infeasible(f'{why}; {document.WORD}; {error}') from None
-    if path:
-        Path(path).write_text(text_of(made) + '\n')
+def _write(file: str | None, proof: Document) -> None:
+    if file:
+        Path(file).write_text(text_of(proof) + '\n')
 
 
 def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
     """Return a plan as plain values; bound and gap are None if no bound was proved."""
     command = command_of(case.problem, case.state, plan)
+    proved = math.isfinite(plan.gap)
     return {
         'status': plan.status,
         'objective': plan.objective,
-        'lower_bound': _finite(plan.lower_bound),
-        'gap': _finite(plan.gap),
+        'lower_bound': plan.lower_bound if proved else None,
+        'gap': plan.gap if proved else None,
         'nodes': plan.nodes,
         'solve_time_ms': solve_time_ms,
         'positions': plan.positions.tolist(),
@@ -99,27 +88,21 @@ def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
     gap = 'unknown' if bound is None else f'{100.0 * plan.gap:.2g} %' if plan.gap >= 1e-6 else '0 %'
     turn = ', '.join(f'{math.degrees(each):.1f}' for each in command['body_rate'])
     full = 'speed' if problem.translation_order == 1 else 'thrust'
-    axes = 'xyz'[: problem.dimension]
-    headings = ['heading [deg]'] if problem.dimension == 2 else [f'forward {each}' for each in axes]
+    axes, ahead = 'xyz'[: problem.dimension], plan.projected[:, :, 0]
+    headings = [f'forward {each}' for each in axes]
+    if problem.dimension == 2:
+        headings, ahead = ['heading [deg]'], np.degrees(np.arctan2(ahead[:, 1:], ahead[:, :1]))
     heads = ['time [s]', *(f'{axis} [m]' for axis in axes), full, *headings]
+    times = problem.step * np.arange(problem.horizon + 1)
+    rows = np.column_stack([times, plan.positions, plan.speed_fraction, ahead]).tolist()
     lines = [
         f'status      {plan.status}, gap {gap}',
         f'cost        {plan.objective:.6g}, at least {least}',
         f'solved in   {found["solve_time_ms"]:.1f} ms, {plan.nodes} nodes',
         f'command     {command["speed_fraction"]:.3f} of full {full}, turn at {turn} deg/s',
         '',
-        ''.join(f'{head:>{max(9, len(head) + 1)}}' for head in heads).rstrip(),
     ]
-    rows = zip(plan.positions, plan.speed_fraction, plan.projected, strict=True)
-    for k, (position, share, rotation) in enumerate(rows):
-        ahead = rotation[:, 0]
-        if problem.dimension == 2:
-            ahead = np.degrees(np.arctan2(ahead[1:], ahead[:1]))
-        numbers = [k * problem.step, *position, share, *ahead]
-        widths = (max(9, len(head) + 1) for head in heads)
-        lines.append(''.join(f'{n:{w}.3f}' for n, w in zip(numbers, widths, strict=True)))
+    for row in [heads, *([f'{each:.3f}' for each in row] for row in rows)]:
+        cells = zip(row, heads, strict=True)
+        lines.append(''.join(f'{cell:>{max(9, len(head) + 1)}}' for cell, head in cells))
     return '\n'.join(lines)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

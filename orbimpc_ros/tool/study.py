@@ -115,7 +115,7 @@ def run(
 def _folder(out: str | None, name: str) -> Path:
     if out is None:
         return new_folder(OUT, name)
-    folder = folder_at(Path(out).resolve())
+    folder = folder_at(Path(out))
     if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
         raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
     return folder

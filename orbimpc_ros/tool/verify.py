@@ -112,8 +112,8 @@ def _bag(
     path: Path, namespace: str, params: str | None, tick: int | None, out: str | None
 ) -> Iterator[Row]:
     if tick is None:
-        for each in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
-            yield _published(bytes(each.content.data))
+        for message in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
+            yield _published(bytes(message.content.data))
     known = recording.recording_of(path, namespace, params, tick=tick)
     gc.freeze()  # else each full collection scans all imported objects
     for number, each in enumerate(recording.replayed(known)):
