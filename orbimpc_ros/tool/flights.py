@@ -47,9 +47,7 @@ _planner_of = lru_cache(maxsize=1)(planner_of)  # whose construction is slow
 def flown(
     study: str, controller: str, index: int, values: settings.Values, margin: float = 0.0
 ) -> Row:
-    """Fly and return a row with ``controller``, ``index`` and the results of the flight.
-
-    Measurements and commands are subject to the faults in the simulator's parameters.
+    """Fly and return the row of a flight.
 
     Args:
         study: its name, by which baselines find their tuned parameters.
@@ -58,9 +56,11 @@ def flown(
         values: of all parameters, drawn ones included.
         margin: added to the reported radii of bodies in the traffic [m].
 
-    The results are ``caught``, ``time`` to the catch [s] (None without one), ``touched`` (whether
-    it ended in a collision), ``failed`` (error of an engine, or an empty string), and the rows of
-    :func:`_of_way` and :func:`_of_ticks`.
+    Returns:
+        ``controller`` and ``index``; ``caught``, ``time`` to the catch [s] (None without one),
+        ``touched`` (whether it ended in a collision), ``failed`` (error of an engine, if any); the
+        numbers of ``ticks``, of ``optimal`` and of ``unplanned`` (fallback) ones; ``p50_ms`` and
+        ``longest_ms``, the processor time of a tick; and the row of :func:`_of_way`.
     """
     simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
     if controller == OURS:
@@ -82,6 +82,7 @@ def flown(
                 pilot.steer(flight)
     except EngineFailure as error:
         failed = str(error)
+    spent = [decision.solve_time_ms for decision in ticks] or [0.0]
     return {
         'controller': controller,
         'index': index,
@@ -89,8 +90,12 @@ def flown(
         'time': flight.missed_at if flight.captured else None,
         'touched': bool(flight.touched),
         'failed': failed,
+        'ticks': len(ticks),
+        'optimal': sum(decision.status is Status.OPTIMAL for decision in ticks),
+        'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
+        'p50_ms': float(np.median(spent)),
+        'longest_ms': max(spent),
         **_of_way(way),
-        **_of_ticks(ticks),
     }
 
 
@@ -124,29 +129,6 @@ def _of_way(way: Sequence[Flight]) -> Row:
         for name, value in chain.from_iterable(facts.items() for facts in trail):
             row[name] = max(row.get(name, 0.0), abs(value))
     return row
-
-
-def _of_ticks(ticks: Sequence[Decision]) -> Row:
-    """Return the results on the planning of a flight.
-
-    The numbers of ``ticks``, of ``optimal`` and of ``unplanned`` (fallback) ones; the largest
-    ``gap`` and ``projection`` loss; ``p50_ms`` and ``longest_ms``, the processor time of a tick.
-    """
-    plans = [decision.plan for decision in ticks if decision.plan is not None]
-    # From a projected rotation's thrust to the plan's, over full thrust.
-    lost = [
-        each.speed_fraction[1] * each.projected[1][:, 0] - each.rotations[1][:, 0] for each in plans
-    ]
-    spent = [decision.solve_time_ms for decision in ticks] or [0.0]
-    return {
-        'ticks': len(ticks),
-        'optimal': sum(decision.status is Status.OPTIMAL for decision in ticks),
-        'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
-        'gap': max((plan.gap for plan in plans), default=None),
-        'projection': max((float(np.linalg.norm(each)) for each in lost), default=None),
-        'p50_ms': float(np.median(spent)),
-        'longest_ms': max(spent),
-    }
 
 
 # --- the file of a study: its specification in the first line, a flight in each further one

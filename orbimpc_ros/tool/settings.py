@@ -15,9 +15,9 @@ import yaml
 
 from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters.dynamic import OF_ROS, sections
+from orbimpc_ros.ros.parameters.dynamic import OF_ROS, PARAMETERS, sections
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.parameters.spec import ParameterSpec, completed
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, Type, completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool import bags, files
 
@@ -45,7 +45,7 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    return changed(_completed(files.read(str(file)), str(file)), changes)
+    return changed(_of_file(str(file)), changes)
 
 
 def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -> Values:
@@ -74,12 +74,14 @@ def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -
 
 def of_sim(values: Values) -> Values:
     """Return the values for the simulator: without prefix its own, which precede those for both."""
-    found = values | _own(values)
-    return {name: value for name, value in found.items() if not name.startswith(OF_SIM)}
+    common, own = _parted(values)
+    return common | own
 
 
-def _own(values: Values) -> Values:
-    return {name.removeprefix(OF_SIM): v for name, v in values.items() if name.startswith(OF_SIM)}
+def _parted(values: Values) -> tuple[Values, Values]:
+    """Return the values for both nodes, and those for the simulator only, without prefix."""
+    own = {n.removeprefix(OF_SIM): value for n, value in values.items() if n.startswith(OF_SIM)}
+    return {n: value for n, value in values.items() if not n.startswith(OF_SIM)}, own
 
 
 def text(values: Values, own: Mapping[str, Values] = {}) -> str:
@@ -90,10 +92,10 @@ def text(values: Values, own: Mapping[str, Values] = {}) -> str:
         own: values that differ between vehicles, by namespace, such as ``/uav1``.
     """
     differ = {name for each in own.values() for name in each}
-    common = {n: v for n, v in values.items() if n not in differ and not n.startswith(OF_SIM)}
-    sections = {'/**': common, '/**/sim': _own(values)}
-    sections |= {f'{namespace}/**': each for namespace, each in own.items()}
-    plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items() if each}
+    common, of_sim = _parted(values)
+    sections = {'/**': {n: each for n, each in common.items() if n not in differ}}
+    sections |= {'/**/sim': of_sim, **{f'{name}/**': each for name, each in own.items()}}
+    plain = {name: {PARAMETERS: _plain(each)} for name, each in sections.items() if each}
     return yaml.safe_dump(plain, sort_keys=False)
 
 
@@ -104,13 +106,13 @@ def _plain(values: Values) -> Values:
 
 
 def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Values:
-    """Return the values in the notes of a bag, as :func:`read` does, or in a file instead.
+    """Return the values of a vehicle in the notes of a bag, or in a file instead.
 
     Raises:
         BadInput: no bag, or malformed notes; no such file, or a malformed one.
     """
     if params is not None:
-        return _completed(files.read(params), params)
+        return _of_file(params)
     return read(bags.notes(path).get('parameters', '{}'), namespace, f'{path}: parameters')
 
 
@@ -129,33 +131,33 @@ def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
     if namespace and isinstance(content, dict):
         wanted = ('/**', f'{namespace}/')
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
-    return _completed(content, name)
+    return completed(ROWS.values(), dict(parameters_of(content, name)))
 
 
-def _completed(content: Any, name: str) -> Values:
-    """Return the values in a parameter file, and defaults for all others."""
-    values: Values = {}
-    for given, value in parameters_of(content, name):
-        if given in ROWS:
-            values[given] = typed(ROWS[given], value)
-        elif given in OF_ROS:
-            values[given] = value
-        elif not given.startswith('qos_overrides.'):
-            raise BadInput.unknown('parameter', given, ROWS, name)
-    return completed(ROWS.values(), values)
+def _of_file(file: str) -> Values:
+    return completed(ROWS.values(), dict(parameters_of(files.read(file), file)))
 
 
 def parameters_of(content: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Yield the parameters of every section of a parameter file, nested names joined by dots."""
+    """Yield the parameters of every section of a parameter file, nested names joined by dots.
+
+    Raises:
+        BadInput: not parameters, an unknown name, or a value of another type.
+    """
     found = list(sections(content))
     if not found and content != {}:
         needed = 'sections with ros__parameters are needed'
         raise BadInput.stating(name, 'not a parameter file', needed)
     for title, section in found:
+        alone = title.rpartition('/')[2] == 'sim'
         for given, value in _flat(section):
-            own = f'{OF_SIM}{given}'
-            alone = title.rpartition('/')[2] == 'sim' and own in ROWS
-            yield (own if alone else given), value
+            known = f'{OF_SIM}{given}' if alone and f'{OF_SIM}{given}' in ROWS else given
+            if known in ROWS:
+                yield known, typed(ROWS[known], value)
+            elif given in OF_ROS:
+                yield given, value
+            elif not given.startswith('qos_overrides.'):
+                raise BadInput.unknown('parameter', given, ROWS, name)
 
 
 def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
@@ -168,15 +170,10 @@ def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
 
 def typed(row: ParameterSpec, value: Any) -> Any:
     """Return a value in the parameter's type; integers are accepted for floats."""
-    kind: type = type(row.default)
-    if kind is tuple and isinstance(value, (list, tuple)):
-        return tuple(_of_kind(row, str if row.words else float, each) for each in value)
-    return _of_kind(row, kind, value)
-
-
-def _of_kind(row: ParameterSpec, kind: type, value: Any) -> Any:
-    if kind is float and type(value) is int:
-        return float(value)
-    if type(value) is not kind:
+    if isinstance(value, (list, tuple)):
+        value = tuple(float(each) if type(each) is int else each for each in value)
+    elif type(row.default) is float and type(value) is int:
+        value = float(value)
+    if not row.kind.check(value) or (type(value) is bool) != (row.kind is Type.BOOL):
         raise BadInput(row.name, value, row.allowed)
     return value
