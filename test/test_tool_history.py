@@ -32,23 +32,24 @@ def at_distances(distances, captured, aside=0.0, **changes):
 
 def test_passing_by_is_closest_on_the_way():
     passing = at_distances([1.0, -1.0], captured=True, aside=0.05)
-    approach = passing.moments[-1]
-    assert approach.time == passing.times[-1] == pytest.approx(10.5)
-    assert approach.distance == pytest.approx(0.05)
-    np.testing.assert_allclose(approach.vehicle, [0.0, 0.05, 0.0])
+    times, distances, *_ = passing.at(passing.steps)
+    assert times[-1] == passing.times[-1] == pytest.approx(10.5)
+    assert distances[-1] == pytest.approx(0.05)
+    np.testing.assert_allclose(passing.positions[-1], [0.0, 0.05, 0.0])
     assert not at_distances([1.0, 0.5], captured=False).caught
     assert not at_distances([1.0], captured=True).caught
 
 
 def test_near_misses_are_local_minima_that_came_near():
     run = at_distances([3.0, 0.15, 0.9, 0.18, 0.6, 2.0, 0.5, 2.0, 0.05], captured=True)
-    assert [m.distance for m in run.near_misses] == pytest.approx([0.15, 0.18])
-    assert [m.time for m in run.near_misses] == pytest.approx([11.0, 13.0])
+    times, distances, *_ = run.at(run.near_misses)
+    assert distances == pytest.approx([0.15, 0.18])
+    assert times == pytest.approx([11.0, 13.0])
     assert run.times[-1] == pytest.approx(18.0)
     # An engine may detect contact slightly farther from the centre than the radius.
     aside = [0.0, 0.0, 0.0, 0.13]
     touched = at_distances([3.0, 0.15, 0.9, 0.12], captured=True, aside=aside)
-    assert [m.time for m in touched.near_misses] == pytest.approx([11.0])
+    assert touched.at(touched.near_misses)[0] == pytest.approx([11.0])
 
 
 def test_summary_tells_the_story():

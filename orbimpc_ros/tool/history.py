@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +27,6 @@ from orbimpc_ros.tool.bags import fields, point, seconds
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
-
-
-class Encounter(NamedTuple):
-    """The positions of vehicle and rope at a time."""
-
-    time: float  # [s]
-    distance: float  # between them [m]
-    vehicle: Array  # position, shape (3,) [m]
-    rope: Array  # position, shape (3,) [m]
 
 
 @dataclass(frozen=True)
@@ -80,47 +71,45 @@ class History:
         values = settings.of_sim(self.values)
         return np.reshape(values['obstacles'], (-1, 2, values['dimension']))
 
-    def encounters(self, steps: Any) -> list[Encounter]:
-        """Return encounters at fractional indices of samples, by linear interpolation."""
+    def at(self, steps: Any) -> tuple[Array, Array, Array, Array]:
+        """Return what was where at K fractional indices of samples, by linear interpolation.
+
+        These are times, shape (K,) [s], distances from vehicle to rope, (K,) [m], and positions of
+        the vehicle and of the rope, (K, 3) [m].
+        """
         known = np.column_stack([self.times, self.positions, self.ropes])
-        return [
-            Encounter(float(row[0]), math.dist(row[1:4], row[4:]), row[1:4], row[4:])
-            for row in _interpolated(steps, np.arange(len(known)), known)
-        ]
+        rows = _interpolated(steps, np.arange(len(known)), known)
+        flown, swung = rows[:, 1:4], rows[:, 4:]
+        return rows[:, 0], np.linalg.norm(flown - swung, axis=1), flown, swung
 
     @cached_property
-    def moments(self) -> list[Encounter]:
-        """Return encounters at samples, and at closest approaches between them."""
+    def steps(self) -> Array:
+        """Return the indices of samples, and those of closest approaches between them."""
         flown, swung = ((each[:-1], each[1:]) for each in (self.positions, self.ropes))
         shares = closest_approach(flown, swung)[1]
-        between = np.arange(len(shares)) + shares
-        return self.encounters(np.union1d(np.arange(len(self.times)), between))
+        return np.union1d(np.arange(len(self.times)), np.arange(len(shares)) + shares)
 
     @property
-    def near_misses(self) -> list[Encounter]:
-        """Return the local minima of the distance that are near the goal but no catch."""
-        radius, moments = self.radius, self.moments
+    def near_misses(self) -> Array:
+        """Return the indices of the local minima of the distance near the goal but for a catch."""
+        radius, (times, apart, _, _) = self.radius, self.at(self.steps)
         # The catch itself may be outside of the radius if an engine detects contact.
         margin = 0.5 * float(self.values['step']) if self.caught else 0.0
-        return [
-            now
-            for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
-            if radius < now.distance <= NEAR * radius
-            and now.time <= self.times[-1] - margin
-            and before.distance > now.distance <= after.distance
-        ]
+        near = (radius < apart) & (apart <= NEAR * radius) & (times <= times[-1] - margin)
+        lowest = (apart[:-2] > apart[1:-1]) & (apart[1:-1] <= apart[2:])
+        return self.steps[1:-1][near[1:-1] & lowest]
 
     def to_the_catch(self) -> History:
         """Return the history with its last sample at the catch, which ended the last interval."""
         if not self.caught:
             return self
         _, share = closest_approach(tuple(self.positions[-2:]), tuple(self.ropes[-2:]))
-        (end,) = self.encounters(len(self.times) - 2 + share)
+        time, _, flown, swung = self.at(len(self.times) - 2 + share)
         return replace(
             self,
-            times=np.append(self.times[:-1], end.time),
-            positions=np.vstack([self.positions[:-1], end.vehicle]),
-            ropes=np.vstack([self.ropes[:-1], end.rope]),
+            times=np.append(self.times[:-1], time),
+            positions=np.vstack([self.positions[:-1], flown]),
+            ropes=np.vstack([self.ropes[:-1], swung]),
         )
 
     def series(self, name: str) -> tuple[Array, Array]:
@@ -247,9 +236,11 @@ def ending(flight: History) -> str:
 
 def _incidents(flight: History) -> Iterator[str]:
     """Yield the near misses of a flight, its collisions and its stalls."""
-    if misses := flight.near_misses:
-        told = (f'{m.distance:.2f} m at {m.time - flight.times[0]:.1f} s' for m in misses)
-        yield f'{len(misses)} near misses: {", ".join(told)}'
+    times, apart, _, _ = flight.at(flight.near_misses)
+    if len(times):
+        missed = zip(apart, times - flight.times[0], strict=True)
+        told = ', '.join(f'{distance:.2f} m at {time:.1f} s' for distance, time in missed)
+        yield f'{len(times)} near misses: {told}'
     if flight.truth.get('touched'):
         yield f'touched {touched_in_words(flight.truth["touched"], len(flight.boxes))}'
     if settings.of_sim(flight.values)['stall_speed'] and 'least_airspeed' in flight.truth:

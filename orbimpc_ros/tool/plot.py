@@ -220,9 +220,9 @@ def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) 
         axes.plot(*ends.T[:n], color=shade, lw=2.0, zorder=5, label=f'body {axis}')
     point: Any = {'ls': '', 'zorder': 8}
     axes.plot(*path[:1].T[:n], 'o', mfc=paper(), mec=INK, ms=6, label='start', **point)
-    for number, miss in enumerate(history.near_misses, start=1):
-        axes.plot(*miss.rope[:n, None], 'x', color=RED, ms=6, label='near miss', **point)
-        axes.text(*miss.rope[:n], str(number), color=RED, path_effects=halo(), zorder=9)
+    for number, missed in enumerate(history.at(history.near_misses)[-1][:, :n], start=1):
+        axes.plot(*missed[:, None], 'x', color=RED, ms=6, label='near miss', **point)
+        axes.text(*missed, str(number), color=RED, path_effects=halo(), zorder=9)
     label = 'goal when caught' if history.caught else 'goal'
     axes.plot(*history.ropes[-1, :n, None], '*', color=GREEN, mec=INK, ms=14, label=label, **point)
 
@@ -273,9 +273,9 @@ def distance(flown: Flights) -> Panel:
     """Return the chart of distances to the goal, at odometry and at closest approaches."""
     lines = {}
     for name, each in flown.items():
-        found = [(moment.time - each.times[0], moment.distance) for moment in each.moments]
-        times, distances = np.array(found).T
-        lines[_label(name, flown)] = times, np.maximum(distances, 0.1 * each.radius)
+        times, distances, _, _ = each.at(each.steps)
+        line = times - each.times[0], np.maximum(distances, 0.1 * each.radius)
+        lines[_label(name, flown)] = line
     radius = next(iter(flown.values())).radius
     return Panel('Distance to the goal', 'm', lines, {f'within {radius:g} m': radius}, log=True)
 
@@ -391,14 +391,14 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
     per_step = int(np.clip(FRAMES // max(1, len(path) - 1), 1, PER_STEP))
     end = len(path) - 1
     steps = np.linspace(0.0, end, end * per_step + 1)
-    for step, moment in zip(steps, history.encounters(steps), strict=True):
-        k, now = int(step), moment.vehicle
+    for step, now, goal in zip(steps, *history.at(steps)[2:], strict=True):
+        k = int(step)
         made = [points for time, points in history.plans if time <= history.times[k]]
         yield {
             'plan': made[-1] if made else np.zeros((0, 3)),
             'flown': np.vstack([path[: k + 1], now]),
             'vehicle': np.array([now, now + reach * history.attitudes[k, :, 0]]),
-            'goal': moment.rope[None],
+            'goal': goal[None],
         }
 
 
