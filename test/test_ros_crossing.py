@@ -11,7 +11,6 @@ from problems import seeds
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.outputs import obeyed
 from orbimpc_ros.sim.fleet import separations
@@ -46,8 +45,8 @@ def flown(values):
             planner, now = planners[name], flight.vehicle.time
             planner.sense(now, GoalObservation(now, flight.goal))
             planner.sense(now, measured(flight.vehicle))
-            said, command = planner.answer(planner.stamp, now), planner.decision.command
-            planner.went_out(planner.at(now).nanoseconds / SECOND)
+            decision = planner.report(now)
+            said, command = planner.messages(decision, planner.stamp), decision.command
             for other in planners.values():
                 if 'plan' in said and f'{name}/plan' in other.inputs.others:
                     other.hear(f'{name}/plan', said['plan'], now)

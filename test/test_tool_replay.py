@@ -20,6 +20,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
+from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp, shown
@@ -28,7 +29,14 @@ from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.offline import OfflinePlanner
-from orbimpc_ros.tool.recording import RecordedTick, Recording, published, recording_of, replayed
+from orbimpc_ros.tool.recording import (
+    RecordedTick,
+    Recording,
+    published,
+    recorded_command,
+    recording_of,
+    replayed,
+)
 from orbimpc_ros.tool.replay import distance, tolerance
 
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search finds a plan.
@@ -223,14 +231,11 @@ def test_velocities_in_the_world_are_plotted_in_the_world(tmp_path):
     np.testing.assert_allclose(of_bag(path).velocities, of_bag(RETRIEVAL).velocities, atol=1e-9)
 
 
-def test_a_recorded_rate_is_about_the_vehicles_own_axes(monkeypatch):
-    planner, sent = OfflinePlanner(settings_of(dimension=3, thrust_axis='z')), []
-    monkeypatch.setattr(planner.planner, 'sent', lambda command, _: sent.append(command.body_rate))
-    planner.answer(0)
-    rate = np.array([0.1, 0.2, 0.3])
-    message = messages.twist_message(Stamp(0, planner.settings.frames), 1.0, rate)
-    planner.went_out(0.0, published({'cmd_vel': message}))
-    np.testing.assert_allclose(sent, [rate])
+def test_a_recorded_rate_is_about_the_vehicles_own_axes():
+    known, rate = settings_of(dimension=3, thrust_axis='z'), np.array([0.1, 0.2, 0.3])
+    message = messages.twist_message(Stamp(0, known.frames), 1.0, rate)
+    command = recorded_command(known, stop(np.eye(3)), published({'cmd_vel': message}))
+    np.testing.assert_allclose(command.body_rate, rate)
 
 
 def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp_path, monkeypatch):
@@ -521,8 +526,9 @@ def flown(late):
             else:
                 hear(each)
         sent = second * SECOND + 50 * MILLISECOND
-        answer = planner.answer(second * SECOND, sent / SECOND)
-        planner.went_out(sent / SECOND)
+        decision = planner.decide(sent / SECOND, second * SECOND)
+        answer = planner.messages(decision, second * SECOND)
+        planner.planner.sent(decision.command, sent / SECOND)
         answers.append(RecordedTick(second * SECOND, sent, published(answer)))
         clearances.append(fields(answer['tick'])['clearance'])
         for each in pending:

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.messages import SECOND, Stamp, command_messages
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import Core, planner_of
@@ -37,7 +35,6 @@ class OfflinePlanner(Core):
 
     Attributes:
         epoch: stamp of the time 0 of flights in this process [ns].
-        decision: behind the last answer; None before the first.
     """
 
     epoch = 1_700_000_000 * SECOND  # so that stamps are dates
@@ -53,7 +50,6 @@ class OfflinePlanner(Core):
         resolve = resolving(node.rpartition('/')[0])
         super().__init__(settings, chosen, clock=clock, resolve=resolve)
         self._node = node
-        self.decision: Decision | None = None
 
     @property
     def stamp(self) -> int | None:
@@ -61,48 +57,12 @@ class OfflinePlanner(Core):
         known = None if self.inputs.missing else self.inputs.odometry
         return None if known is None else known.stamp.nanoseconds
 
-    # --- answers as messages, at given times
-
-    def answer(
-        self,
-        stamp: int,
-        now: float = 0.0,
-        advanced: float = 0.0,
-        stop: Reason | None = None,
-    ) -> dict[str, Any]:
-        """Answer the latest odometry with a plan or a fallback.
-
-        Args:
-            stamp: of the answer, that of the odometry [ns].
-            now: on the steady clock [s].
-            advanced: time from the measurement to the effect of the answer, to extrapolate by [s].
-            stop: reason for a safe command instead of a plan, other than the solver's.
-        """
+    def messages(self, decision: Decision, stamp: int) -> dict[str, Any]:
+        """Return a decision as messages by topic, with the stamp of the odometry [ns]."""
         known = self.inputs.odometry
-        ros = None if stop else stamp + round(advanced * SECOND)
-        self.decision = decision = self.decide(now, ros, stop)
         at = Stamp(stamp, self.settings.frames if known is None else known.stamp.frames)
         commands = command_messages(self.settings, at, decision.command, oriented=known is not None)
         return dict([*commands, *report_messages(self.settings, at, decision, self._node)])
-
-    def went_out(self, at: float, published: Mapping[str, Any] = {}) -> None:
-        """Register the published command; by default that of the last answer.
-
-        Args:
-            at: time of publication, on the ROS clock [s].
-            published: its ``speed`` [m/s], ``force`` [N] and ``body_rate``, in the vehicle's own
-                axes, shape (3,) [rad/s].
-        """
-        assert self.decision is not None
-        problem, command = self.settings.problem, self.decision.command
-        name, weight = ('force', self.settings.mass) if problem.inertial else ('speed', 1.0)
-        if name in published:
-            share = published[name] / (weight * problem.forward)
-            command = replace(command, speed_fraction=share)
-        if 'body_rate' in published:
-            turned = self.settings.frames.turned(published['body_rate'])
-            command = replace(command, body_rate=turned[-len(command.body_rate) :].copy())
-        self.planner.sent(command, at)
 
     # --- on board a flight in this process, at times since its start
 

@@ -22,6 +22,7 @@ import numpy as np
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
@@ -58,20 +59,6 @@ def published(messages: Messages) -> Answer:
     return found | (fields(messages['tick']) if 'tick' in messages else {})
 
 
-def was_solved(answer: Answer) -> bool:
-    """Return whether a solver was called, as far as is known."""
-    return answer.get('solve_time_ms') != 0.0
-
-
-def was_planned(answer: Answer) -> bool:
-    """Return whether the answer is based on odometry and goals, as far as is known.
-
-    If every goal is stale, it continues the previous plan without a solve, and still lists goal
-    stamps; a safe command for any other reason lists none.
-    """
-    return was_solved(answer) or bool(answer.get('goal_stamps'))
-
-
 @dataclass(frozen=True)
 class RecordedTick:
     """A recorded tick of the planner."""
@@ -79,6 +66,20 @@ class RecordedTick:
     stamp: int  # of the odometry that it answers [ns]
     sent: int  # when its first message was sent, by the clock of the inputs [ns]
     answer: Answer  # the values in its messages
+
+    @property
+    def solved(self) -> bool:
+        """Return whether a solver was called, as far as is known."""
+        return self.answer.get('solve_time_ms') != 0.0
+
+    @property
+    def planned(self) -> bool:
+        """Return whether the answer is based on odometry and goals, as far as is known.
+
+        If every goal is stale, it continues the previous plan without a solve, and still lists goal
+        stamps; a safe command for any other reason lists none.
+        """
+        return self.solved or bool(self.answer.get('goal_stamps'))
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,11 @@ def recording_of(
     changes: Sequence[str] = (),
     tick: int | None = None,
 ) -> Recording:
-    """Return the recording of the planner in a namespace.
+    """Return the recording of a vehicle's planner, in its namespace.
 
     Args:
         path: path of the bag.
-        namespace: of the vehicle, such as ``/uav1``.
+        namespace: such as ``/uav1``.
         params: file of the planner's parameters, if not those noted in the bag.
         changes: ``name=value``, of these parameters.
         tick: number of the last one to read; None for all.
@@ -118,8 +119,7 @@ def recording_of(
     values = settings.of_bag(path, namespace, params)
     values = settings.changed(values, changes, simulated=False)
     planner = planner_settings(values)
-    avoided = others(planner, resolving(namespace))
-    read = (*INPUTS, *COMPARED, CLOCK, *TREE, *avoided)
+    read = (*INPUTS, *COMPARED, CLOCK, *TREE, *others(planner, resolving(namespace)))
     found = bags.of_vehicle(path, namespace, read, NEEDED)
     inputs = tuple(each for each in found if each.topic not in COMPARED)
     outputs = (each for each in found if each.topic in COMPARED)
@@ -127,8 +127,8 @@ def recording_of(
     if tick is not None and not 0 <= tick < len(answers):
         raise BadInput('--tick', tick, f'0 to {len(answers) - 1}')
     simulated = values.get('use_sim_time', any(each.topic == CLOCK for each in inputs))
-    wanted = answers if tick is None else answers[: tick + 1]
-    return Recording(namespace, planner, bool(simulated), inputs, tuple(wanted))
+    last = len(answers) if tick is None else tick + 1
+    return Recording(namespace, planner, bool(simulated), inputs, tuple(answers[:last]))
 
 
 def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
@@ -182,26 +182,39 @@ def replayed(recording: Recording) -> Iterator[ReplayedTick]:
                 now, ros = each.sent / SECOND, clock if simulated else each.sent
                 refusals.append(planner.inputs.update(each.topic, each.content, now, ros))
         delay = 0.0 if simulated else (recorded.sent - recorded.stamp) / SECOND
-        answer = published(_answer(planner, recorded, delay))
+        decision = _decision(planner, recorded, delay)
+        answer = published(planner.messages(decision, recorded.stamp))
         delay = recorded.answer.get('sent', delay)
-        planner.went_out((recorded.stamp + round(delay * SECOND)) / SECOND, recorded.answer)
-        assert planner.decision is not None
-        yield ReplayedTick(recorded, answer, tuple(filter(None, refusals)), planner.decision)
+        at = (recorded.stamp + round(delay * SECOND)) / SECOND
+        planner.planner.sent(recorded_command(known, decision.command, recorded.answer), at)
+        yield ReplayedTick(recorded, answer, tuple(filter(None, refusals)), decision)
 
 
-def _answer(planner: OfflinePlanner, recorded: RecordedTick, delay: float) -> Messages:
-    """Return the answer again; ``delay`` [s] is its odometry's age if the tick tells none."""
-    answer, stamp = recorded.answer, recorded.stamp
+def _decision(planner: OfflinePlanner, recorded: RecordedTick, delay: float) -> Decision:
+    """Decide again; ``delay`` [s] is the age of the odometry if the tick tells none."""
+    answer, stop = recorded.answer, None
     word = answer.get('cause')
     cause = Cause(word) if word in list(Cause) else Cause.NONE
     if cause in (Cause.AFRESH, Cause.RESET):
         planner.start_afresh(wind=cause is Cause.RESET)
-    if not was_planned(answer):
-        return planner.answer(stamp, stop=Reason(cause, answer.get('reason', '')))
-    if planner.stamp != stamp:
-        refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
-        return planner.answer(stamp, stop=refused)
-    return planner.answer(stamp, recorded.sent / SECOND, answer.get('advanced', delay))
+    if not recorded.planned:
+        stop = Reason(cause, answer.get('reason', ''))
+    elif planner.stamp != recorded.stamp:
+        stop = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
+    ros = recorded.stamp + round(answer.get('advanced', delay) * SECOND)
+    return planner.decide(recorded.sent / SECOND, ros, stop)
+
+
+def recorded_command(settings: PlannerSettings, command: Command, answer: Answer) -> Command:
+    """Return a command with the speed or thrust and the body rate that an answer tells."""
+    problem = settings.problem
+    name, weight = ('force', settings.mass) if problem.inertial else ('speed', 1.0)
+    if name in answer:
+        command = replace(command, speed_fraction=answer[name] / (weight * problem.forward))
+    if 'body_rate' in answer:
+        turned = settings.frames.turned(answer['body_rate'])
+        command = replace(command, body_rate=turned[-len(command.body_rate) :].copy())
+    return command
 
 
 def _lost(
@@ -238,10 +251,10 @@ def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
     # If times are mere stamps, a solve seems to take no time: inputs before the odometry count.
     begun = max(recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0)), measured)
     until = dict.fromkeys(topics, begun)
-    if measured >= 0 or was_solved(answer):  # else the odometry belongs to an earlier answer
+    if measured >= 0 or recorded.solved:  # else the odometry belongs to an earlier answer
         until['odom'] = measured
     stamps = answer.get('goal_stamps', {})
-    if was_planned(answer):  # other ticks have no stamps of traffic
+    if recorded.planned:  # other ticks have no stamps of traffic
         traffic = dict.fromkeys(topics - {*READ, *TRANSFORMS, CLOCK}, None)
         stamps = traffic | answer.get('traffic_stamps', {}) | stamps
     return until | {topic: _sent(sent, topic, stamp) for topic, stamp in stamps.items()}

@@ -125,13 +125,13 @@ class Recorder(OfflinePlanner):
         """Answer the latest odometry."""
         disabled = self._hostile and round(now / self.settings.step) in SWITCHED_OFF
         stop, at = DISABLED if disabled else None, self.stamp
-        told = self.answer(at, self.said / SECOND, stop=stop)
+        decision = self.decide(self.said / SECOND, at, stop)
         self.said += round(1e6 * SOLVE_TIME_MS)
-        for topic, message in told.items():
+        for topic, message in self.messages(decision, at).items():
             if topic != 'plan_markers':  # large, and derived from the plan
                 self._say(topic, message)
-        self.went_out(at / SECOND)
-        return self.decision
+        self.planner.sent(decision.command, at / SECOND)
+        return decision
 
     def decide(self, *given: Any, **more: Any) -> Decision:
         """Return the decision, with the recorded solve time if there was a solve."""
