@@ -22,6 +22,8 @@ ROOM = 3.0  # [m] of circumference per vehicle on the ring of a crossing
 LEAST_RING = 5.0  # [m]
 ASTRAY = 0.5  # [m] largest offset of starts and goals of a crossing from the ring, along each axis
 
+FLEETS = {'fleet': 4, 'crossing': 8}  # default number of vehicles
+
 Parameters = dict[str, Any]
 Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 
@@ -38,44 +40,31 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
         BadInput: ``count`` is not in [1, 64].
     """
     whole(count, 'vehicles', 1, MOST)
-    drawn, _ = FLEETS[fleet]
-    return {
-        f'/uav{i + 1}': drawn(2.0 * math.pi * i / count, count, np.random.default_rng([seed, i]))
-        | {'seed': (seed + i + 1) % 2**31}
-        for i in range(count)
-    }
+    return {f'/uav{i + 1}': _drawn(fleet, i, count, seed) for i in range(count)}
 
 
-def _follower(heading: float, _count: int, rng: np.random.Generator) -> Parameters:
-    """Return the parameters of a vehicle that chases a rope outwards."""
-    outwards = np.array([math.cos(heading), math.sin(heading)])
-    center = (RING + rng.uniform(*AHEAD)) * outwards
-    frequency, phase = rng.uniform(*FREQUENCIES), rng.uniform(0.0, 2.0 * math.pi, 2)
-    return _parameters(RING * outwards, heading, center, SWING, frequency, phase)
-
-
-def _crosser(place: float, count: int, rng: np.random.Generator) -> Parameters:
-    """Return the parameters of a vehicle with a goal on the opposite side, past the centre."""
-    ring = max(LEAST_RING, ROOM * count / (2.0 * math.pi))
-    outwards = ring * np.array([math.cos(place), math.sin(place)])
-    start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([outwards, -outwards])
+def _drawn(fleet: str, number: int, count: int, seed: int) -> Parameters:
+    """Return the parameters of a vehicle, numbered from 0."""
+    rng, place = np.random.default_rng([seed, number]), 2.0 * math.pi * number / count
+    outwards = np.array([math.cos(place), math.sin(place)])
+    swing, frequency, phase = 0.0, 0.0, np.zeros(2)
+    if fleet == 'fleet':
+        start, goal = RING * outwards, (RING + rng.uniform(*AHEAD)) * outwards
+        swing, frequency = SWING, rng.uniform(*FREQUENCIES)
+        phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+    else:
+        across = max(LEAST_RING, ROOM * count / (2.0 * math.pi)) * outwards
+        start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([across, -across])
     x, y = goal - start
-    return _parameters(start, math.atan2(y, x), goal, 0.0, 0.0, np.zeros(2))
-
-
-FLEETS = {'fleet': (_follower, 4), 'crossing': (_crosser, 8)}  # a vehicle's draw, default size
-
-
-def _parameters(
-    start: Array, heading: float, center: Array, swing: float, frequency: float, phase: Array
-) -> Parameters:
+    half = 0.5 * math.atan2(y, x)
     return {
-        'rope.center': (*center.tolist(), 0.0),
+        'rope.center': (*goal.tolist(), 0.0),
         'rope.amplitude': (swing, swing, 0.0),
         'rope.frequency': frequency,
         'rope.phase': (*phase.tolist(), 0.0),
         'start.position': (*start.tolist(), 0.0),
-        'start.orientation': (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading)),
+        'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
+        'seed': (seed + number + 1) % 2**31,
     }
 
 

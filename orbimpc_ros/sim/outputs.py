@@ -9,14 +9,16 @@ repeated queries of one tick agree.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped, Vector3
-from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
+from rosgraph_msgs.msg import Clock
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.compensation import Odometry
@@ -25,13 +27,15 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Stamp, marker, point, pose, shown
+from orbimpc_ros.ros.messages import Stamp, marker, point, pose
+from orbimpc_ros.ros.topics import message_of
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Vehicle, between, measured
 from orbimpc_ros.sim.world import Flight
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's draws
 CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
+TREE = find_spec('tf2_msgs') is not None  # the PyPI wheels of ROS have none
 Seen = Odometry | GoalObservation  # a message to the planner, at the true time of measurement
 
 
@@ -107,24 +111,41 @@ def sensed(stamp: Stamp, content: Seen) -> tuple[str, Any]:
     return 'goal', messages.goal_message(stamp, content.position)
 
 
-def future(stamp: Stamp, flight: Flight) -> Path:
-    """Return the path of the goal over ``goal_path_steps`` from now."""
-    step, rope = flight.settings.model.step, flight.settings.rope
-    times = flight.vehicle.time + step * np.arange(flight.settings.goal_path_steps + 1)
-    return messages.path_message(stamp, step, map(messages.pose, [rope.at(time) for time in times]))
+def surroundings(
+    stamp: Stamp, flight: Flight, margin: float = 0.0
+) -> Iterator[tuple[str, MarkerArray | Path]]:
+    """Yield the messages to a planner on bodies and the goal's path, if any, with their topics.
+
+    Bodies are larger than they are by a margin [m].
+    """
+    if flight.settings.traffic:
+        yield 'obstacles', traffic_markers(stamp, flight, margin)
+    if steps := flight.settings.goal_path_steps:
+        step, rope = flight.settings.model.step, flight.settings.rope
+        ahead = [pose(rope.at(flight.vehicle.time + step * k)) for k in range(steps + 1)]
+        yield 'goal_path', messages.path_message(stamp, step, ahead)
 
 
-def transform(odometry: OdometryMessage) -> TransformStamped:
-    """Return odometry as a transform."""
-    message = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
-    place = odometry.pose.pose.position
-    message.transform.translation = Vector3(x=place.x, y=place.y, z=place.z)
-    message.transform.rotation = odometry.pose.pose.orientation
-    return message
+def shown(stamp: Stamp, node: str, flight: Flight) -> Iterator[tuple[str, Any]]:
+    """Yield all messages on the present state of a flight but measurements, with their topics."""
+    if flight.settings.clock == 'lockstep':
+        yield '/clock', Clock(clock=messages.time_message(stamp.nanoseconds))
+    yield from surroundings(stamp, flight)
+    yield 'world_markers', world_markers(stamp, flight)
+    if flight.settings.vehicle != 'discrete':
+        yield 'truth', truth(stamp, node, flight)
+    if TREE:
+        odometry = messages.odometry_message(stamp, measured(flight.vehicle))
+        turned, place = odometry.pose.pose.orientation, odometry.pose.pose.position
+        link = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
+        link.transform.translation = Vector3(x=place.x, y=place.y, z=place.z)
+        link.transform.rotation = turned
+        yield '/tf', message_of('/tf')(transforms=[link])
 
 
-def truth(at: int, name: str, flight: Flight) -> DiagnosticArray:
-    """Return the vehicle's true state at a time [ns] as a diagnostic status with a name."""
+def truth(stamp: Stamp, node: str, flight: Flight) -> DiagnosticArray:
+    """Return the vehicle's true state as a diagnostic status."""
+    at, name = stamp.nanoseconds, f'{node}: truth'
     vehicle, now = flight.vehicle, flight.vehicle.airspeed
     values = {
         'airspeed': now,
@@ -167,5 +188,5 @@ def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> Marker
         assert isinstance(each.body, Ball)
         place = each.body.centre + each.moved(np.array([flight.vehicle.time]))[0]
         ball = marker(stamp, 'traffic', k, Marker.SPHERE, messages.RED, model.step)
-        markers.append(shown(ball, Ball(place, each.body.radius + margin)))
+        markers.append(messages.shown(ball, Ball(place, each.body.radius + margin)))
     return MarkerArray(markers=markers)

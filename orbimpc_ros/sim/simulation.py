@@ -8,11 +8,9 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 
 from orbimpc_ros.mpc.arrays import Array
@@ -25,11 +23,9 @@ from orbimpc_ros.sim import outputs
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.outputs import Seen, View
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure, outcome
 
 DEPTH = 10  # queue depth: in lock-step no message may be dropped
-TREE_DEPTH = 100  # of /tf, as in tf2
 SILENT = 2.0  # [s] of waiting before it is logged
 MEETING = 1.5  # [s] for DDS to match planner and readers, which this node cannot observe
 TRANSITIONS = 'transition_event'  # a topic of every managed node
@@ -57,26 +53,18 @@ class FlightSimulation(ABC):
         self.node, self.settings = node, replace(settings, child_frame_id=body)
         self._orders = Orders(self.settings)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
-        deep = qos(DEPTH)
-        profiles = {'captured': LATCHED, 'world_markers': qos(), '/tf': qos(TREE_DEPTH)}
+        deep, self._name = qos(DEPTH), node.get_fully_qualified_name()
         self._commands, _ = (
             node.create_subscription(message_of(name), name, node.at_work(self._take, name), deep)
             for name in ('cmd_vel', 'cmd_thrust')
         )
-        published = {
-            **dict.fromkeys(('captured', 'odom', 'goal', 'world_markers', '/diagnostics'), True),
-            'obstacles': settings.traffic,
-            'goal_path': settings.goal_path_steps,
-            '/clock': settings.clock == 'lockstep',
-            'truth': settings.vehicle != 'discrete',
-            '/tf': find_spec('tf2_msgs'),  # the PyPI wheels of ROS have none
-        }
-        self._out = {
-            name: node.create_publisher(message_of(name), name, profiles.get(name, deep))
-            for name, wanted in published.items()
-            if wanted
-        }
         self._begin(settings.begin)
+        states = [topic for topic, _ in outputs.shown(Stamp(0), self._name, self.flight)]
+        self._out = {
+            name: node.create_publisher(message_of(name), name, deep)
+            for name in ('odom', 'goal', '/diagnostics', *states)
+        }
+        self._out['captured'] = node.create_publisher(Bool, 'captured', LATCHED)
 
     def _begin(self, time: float) -> None:
         self.begun, self.flight = time, departure(self.settings)
@@ -122,7 +110,7 @@ class FlightSimulation(ABC):
         planners, goal = {*map(full_name, found)}, self._out['goal'].topic_name
         silent = planners.difference(self._readers(goal)) if planner else ()
         coming = [name for name in silent if node.count_publishers(f'{name}/{TRANSITIONS}')]
-        others = {node.get_fully_qualified_name(), *planners}
+        others = {self._name, *planners}
         there = {topic: sum(n not in others for n in self._readers(topic)) for topic in wanted}
         missing = [
             f'{count} of {topic} (there are {there[topic]})'
@@ -186,22 +174,10 @@ class FlightSimulation(ABC):
 
     def show(self, seen: Sequence[Seen]) -> None:
         """Publish the present state of the flight: clock, markers, goals, odometry."""
-        at, flight, out = self.now, self.flight, self._out
-        stamp = Stamp(at, self.settings.frames)
-        if '/clock' in out:
-            out['/clock'].publish(Clock(clock=messages.time_message(at)))
-        if 'obstacles' in out:
-            out['obstacles'].publish(outputs.traffic_markers(stamp, flight))
-        if 'goal_path' in out:
-            out['goal_path'].publish(outputs.future(stamp, flight))
-        out['world_markers'].publish(outputs.world_markers(stamp, flight))
-        if 'truth' in out:
-            name = f'{self.node.get_fully_qualified_name()}: truth'
-            out['truth'].publish(outputs.truth(at, name, flight))
-        if '/tf' in out:
-            shown = messages.odometry_message(stamp, measured(flight.vehicle))
-            out['/tf'].publish(message_of('/tf')(transforms=[outputs.transform(shown)]))
-        self.deliver(at, seen)
+        stamp = Stamp(self.now, self.settings.frames)
+        for topic, message in outputs.shown(stamp, self._name, self.flight):
+            self._out[topic].publish(message)
+        self.deliver(stamp.nanoseconds, seen)
 
     def deliver(self, at: int, seen: Sequence[Seen]) -> None:
         """Publish goals and odometry that arrive at ``at`` [ns]."""
@@ -241,8 +217,7 @@ class FlightSimulation(ABC):
             self.node.exit_code = DONE if flight.captured else FAILED
 
     def _diagnose(self, level: bytes, text: str, values: Mapping[str, object]) -> None:
-        name = self.node.get_fully_qualified_name()
-        health = messages.health_message(self.now, name, 'flight', level, text, values)
+        health = messages.health_message(self.now, self._name, 'flight', level, text, values)
         self._out['/diagnostics'].publish(health)
 
 
@@ -279,22 +254,21 @@ class Orders:
             BadInput: the stamp, a number or a range is not acceptable.
         """
         settings, frames = self._settings, self._settings.frames
-        turns, thrusts = topic == 'cmd_vel', settings.translation_order == 2
+        thrusts, full, culprit, unit = False, settings.forward, 'twist.linear', 'm/s'
+        if settings.translation_order == 2:
+            thrusts, full, culprit, unit = True, settings.mass * full, 'wrench.force', 'N'
         stamp, push, turn = read_command(message, frames)
-        full, culprit, unit = settings.forward, 'twist.linear', 'm/s'
-        if not turns:
-            full, culprit, unit = settings.mass * settings.forward, 'wrench.force', 'N'
         if stamp > now + AHEAD * SECOND:
             ahead = (stamp - now) / SECOND
             raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
-        if turns:
+        if topic == 'cmd_vel':
             body_rate = turn[-settings.model.rates :]
             fastest = math.pi / settings.model.step  # a faster one would look slower in steps
             if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
                 allowed = f'at most pi / step = {fastest:.6g} rad/s'
                 raise BadInput('twist.angular', body_rate.tolist(), allowed)
             self._turn = stamp, body_rate
-        if turns != thrusts:
+        if (topic == 'cmd_thrust') == thrusts:
             if not -SLACK <= push / full <= 1.0 + SLACK:
                 allowed = f'0 to full speed or thrust, {full:g} {unit}'
                 raise BadInput(f'{culprit}.{frames.thrust_axis}', push, allowed)

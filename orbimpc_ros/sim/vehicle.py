@@ -79,29 +79,19 @@ class Model:
             fraction: commanded share of full speed or thrust, clipped to [0, 1].
             body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
         """
-        pushed = self._pushed(vehicle)
         turning = body_rate if self.rotation_order == 1 else vehicle.body_rate
         attitude = nearest(vehicle.attitude @ exp(span * turning))  # nearest: no drift off SO(n)
-        fraction = float(np.clip(fraction, 0.0, 1.0))
-        new = self.forward * fraction * attitude[:, 0]
-        mean = 0.5 * (pushed + new) if self.discretisation == 'exact' else pushed
-        way: Array = span * (mean + self.blown)
-        velocity: Array = new + self.blown
+        fraction, time = float(np.clip(fraction, 0.0, 1.0)), vehicle.time + span
+        end = replace(vehicle, time=time, attitude=attitude, body_rate=body_rate, fraction=fraction)
+        before, after = self._pushed(vehicle), self._pushed(end)
+        exact = self.discretisation == 'exact'
+        way = span * ((0.5 * (before + after) if exact else before) + self.blown)
+        velocity = after + self.blown
         if self.translation_order == 2:
             way, velocity = span * vehicle.velocity, vehicle.velocity + way
-            if self.discretisation == 'exact':
-                way = way + span * span * (pushed / 3.0 + new / 6.0 + 0.5 * self.blown)
-        return (
-            replace(
-                vehicle,
-                time=vehicle.time + span,
-                position=vehicle.position + way,
-                velocity=velocity,
-                attitude=attitude,
-                body_rate=body_rate,
-                fraction=fraction,
-            ),
-        )
+            if exact:
+                way += span * span * (before / 3.0 + after / 6.0 + 0.5 * self.blown)
+        return (replace(end, position=vehicle.position + way, velocity=velocity),)
 
     def _wind(self, _time: float) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2] at a time of the flight [s], shape (n,)."""

@@ -107,8 +107,7 @@ def fleet(
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}
-    _, usual = FLEETS[scenario]
-    drawn = vehicles(scenario, usual if count is None else count, values['seed'])
+    drawn = vehicles(scenario, FLEETS[scenario] if count is None else count, values['seed'])
     if values['avoid']:
         values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)
     own = {

@@ -18,7 +18,7 @@ from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import report_messages
 from orbimpc_ros.ros.topics import resolving
-from orbimpc_ros.sim.outputs import View, future, sensed, traffic_markers
+from orbimpc_ros.sim.outputs import View, sensed, surroundings
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.world import Flight, departure
 
@@ -110,10 +110,8 @@ def closed_loop(
     while True:
         now, decision = flight.vehicle.time, None
         shown = now + faults.jumped(flight.ticks)
-        if settings.traffic:
-            planner.hear('obstacles', traffic_markers(planner.at(shown), flight, margin), shown)
-        if settings.goal_path_steps:
-            planner.hear('goal_path', future(planner.at(shown), flight), shown)
+        for topic, message in surroundings(planner.at(shown), flight, margin):
+            planner.hear(topic, message, shown)
         for seen in view.of(flight):
             planner.sense(shown, seen, seen.time + shown - now)
         if planner.stamp != answered:
