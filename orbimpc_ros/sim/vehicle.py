@@ -85,12 +85,12 @@ class Model:
         end = replace(vehicle, time=time, attitude=attitude, body_rate=body_rate, fraction=fraction)
         before, after = self._pushed(vehicle), self._pushed(end)
         exact = self.discretisation == 'exact'
-        way = span * ((0.5 * (before + after) if exact else before) + self.blown)
-        velocity = after + self.blown
+        way: Array = span * ((0.5 * (before + after) if exact else before) + self.blown)
+        velocity: Array = after + self.blown
         if self.translation_order == 2:
             way, velocity = span * vehicle.velocity, vehicle.velocity + way
             if exact:
-                way += span * span * (before / 3.0 + after / 6.0 + 0.5 * self.blown)
+                way = way + span * span * (before / 3.0 + after / 6.0 + 0.5 * self.blown)
         return (replace(end, position=vehicle.position + way, velocity=velocity),)
 
     def _wind(self, _time: float) -> Array:
