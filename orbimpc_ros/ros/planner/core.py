@@ -78,7 +78,6 @@ class Received(Generic[T]):
         timed: whether its stamp is on the node's clock; None if that is unknown.
         run: number of messages of its source, including this one, in close succession.
         moved: the original message, if it came in another frame.
-        period: of another vehicle's plans; 0 if unknown [ns].
     """
 
     stamp: Stamp
@@ -87,7 +86,11 @@ class Received(Generic[T]):
     timed: bool | None = None
     run: int = 1
     moved: Any = None
-    period: int = 0
+
+    @property
+    def streams(self) -> bool:
+        """Return True if its source streams, so that silence means that it is lost."""
+        return self.run >= STREAM
 
     def age(self, now: float, ros: int | None = None) -> float:
         """Return its age [s], by arrival or by stamp, whichever is greater."""
@@ -95,7 +98,8 @@ class Received(Generic[T]):
 
     def delay(self, ros: int | None) -> float:
         """Return its age by its stamp [s]; 0 if unknown."""
-        return max(0.0, _since(self.stamp.nanoseconds, ros)) if self.timed else 0.0
+        known = self.timed and ros is not None
+        return max(0.0, (ros - self.stamp.nanoseconds) / SECOND) if known else 0.0
 
 
 class Inputs:
@@ -117,9 +121,8 @@ class Inputs:
         transforms: between frames.
         displaced: why a goal in another frame is not transformed; otherwise empty.
         bodies: from ``obstacles``.
-        leaders: topics of vehicles that plan before this one if stamps are shared. Planners that
-            answer odometry of the same time would each avoid the others' previous plans; instead,
-            they plan one after the other, in the order of the names of their plans.
+        leaders: topics of vehicles that plan before this one if all measure at the same time: one
+            after the other, in the order of names, each avoids the new plans of the others.
     """
 
     def __init__(self, settings: PlannerSettings, resolve: Callable[[str], str] = str) -> None:
@@ -132,10 +135,8 @@ class Inputs:
         self.bodies, self._synchronizer = ObstacleTracker(), messages.PoseTwistSynchronizer()
         self.leaders = tuple(name for name in self.others if name < resolve(PLAN))
         self._timed: set[str] = set()  # topics with stamps on the node's own clock
-        # Topics that share the stamp of the latest odometry, and whether they did before.
-        self._shares: set[str] = set()
-        paired = (*GOALS, OBSTACLES, *self.leaders)
-        self._shared: dict[str, deque[bool]] = {topic: deque(maxlen=WINDOW) for topic in paired}
+        # Whether a topic had the stamp of recent odometry, the present one last, from the first on.
+        self._shared: dict[str, list[bool]] = {topic: [] for topic in (*GOALS, OBSTACLES)}
 
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts anew from the last goal."""
@@ -173,21 +174,16 @@ class Inputs:
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self._named(topic)} refused: {error}'
-        stamps = self.stamps(*GOALS, OBSTACLES, *self.others)
-        self._shares.update(topic for topic, stamp in stamps.items() if stamp == self._time)
+        for topic, stamp in self.stamps(*self._shared).items():
+            if stamp == self._time:
+                self._shared[topic][-1:] = [True]
         return odd
 
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
-        """Take in odometry, a goal or a wind.
-
-        Raises:
-            BadInput: it is not acceptable.
-        """
-        settings, last, came = self.settings, self.latest.get(topic), message
-        is_goal = topic in GOALS
-        if is_goal and message.header.frame_id:
-            message = self._placed(message)
-        stamp, value = read(topic, message, settings)
+        """Take in odometry, a goal or a wind, or raise BadInput."""
+        settings, last, is_goal = self.settings, self.latest.get(topic), topic in GOALS
+        placed = self._placed(message) if is_goal else message
+        stamp, value = read(topic, placed, settings)
         apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance + self.lag))
         by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: dated by arrival
         timeout = settings.goal_timeout if topic != 'odom' else settings.odom_timeout
@@ -196,14 +192,13 @@ class Inputs:
             self._require_newer(topic, stamp.nanoseconds, fresh=fresh)
         if is_goal:
             self._require_near(topic, stamp, value, fresh=fresh)
-        timed = None  # before time starts, or without a stamp
-        if not by_hand:
-            # Once timed, always timed: a delayed message must not count as fresh.
-            if apart <= COMPARABLE:
-                self._timed.add(topic)
-            timed = topic in self._timed or (None if math.isnan(apart) else False)
+        if apart <= COMPARABLE and not by_hand:
+            self._timed.add(topic)
+        timed: bool | None = topic in self._timed  # once, always: what is delayed is not fresh
+        if by_hand or (not timed and math.isnan(apart)):
+            timed = None
         run = last.run + 1 if fresh and last is not None else 1
-        moved = None if message is came else came
+        moved = None if message is placed else message
         self._keep(topic, Received(stamp, value, now, timed, run, moved))
 
     def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
@@ -238,9 +233,9 @@ class Inputs:
         back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
         if topic in GOALS:
             self.goal_counts[topic] += 1
-        elif topic == 'odom':
-            if not first:
-                self._end_shares()
+        if topic == 'odom':
+            for shared in filter(None, self._shared.values()):
+                shared[:] = [*shared[-WINDOW:], False]
             if back:
                 self._keep_goal_alone()
                 first = True
@@ -266,7 +261,7 @@ class Inputs:
         A stream will send another goal; if it has stopped, its last goal must not be flown to.
         """
         goal, kept = self.latest.get('goal'), None
-        if goal is not None and goal.run < STREAM:
+        if goal is not None and not goal.streams:
             kept = replace(goal, stamp=replace(goal.stamp, nanoseconds=0), timed=None)
         self.latest.clear()
         self._see_anew(kept)
@@ -285,15 +280,11 @@ class Inputs:
             self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
 
     def _placed(self, message: Any) -> Any:
-        """Return a message in the world frame: itself, or its readable parts transformed.
-
-        Raises:
-            BadInput: it is in another frame, and there is no transform.
-        """
-        world = self.settings.frames.world
-        if not world or message.header.frame_id == world:
-            return message
-        return self.transforms.moved(message, world)
+        """Return a message in the world frame: itself, or its readable parts transformed."""
+        world, found = self.settings.frames.world, message.header.frame_id
+        return (
+            self.transforms.moved(message, world) if world and found not in ('', world) else message
+        )
 
     def _place_again(self, at: int) -> None:
         """Transform a stationary goal in another frame again, with the transform at a stamp [ns].
@@ -302,7 +293,7 @@ class Inputs:
         """
         goal, frames = self.latest.get('goal'), self.settings.frames
         self.displaced = ''
-        if goal is None or goal.moved is None or goal.run >= STREAM:
+        if goal is None or goal.moved is None or goal.streams:
             return
         try:
             placed = self.transforms.moved(goal.moved, frames.world, at)
@@ -315,20 +306,13 @@ class Inputs:
     # --- moving obstacles
 
     def _take_plan(self, topic: str, message: Any, now: float, ros: int | None) -> None:
-        """Take in the plan of another vehicle.
-
-        Raises:
-            BadInput: it is not acceptable.
-        """
+        """Take in the plan of another vehicle, or raise BadInput."""
         settings, placed = self.settings, self._placed(message)
         stamp, agent = messages.read_agent(placed, settings.problem.dimension, settings.frames)
         self._require_current(stamp.nanoseconds, COMPARABLE, ros)
-        last = self.latest.get(topic)
-        passed = 0 if last is None else stamp.nanoseconds - last.stamp.nanoseconds
-        if passed < 0:
+        if stamp.nanoseconds < self.stamps(topic).get(topic, 0):
             raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
-        period = passed or (0 if last is None else last.period)
-        self.latest[topic] = Received(stamp, agent, now, period=period)
+        self.latest[topic] = Received(stamp, agent, now)
 
     def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
         """Reject a stamp [ns] in the future, or older than a lifetime [s] at the last odometry."""
@@ -407,25 +391,17 @@ class Inputs:
         latest = self.latest
         return {topic: latest[topic].stamp.nanoseconds for topic in topics if topic in latest}
 
-    def _end_shares(self) -> None:
-        """Update statistics of the topics that came with the replaced odometry.
-
-        A source in lock-step shares its stamps from its first message on. A slower one that merely
-        shares the driver's clock shares some of them: waiting for it would slow the planner down to
-        its rate.
-        """
-        for topic, shared in self._shared.items():
-            if topic in self._shares or shared:
-                shared.append(topic in self._shares)
-        self._shares.clear()
-
     @property
     def companions(self) -> list[str]:
-        """Return the topics that accompany every odometry message, apart from rare losses."""
+        """Return the topics that accompany every odometry message, apart from rare losses.
+
+        A source in lock-step does so from its first message on. A slower one that merely shares the
+        driver's clock has some of the stamps: waiting would slow the planner down to its rate.
+        """
         return [
             topic
             for topic, shared in self._shared.items()
-            if shared and WINDOW * shared.count(False) <= len(shared)
+            if len(shared) > 1 and WINDOW * shared[:-1].count(False) < len(shared)
         ]
 
     @property
@@ -439,24 +415,27 @@ class Inputs:
 
         These are from its companions, and from vehicles that have measured earlier.
         """
-        if self.missing or any(self._is_due(topic) for topic in self.others):
+        if self.missing or self.due:
             return False
         stamps = self.stamps(*self.companions)
         return all(stamps.get(topic, -1) >= self._time for topic in self.companions)
 
-    def _is_due(self, topic: str) -> bool:
-        """Return True if a vehicle has measured earlier, and its plan is still to come.
+    @property
+    def due(self) -> list[str]:
+        """Return the topics of vehicles that have measured earlier, and still have to plan.
 
-        This is inferred from its period. Planning without it might lead to a path that crosses its
-        new one. For simultaneous measurements, the leaders plan first.
+        They are taken to plan as often as this one. Without their new plans, paths might cross. Of
+        vehicles that measure at the same time, the leaders plan first.
         """
-        known, settings = self.latest.get(topic), self.settings
-        if known is None or not known.period or settings.period < UNHURRIED:
-            return False
-        age, period = (self._time - known.stamp.nanoseconds) / SECOND, known.period / SECOND
-        if age > settings.distance.timeout:
-            return False  # it is silent
-        return age - period > (-TIE if topic in self.leaders else TIE)
+        if self.settings.period < UNHURRIED:
+            return []
+        found = []
+        for topic, stamp in self.stamps(*self.others).items():
+            age = (self._time - stamp) / SECOND
+            tie = -TIE if topic in self.leaders else TIE
+            if age - self.settings.period > tie and age <= self.settings.distance.timeout:
+                found.append(topic)
+        return found
 
     @property
     def missing(self) -> str:
@@ -537,25 +516,16 @@ class Inputs:
         """Return the age of a goal [s]; 0 for one that does not expire."""
         settings, goal = self.settings, self.latest[topic]
         route = isinstance(goal.value, Route)
-        by_hand = (topic == 'goal' or route) and goal.run < STREAM
+        by_hand = (topic == 'goal' or route) and not goal.streams
         lasting = not settings.hand_sent_expire or (route and not settings.given_goal_timeout)
         if settings.given_goal_timeout < 0.0 or (lasting and by_hand):
             return 0.0
         return goal.age(now, ros)
 
 
-def _since(stamp: int, ros: int | None) -> float:
-    """Return the time since a stamp [ns], negative before it [s]; NaN if unknown."""
-    return math.nan if ros is None else (ros - stamp) / SECOND
-
-
 def _past(stamp: int, ros: int | None, allowed: float) -> float:
-    """Return the time since a stamp [ns], after checking that it is not too far ahead [s].
-
-    Raises:
-        BadInput: it is.
-    """
-    since = _since(stamp, ros)
+    """Return the time since a stamp [ns], NaN if unknown; reject one too far ahead [s]."""
+    since = math.nan if ros is None else (ros - stamp) / SECOND
     if -since > allowed:
         ahead_of = f"{allowed:g} s ahead of this node's clock"
         raise BadInput('future stamp', f'{-since:.3g} s ahead', f'at most {ahead_of}')

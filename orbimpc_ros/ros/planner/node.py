@@ -110,7 +110,7 @@ UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 STANDING_PATIENCE = 1.0  # [s] the same while simulated time is stopped; a waiting simulator resends
-LEADERS_PATIENCE = 30.0  # [s] the same for plans of other vehicles
+FLEET_PATIENCE = 30.0  # [s] the same for plans of other vehicles
 MARKERS = 10  # queued messages on obstacles, each of which may matter
 TRANSFORMS = 100  # queued messages on /tf, each for other frames
 REPEAT = 0.1  # [s] until a repeated request is answered again, unlike duplicate messages
@@ -309,8 +309,7 @@ class PlannerNode(Managed):
         if inputs.missing:
             self._show_changes()
         elif not self._waits:
-            leaders = set(inputs.leaders).intersection(inputs.companions)
-            standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
+            standing = FLEET_PATIENCE if inputs.due else STANDING_PATIENCE
             patience = standing if self._time.simulated else GOAL_PATIENCE
             # Counted in checks, at least two: after a stall, queued messages come first.
             self._waits = math.ceil(patience / self._watch_period)
