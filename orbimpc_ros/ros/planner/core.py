@@ -163,14 +163,12 @@ class Inputs:
                 topic, message = 'odom', self._synchronizer.take(topic, message)
             if message is None:
                 return ''  # waits for the other half
-            if topic in READ:
-                self._take(topic, message, now, ros)
-            elif topic in TRANSFORMS:
+            if topic in TRANSFORMS:
                 self.transforms.hear(topic, message, lambda stamp: _past(stamp, ros, AHEAD))
             elif topic == OBSTACLES:
                 odd = self._take_obstacles(message, now, ros)
             else:
-                self._take_plan(topic, message, now, ros)
+                self._take(topic, message, now, ros)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self._named(topic)} refused: {error}'
@@ -180,9 +178,9 @@ class Inputs:
         return odd
 
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
-        """Take in odometry, a goal or a wind, or raise BadInput."""
+        """Take in odometry, a goal, a wind or another vehicle's plan, or raise BadInput."""
         settings, last, is_goal = self.settings, self.latest.get(topic), topic in GOALS
-        placed = self._placed(message) if is_goal else message
+        placed = self._placed(message) if is_goal or topic in self.others else message
         stamp, value = read(topic, placed, settings)
         apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance + self.lag))
         by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: dated by arrival
@@ -203,17 +201,13 @@ class Inputs:
 
     def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
         """Reject a stamp [ns] not later than that of the last message, if that is fresh."""
-        last = self.latest.get(topic)
-        if stamp == 0 and topic == 'odom' and topic in self._timed:
-            raise BadInput.stating('unset stamp', '0', NOT_SET)
-        if last is None or stamp > last.stamp.nanoseconds:
-            return
-        if stamp == last.stamp.nanoseconds:
-            if stamp == 0:
-                raise BadInput.stating('unset stamp', '0 again', NOT_SET)
+        before = self.stamps(topic).get(topic, -1)
+        if stamp == 0 and (before == 0 or (topic == 'odom' and topic in self._timed)):
+            raise BadInput.stating('unset stamp', '0 again' if before == 0 else '0', NOT_SET)
+        if stamp == before and topic not in self.others:  # planners repeat their answers
             raise BadInput('duplicate stamp', stamp, INCREASING)
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
-        if fresh:
+        if stamp < before and fresh:
             raise BadInput('reordered stamp', stamp, INCREASING)
 
     def _require_near(self, topic: str, stamp: Stamp, value: Any, *, fresh: bool) -> None:
@@ -282,9 +276,9 @@ class Inputs:
     def _placed(self, message: Any) -> Any:
         """Return a message in the world frame: itself, or its readable parts transformed."""
         world, found = self.settings.frames.world, message.header.frame_id
-        return (
-            self.transforms.moved(message, world) if world and found not in ('', world) else message
-        )
+        if not world or found in ('', world):
+            return message
+        return self.transforms.moved(message, world)
 
     def _place_again(self, at: int) -> None:
         """Transform a stationary goal in another frame again, with the transform at a stamp [ns].
@@ -305,32 +299,12 @@ class Inputs:
 
     # --- moving obstacles
 
-    def _take_plan(self, topic: str, message: Any, now: float, ros: int | None) -> None:
-        """Take in the plan of another vehicle, or raise BadInput."""
-        settings, placed = self.settings, self._placed(message)
-        stamp, agent = messages.read_agent(placed, settings.problem.dimension, settings.frames)
-        self._require_current(stamp.nanoseconds, COMPARABLE, ros)
-        if stamp.nanoseconds < self.stamps(topic).get(topic, 0):
-            raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
-        self.latest[topic] = Received(stamp, agent, now)
-
-    def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
-        """Reject a stamp [ns] in the future, or older than a lifetime [s] at the last odometry."""
-        _past(stamp, ros, self.settings.future_tolerance + self.lag)
-        limit = min(lifetime, COMPARABLE)
-        if self.odometry is None or (age := (self._time - stamp) / SECOND) <= limit:
-            return
-        if stamp == 0:
-            raise BadInput.stating('unset stamp', '0', NOT_SET)
-        raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
-
     def _take_obstacles(self, message: Any, now: float, ros: int | None) -> str:
         """Take in markers one by one; describe the first rejected or unusual one."""
         odd, count = list[tuple[str, str]](), len(message.markers)  # culprits and descriptions
         if count > MOST:  # reading them all would take too long
-            odd.append(
-                ('count', f' refused: count is {count}; allowed: {MOST}: the rest are ignored')
-            )
+            many = f' refused: count is {count}; allowed: {MOST}: the rest are ignored'
+            odd.append(('count', many))
         odd += filter(None, (self._take_marker(marker, ros) for marker in message.markers[:MOST]))
         self.latest[OBSTACLES] = Received(Stamp(stamp_of(message)), None, now)
         self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
@@ -354,6 +328,15 @@ class Inputs:
         except BadInput as error:
             return error.culprit, f' refused: {error}'
         return None
+
+    def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
+        """Reject a stamp [ns] in the future, or older than a lifetime [s] at the last odometry."""
+        _past(stamp, ros, self.settings.future_tolerance + self.lag)
+        limit, age = min(lifetime, COMPARABLE), (self._time - stamp) / SECOND
+        if age > limit and stamp == 0:
+            raise BadInput.stating('unset stamp', '0', NOT_SET)
+        if age > limit:
+            raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
 
     def traffic(self, at: float) -> ObservedTraffic | None:
         """Return the traffic at a time [s]; None if there has never been a message."""
@@ -427,15 +410,11 @@ class Inputs:
         They are taken to plan as often as this one. Without their new plans, paths might cross. Of
         vehicles that measure at the same time, the leaders plan first.
         """
-        if self.settings.period < UNHURRIED:
-            return []
-        found = []
-        for topic, stamp in self.stamps(*self.others).items():
-            age = (self._time - stamp) / SECOND
-            tie = -TIE if topic in self.leaders else TIE
-            if age - self.settings.period > tie and age <= self.settings.distance.timeout:
-                found.append(topic)
-        return found
+        period, timeout = self.settings.period, self.settings.distance.timeout
+        stamps = self.stamps(*self.others) if period >= UNHURRIED else {}
+        ages = {topic: (self._time - stamp) / SECOND for topic, stamp in stamps.items()}
+        tie = {topic: -TIE if topic in self.leaders else TIE for topic in ages}
+        return [each for each, age in ages.items() if period + tie[each] < age <= timeout]
 
     @property
     def missing(self) -> str:
@@ -542,7 +521,7 @@ def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, An
     frames = settings.frames
     if topic in GOALS and not message.header.frame_id:
         frames = replace(frames, world='')
-    stamp, value = READ[topic](message, settings.problem.dimension, frames)
+    stamp, value = READ.get(topic, messages.read_agent)(message, settings.problem.dimension, frames)
     if topic in GOALS and settings.wants_attitude and value.attitude is None:
         asked = 'one that is not vertical: weights.attitude or approach.cone needs its yaw'
         raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
