@@ -29,7 +29,6 @@ from orbimpc_ros.mpc.proof.document import WORD, parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
-from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.planner.outputs import (
     condition,
     report_messages,
@@ -460,16 +459,6 @@ def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected(monkeyp
         driven.decide(now, stamp(now))
     assert driven.counts == {'deadline misses': 2, 'overruns': 1}
     assert driven.expected == pytest.approx(0.01)
-
-
-def test_ticks_that_come_late_are_counted():
-    node = SimpleNamespace(_time=SimpleNamespace(), _ticked=np.inf, _late_ticks=0)
-    node._core = SimpleNamespace(settings=settings(step=0.1))
-    node._plan_if_nothing_is_missing = lambda: None
-    for clock in (1.0, 1.1, 1.2, 1.45, 1.55):
-        node._time.nanoseconds = clock * SECOND
-        PlannerNode._on_timer(node)
-    assert node._late_ticks == 1
 
 
 def reported(status, reason='', fallback=Fallback.NONE):

@@ -24,10 +24,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.loop.capture import Events, VelocityFrameCheck
 from orbimpc_ros.loop.planner import Decision, Planner
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.ros import firmware
 from orbimpc_ros.ros.entry import report_compilation, without_compiler
 from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, Stamp, command_messages, health_message
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
@@ -35,7 +33,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.planner import core, outputs
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import doubts, summary
-from orbimpc_ros.ros.planner.wings import WINGS, Wing
+from orbimpc_ros.ros.planner.wings import WINGS, Wing, types_of
 from orbimpc_ros.ros.process import LATCHED, LATEST, LIFE, Managed, NodeClock, full_name, qos, run
 from orbimpc_ros.ros.topics import NUMBERS, message_of
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
@@ -53,34 +51,28 @@ class EndpointMonitor:
     Attributes:
         sources: message if there are several publishers of odometry; otherwise empty.
         rivals: message if another node commands the vehicle as well; otherwise empty.
+        mismatches: which topics have incompatible ends, and why, by topic.
     """
 
     def __init__(self, node: Node, odometry: Subscription, velocity: Publisher | None) -> None:
         self._node, self._odometry, self._velocity = node, odometry, velocity
         self._rota: list[Any] = []
-        self._mismatched: dict[str, str] = {}
+        self.mismatches: dict[str, str] = {}
         self.sources = self.rivals = ''
-
-    @property
-    def mismatches(self) -> list[str]:
-        """Return which topics have incompatible ends, and why."""
-        return [self._mismatched[topic] for topic in sorted(self._mismatched)]
 
     def look(self) -> None:
         """Check publishers of odometry and commands, and the ends of one more topic."""
-        self.sources = self.rivals = ''
-        where, count = self._odometry.topic_name, self._odometry.get_publisher_count()
-        if count > 1:
-            self.sources = f'{count} publishers on {where}, of which only one can be right'
-        if self._velocity is not None:
-            where = self._velocity.topic_name
-            if (count := self._node.count_publishers(where)) > 1:
-                self.rivals = f'{count} publishers on {where}: the vehicle hears them all'
+        self.sources = self._several(self._odometry, ', of which only one can be right')
+        self.rivals = self._several(self._velocity, ': the vehicle hears them all')
         self._rota = self._rota or [*self._node.publishers, *self._node.subscriptions]
         end = self._rota.pop()
-        self._mismatched.pop(end.topic_name, None)
+        self.mismatches.pop(end.topic_name, None)
         if mismatch := _mismatch(self._node, end):
-            self._mismatched[end.topic_name] = mismatch
+            self.mismatches[end.topic_name] = mismatch
+
+    def _several(self, end: Publisher | Subscription | None, words: str) -> str:
+        count = 0 if end is None else self._node.count_publishers(end.topic_name)
+        return f'{count} publishers on {end.topic_name}{words}' if end and count > 1 else ''
 
 
 def _mismatch(node: Node, end: Publisher | Subscription) -> str:
@@ -115,7 +107,6 @@ MARKERS = 10  # queued messages on obstacles, each of which may matter
 TRANSFORMS = 100  # queued messages on /tf, each for other frames
 REPEAT = 0.1  # [s] until a repeated request is answered again, unlike duplicate messages
 WATCH = 0.05  # [s] longest period of checks of the age of inputs
-LATE = 1.5  # periods between ticks of the timer, above which they are late
 HEALTH = 1.0  # [s] longest interval between messages on /diagnostics
 CLOCK_SET = 0.1  # [s] jump of the system clock that is tolerated without a fresh start
 REFUSED = 1.0  # [s] duration of the warning on a refused message
@@ -144,8 +135,6 @@ class PlannerNode(Managed):
         self._wing: Wing | None = None
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # time of the last checks [s]
-        self._ticked, self._late_ticks = math.inf, 0  # time of the last tick of the timer [s]
-        self._mode_changes = 0
         settings = self._live.settings()
         self._gate = not settings.gated
         # Before compilation: cmd_vel shows a simulator that a planner is being configured.
@@ -225,34 +214,21 @@ class PlannerNode(Managed):
             # Even while inactive: a node must know on activation whether the vehicle is flown.
             self.create_subscription(Bool, 'engaged', self.guard(self._on_engaged), LATEST)
         if settings.tf:
-            self._listen_to_transforms()
+            # Also while inactive. The library of tf2 would receive them in a separate thread.
+            kind = types_of('tf2_msgs', 'tf', 'true').TFMessage
+            lasting = qos(TRANSFORMS, durability=LATCHED.durability)
+            for topic, profile in ((TF, qos(TRANSFORMS)), (TF_STATIC, lasting)):
+                self.create_subscription(kind, topic, self.guard(self._hear, topic), profile)
         self._obstacles = listening[core.OBSTACLES]
         measured = listening[odometry[0]]
         self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
-    def _listen_to_transforms(self) -> None:
-        """Subscribe to transforms, even while inactive, with the qualities of service of tf2.
-
-        The messages of tf2 suffice: its library would receive them in a separate thread.
-
-        Raises:
-            BadInput: the messages are not installed.
-        """
-        try:
-            from tf2_msgs.msg import TFMessage
-        except ModuleNotFoundError:
-            hint = 'install ros-<distro>-tf2-msgs, or set tf: false and give transforms'
-            raise BadInput.stating('tf', 'true, but tf2_msgs is missing', hint) from None
-        kept = {TF: qos(TRANSFORMS), TF_STATIC: qos(TRANSFORMS, durability=LATCHED.durability)}
-        for topic, profile in kept.items():
-            self.create_subscription(TFMessage, topic, self.guard(self._hear, topic), profile)
-
     def _create_timers(self, settings: PlannerSettings) -> None:
         if settings.trigger == 'timer':
             # In ROS time: simulated time sets the pace. All monitoring uses the steady clock.
-            self.create_timer(settings.period, self.at_work(self._on_timer))
+            self.create_timer(settings.period, self.at_work(self._plan_if_nothing_is_missing))
         self._watch_period = min(WATCH, 0.5 * settings.period)
         self._watchman = self.every(self._watch_period, self._on_watch)
         # In all states: an inactive planner reports that it is inactive.
@@ -276,8 +252,6 @@ class PlannerNode(Managed):
         """
         inputs, at = self._core.inputs, self._now()
         stop, before = self._stop(), inputs.odometry
-        if topic == core.OBSTACLES:
-            self._core.planner.expect_hazards()  # its publisher may not have been discovered yet
         if refusal := inputs.update(topic, message, *at):
             self._refusal, self._refused_at = refusal, at[0]
             self._show_changes()
@@ -324,7 +298,6 @@ class PlannerNode(Managed):
         """Record that commands start, from a fresh state, or stop being sent."""
         if self._engaged:
             self._core.planner.start_afresh()
-        self._mode_changes += 1
         self._log(words)
         self._show_changes()
 
@@ -342,12 +315,6 @@ class PlannerNode(Managed):
         if self._decision is not None:
             self._command(self._decision)
             self._report(self._decision)  # also for new subscribers
-
-    def _on_timer(self) -> None:
-        now, late = self._time.nanoseconds / SECOND, LATE * self._core.settings.period
-        self._late_ticks += now - self._ticked > late  # whatever the cause
-        self._ticked = now
-        self._plan_if_nothing_is_missing()
 
     # --- a decision
 
@@ -404,8 +371,7 @@ class PlannerNode(Managed):
         command, settings, self._stamp = decision.command, self._core.settings, stamp
         self._command(decision)
         if self._wing is not None and self._gate and not settings.dry_run:
-            of_plan = settings.problem.forward, settings.problem.step, settings.period
-            self._wing.send(firmware.setpoint(command, *of_plan, self._altitude))
+            self._wing.send(settings, command, self._altitude)
         if self._engaged and not settings.dry_run:
             sent = self._time.nanoseconds
             self._core.planner.sent(command, sent / SECOND)
@@ -505,7 +471,7 @@ class PlannerNode(Managed):
 
     def _condition(self) -> tuple[bytes, list[str]]:
         """Return the level of diagnostics, and its reasons."""
-        wrong = [self._monitor.sources, *self._monitor.mismatches]
+        wrong = [self._monitor.sources, *self._monitor.mismatches.values()]
         missing = self._core.inputs.missing
         waiting = f'waits for {missing}' if missing else ''
         if not (self.active and self._enabled):
@@ -535,11 +501,8 @@ class PlannerNode(Managed):
             'waits with odometry for': ', '.join(inputs.companions),
             'enabled': self._enabled,
             'engaged': self._engaged,
-            'changes of mode': self._mode_changes,
             **self._core.counts,
-            'late ticks': self._late_ticks,
             'callbacks failed': self.failures,
-            'bodies known': len(inputs.bodies),
             **{f'refused {what}': count for what, count in inputs.refused.items()},
         }
         now, name = self._time.nanoseconds, self.get_fully_qualified_name()

@@ -23,9 +23,11 @@ from rclpy.publisher import Publisher
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.ros import firmware, messages
 from orbimpc_ros.ros.firmware import Setpoint
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LATEST, Managed, qos
 
 FRESH = 0.4  # [s]: no setpoints are sent without a position for longer
@@ -35,6 +37,19 @@ AIRSPEED_LOST, WIND_LOST = 1.0, 10.0  # [s]: then they are unknown; the latter i
 ALIVE = 0.1  # [s] between messages that keep offboard mode
 OFFBOARD = 14  # VehicleStatus.NAVIGATION_STATE_OFFBOARD
 REFUSALS = 5.0  # [s] after which an unanswered command counts as lost
+
+
+def types_of(package: str, parameter: str, value: str) -> Any:
+    """Return the module of a package's messages, which a parameter with this value needs.
+
+    Raises:
+        BadInput: it is not installed.
+    """
+    try:
+        return import_module(f'{package}.msg')
+    except ModuleNotFoundError:
+        hint = f'install ros-<distro>-{package.replace("_", "-")}'
+        raise BadInput.stating(parameter, f'{value}, and {package} is missing', hint) from None
 
 
 class Wing(ABC):
@@ -59,12 +74,7 @@ class Wing(ABC):
         switched: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        try:
-            self._types = import_module(f'{self.package}.msg')
-        except ModuleNotFoundError:
-            hint = f'install ros-<distro>-{self.package.replace("_", "-")}'
-            given = f'{self.name}, and {self.package} is missing'
-            raise BadInput.stating('autopilot', given, hint) from None
+        self._types = types_of(self.package, 'autopilot', self.name)
         self.engaged = False
         self._node, self._frames = node, frames
         self._switched, self._warn = switched, warn
@@ -88,12 +98,16 @@ class Wing(ABC):
     def release(self) -> None:  # noqa: B027
         """Return control to the autopilot, if silence does not do so."""
 
-    def send(self, wanted: Setpoint) -> None:
-        """Send a setpoint if allowed; without setpoints, the autopilot is not kept in the mode."""
+    def send(self, settings: PlannerSettings, command: Command, altitude: float) -> None:
+        """Send a command if allowed; without commands, the autopilot is not kept in the mode.
+
+        ``altitude`` is above the origin [m]; NaN to hold the present one.
+        """
         self.look()
         self._note('setpoint')
         if self.engaged:
-            self._publish(wanted)
+            known = settings.problem.forward, settings.problem.step, settings.period
+            self._publish(firmware.setpoint(command, *known, altitude))
 
     def look(self) -> None:
         """Update whether setpoints may be sent, and keep the mode while they are."""
