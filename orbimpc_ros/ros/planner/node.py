@@ -261,7 +261,7 @@ class PlannerNode(Managed):
         if topic == 'goal':
             self._altitude = message.pose.position.z or math.nan  # 0: hold the present one
             goal = inputs.latest['goal']
-            self._events.send(goal.value.position, streams=goal.run >= core.STREAM)
+            self._events.send(goal.value.position, streams=goal.streams)
         known = inputs.odometry
         measured = known is not before
         # Transforms arrive even while it is inactive.
@@ -304,7 +304,8 @@ class PlannerNode(Managed):
     @property
     def _engaged(self) -> bool:
         """Return True if commands may be sent."""
-        return self._gate and (self._wing is None or self._wing.engaged)
+        flown = self._gate and not self._core.settings.dry_run
+        return flown and (self._wing is None or self._wing.engaged)
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
         """Repeat the answer to repeated odometry: the first may have been lost in discovery."""
@@ -348,7 +349,7 @@ class PlannerNode(Managed):
         return Reason(Cause.SOURCES, sources) if sources else None
 
     def _unsafe(self) -> Reason | None:
-        """Return why no plan may be followed now, if none may."""
+        """Return why no plan may be followed now; None if one may."""
         return self._core.unsafe(*self._now(), self._stop())
 
     def safe(self, reason: Reason) -> None:
@@ -372,7 +373,7 @@ class PlannerNode(Managed):
         self._command(decision)
         if self._wing is not None and self._gate and not settings.dry_run:
             self._wing.send(settings, command, self._altitude)
-        if self._engaged and not settings.dry_run:
+        if self._engaged:
             sent = self._time.nanoseconds
             self._core.planner.sent(command, sent / SECOND)
             noted = {**decision.heard, 'sent': (sent - stamp.nanoseconds) / SECOND}
@@ -383,10 +384,9 @@ class PlannerNode(Managed):
 
     def _command(self, decision: Decision) -> None:
         """Send the command of a decision to the vehicle, if commands may be sent."""
-        settings, oriented = self._core.settings, 'odom' in self._core.inputs.latest
-        if self._engaged and not settings.dry_run:
-            known = settings, self._stamp, decision.command
-            self._send(command_messages(*known, oriented=oriented))
+        if self._engaged:
+            known, oriented = self._core.settings, 'odom' in self._core.inputs.latest
+            self._send(command_messages(known, self._stamp, decision.command, oriented=oriented))
         self._sent_at = self.steady_now()
 
     def _is_heard(self, topic: str) -> bool:
@@ -457,26 +457,27 @@ class PlannerNode(Managed):
         stood = self._time.standstill(self._core.settings.odom_timeout)
         return Reason(Cause.CLOCK, stood) if stood else None
 
-    def _notices(self) -> list[str]:
-        """Return warnings for normal operation; empty strings are ignored."""
-        inputs, now = self._core.inputs, self.steady_now()
-        still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
-        other = f"stamps of {inputs.untimed} are not on this node's clock" if inputs.untimed else ''
-        left_out = ''
-        if self._decision is not None and (count := self._decision.left_out):
-            left_out = f'too many obstacles within reach: {count} are ignored'
-        refused = self._refusal if now - self._refused_at < REFUSED else ''
-        ends = self._monitor.rivals, still, other, self._frame_check.doubt
-        return [*ends, *inputs.silences(), left_out, inputs.displaced, refused]
-
     def _condition(self) -> tuple[bytes, list[str]]:
-        """Return the level of diagnostics, and its reasons."""
-        wrong = [self._monitor.sources, *self._monitor.mismatches.values()]
-        missing = self._core.inputs.missing
-        waiting = f'waits for {missing}' if missing else ''
+        """Return the level of diagnostics, and its reasons; empty strings are none."""
+        inputs, waiting = self._core.inputs, ''
         if not (self.active and self._enabled):
             waiting = (core.DISABLED if self.active else core.INACTIVE).words
-        return outputs.condition(wrong, waiting, self._decision, self._notices())
+        elif inputs.missing:
+            waiting = f'waits for {inputs.missing}'
+        left_out = 0 if self._decision is None else self._decision.left_out
+        refused = self.steady_now() - self._refused_at < REFUSED
+        notices = [
+            self._monitor.rivals,
+            self._time.standstill(LULL if self._time.nanoseconds else SILENCE),
+            f"stamps of {inputs.untimed} are not on this node's clock" if inputs.untimed else '',
+            self._frame_check.doubt,
+            *inputs.silences(),
+            f'too many obstacles within reach: {left_out} are ignored' if left_out else '',
+            inputs.displaced,
+            self._refusal if refused else '',
+        ]
+        wrong = [self._monitor.sources, *self._monitor.mismatches.values()]
+        return outputs.condition(wrong, waiting, self._decision, notices)
 
     def _show_changes(self) -> None:
         """Log changes of the condition, and publish it if the level has changed."""
@@ -497,8 +498,6 @@ class PlannerNode(Managed):
         self._level, parts = self._condition()
         inputs = self._core.inputs
         values = {
-            'waits_for': inputs.missing,
-            'waits with odometry for': ', '.join(inputs.companions),
             'enabled': self._enabled,
             'engaged': self._engaged,
             **self._core.counts,

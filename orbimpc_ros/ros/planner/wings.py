@@ -136,11 +136,6 @@ class Wing(ABC):
     def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         self._node.create_subscription(kind, topic, self._node.guard(callback), LATEST)
 
-    def _mode_is(self, *, right: bool) -> None:
-        """Take in whether the autopilot is in the mode that accepts setpoints."""
-        self._note('mode', right)
-        self.look()
-
     def _airspeed_is(self, true: float) -> None:
         """Take in the true airspeed [m/s]; it is unknown unless positive."""
         self._note('airspeed', true if true > 0.0 else math.nan)
@@ -176,7 +171,6 @@ class Px4(Wing):
 
     def _connect(self) -> None:
         types = self._types
-        self._attitude: Any = None
         self._share, self._origin = 1.0, math.nan
         for name, kind, callback in (
             ('vehicle_local_position', types.VehicleLocalPosition, self._on_position),
@@ -201,10 +195,10 @@ class Px4(Wing):
         }
 
     def _on_attitude(self, message: Any) -> None:
-        self._attitude = message
+        self._note('attitude', message)
 
     def _on_position(self, message: Any) -> None:
-        other, stamp = self._attitude, message.timestamp_sample
+        other, stamp = self._last('attitude', FRESH), message.timestamp_sample
         if other is None or abs(other.timestamp_sample - stamp) > 1e6 * APART:
             return
         if not (message.xy_valid and message.v_xy_valid):
@@ -232,7 +226,8 @@ class Px4(Wing):
         self._wind_is(wind)
 
     def _on_status(self, message: Any) -> None:
-        self._mode_is(right=message.nav_state == OFFBOARD)
+        self._note('mode', message.nav_state == OFFBOARD)
+        self.look()
 
     def _keep(self) -> None:
         # Of velocity: with position, PX4's own guidance would publish setpoints, too.
@@ -278,7 +273,8 @@ class ArduPlane(Wing):
         self._airspeed_is(message.airspeed / self._share)
 
     def _on_state(self, message: Any) -> None:
-        self._mode_is(right=message.connected and message.mode == self.mode)
+        self._note('mode', message.connected and message.mode == self.mode)
+        self.look()
 
     def _publish(self, wanted: Setpoint) -> None:
         """Send the commands of a setpoint in sequence; a new setpoint waits for their end."""
