@@ -11,10 +11,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from itertools import islice, takewhile
 from typing import Any
 
 import numpy as np
@@ -48,9 +46,7 @@ class Edge:
     parent: str
     child: str
     fixed: bool
-    samples: deque[tuple[int, Transform]] = field(
-        default_factory=lambda: deque(maxlen=MOST_SAMPLES)
-    )
+    samples: list[tuple[int, Transform]] = field(default_factory=list)
 
     def at(self, stamp: int, patience: float) -> Array:
         """Return the matrix at a stamp [ns]; the latest one for a stamp of 0, as in tf2.
@@ -68,14 +64,13 @@ class Edge:
             problem = f'{name} is known only from {before:.3g} s later on'
             hint = 'give stamps within its history'
             raise BadInput.stating('extrapolated transform', problem, hint)
-        (at, found), *later = (
-            (stamp, matrix(*messages.read_transform(transform, name)))
-            for stamp, transform in islice(self.samples, k - 1, k + 1)
-        )
-        for end, then in later:
-            return between(found, then, (stamp - at) / (end - at))
-        if (age := (stamp - at) / SECOND) > patience:
-            problem = f'{name} is {age:.3g} s older than the message'
+        around = self.samples[k - 1 : k + 1]
+        found, *later = (matrix(*messages.read_transform(each, name)) for _, each in around)
+        since = stamp - around[0][0]
+        if later:
+            return between(found, later[0], since / (around[1][0] - around[0][0]))
+        if since > patience * SECOND:
+            problem = f'{name} is {since / SECOND:.3g} s older than the message'
             hint = f'at most transform_timeout, {patience:g} s'
             raise BadInput.stating('stale transform', problem, hint)
         return found
@@ -101,7 +96,7 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
         roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
         turned = messages.quaternion(yaw @ pitch @ roll)
         transform = Transform(translation=messages.vector(numbers[:3]), rotation=turned)
-        found[child] = Edge(parent, child, True, deque([(0, transform)]))
+        found[child] = Edge(parent, child, True, [(0, transform)])
     return found
 
 
@@ -156,6 +151,7 @@ class Transforms:
                 known = self._edges[child] = Edge(parent, child, fixed)
             if not known.samples or stamp > known.samples[-1][0]:
                 known.samples.append((stamp, each.transform))
+                del known.samples[:-MOST_SAMPLES]
 
     def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
         """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
@@ -184,15 +180,15 @@ class Transforms:
             BadInput: no transform leads from one to the other, or none at that time.
         """
         up, down = self._ancestry(source), self._ancestry(target)
-        above = {target, *(edge.parent for edge in down)}
-        frames = (source, *(edge.parent for edge in up))
-        common = next((frame for frame in frames if frame in above), None)
-        if common is None:
+        ends = (line[-1].parent if line else at for line, at in ((up, source), (down, target)))
+        if len(set(ends)) > 1:
             hint = 'publish it on /tf, or give it in transforms' if self.settings.tf else ON
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)
+        while up and down and up[-1] is down[-1]:  # above what they have in common
+            del up[-1], down[-1]
         moves = [np.eye(4), np.eye(4)]
         for k, line in enumerate((up, down)):
-            for edge in takewhile(lambda edge: edge.child != common, line):
+            for edge in line:
                 moves[k] = edge.at(stamp, self.settings.transform_timeout) @ moves[k]
         return np.asarray(np.linalg.solve(moves[1], moves[0]))
 
