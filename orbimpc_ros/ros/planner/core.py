@@ -14,11 +14,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.intercept import steps_before
@@ -32,8 +31,6 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.transforms import AHEAD, TF, TF_STATIC, Transforms
-
-T = TypeVar('T')
 
 INCREASING = 'stamps that increase'
 STREAM = 3  # goals in close succession form a stream, which can become stale
@@ -68,7 +65,7 @@ LONGEST = 0.25  # [s] longest deadline there, where a simulator waits for the an
 
 
 @dataclass(frozen=True)
-class Received(Generic[T]):
+class Received:
     """A message taken in.
 
     Attributes:
@@ -81,7 +78,7 @@ class Received(Generic[T]):
     """
 
     stamp: Stamp
-    value: T
+    value: Any
     at: float
     timed: bool | None = None
     run: int = 1
@@ -98,8 +95,9 @@ class Received(Generic[T]):
 
     def delay(self, ros: int | None) -> float:
         """Return its age by its stamp [s]; 0 if unknown."""
-        known = self.timed and ros is not None
-        return max(0.0, (ros - self.stamp.nanoseconds) / SECOND) if known else 0.0
+        if ros is None or not self.timed:
+            return 0.0
+        return max(0.0, (ros - self.stamp.nanoseconds) / SECOND)
 
 
 class Inputs:
@@ -128,7 +126,7 @@ class Inputs:
     def __init__(self, settings: PlannerSettings, resolve: Callable[[str], str] = str) -> None:
         self.settings, self._resolve, self.lag = settings, resolve, 0.0
         self.others = others(settings, resolve)
-        self.latest: dict[str, Received[Any]] = {}
+        self.latest: dict[str, Received] = {}
         self.forecast = FORECASTS[settings.goal_prediction]()
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         self.transforms, self.displaced = Transforms(settings), ''
@@ -222,7 +220,7 @@ class Inputs:
         if jump > limit and topic == 'goal':
             self._see_anew(None)
 
-    def _keep(self, topic: str, received: Received[Any]) -> None:
+    def _keep(self, topic: str, received: Received) -> None:
         last, first = self.latest.get(topic), self.odometry is None
         back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
         if topic in GOALS:
@@ -250,17 +248,14 @@ class Inputs:
     # --- goals
 
     def _keep_goal_alone(self) -> None:
-        """Forget odometry and goals, except a goal sent by hand, which loses its stamp.
-
-        A stream will send another goal; if it has stopped, its last goal must not be flown to.
-        """
+        """Forget all but a goal sent by hand, without its stamp; a stream sends its next one."""
         goal, kept = self.latest.get('goal'), None
         if goal is not None and not goal.streams:
             kept = replace(goal, stamp=replace(goal.stamp, nanoseconds=0), timed=None)
         self.latest.clear()
         self._see_anew(kept)
 
-    def _see_anew(self, goal: Received[GoalObservation] | None) -> None:
+    def _see_anew(self, goal: Received | None) -> None:
         """Replace the goal and all of its history; None forgets the latter."""
         self.forecast = FORECASTS[self.settings.goal_prediction]()
         if goal is not None:
@@ -281,10 +276,7 @@ class Inputs:
         return self.transforms.moved(message, world)
 
     def _place_again(self, at: int) -> None:
-        """Transform a stationary goal in another frame again, with the transform at a stamp [ns].
-
-        Localisation corrects the pose of ``map`` in ``odom``, by metres at a loop closure.
-        """
+        """Transform a resting goal anew, at a stamp [ns]: localisation may have moved its frame."""
         goal, frames = self.latest.get('goal'), self.settings.frames
         self.displaced = ''
         if goal is None or goal.moved is None or goal.streams:
@@ -356,7 +348,7 @@ class Inputs:
     # --- messages that belong together
 
     @property
-    def odometry(self) -> Received[Odometry] | None:
+    def odometry(self) -> Received | None:
         """Return the latest odometry, if any."""
         return self.latest.get('odom')
 
@@ -444,11 +436,10 @@ class Inputs:
 
     @property
     def heard(self) -> dict[str, Any]:
-        """Return the messages on which the next decision is based, by the keys on ``tick``.
+        """Return what the next decision is based on, by the keys on ``tick``.
 
-        These are the stamps of the present goals, by topic [ns]; the number of goals so far, since
-        some may be lost; the motion of the goal chosen by the forecast, if it chooses; and the
-        latest stamps of obstacles and of other vehicles, by topic [ns].
+        Stamps are by topic [ns]. Goals so far are counted, since some may be lost. The motion of
+        the goal is named if the forecast chooses one.
         """
         model = getattr(self.forecast, 'model', '')
         return {
@@ -461,10 +452,7 @@ class Inputs:
     def snapshot(
         self, now: float, ros: int | None = None, *, stop: Reason | None = None, taking: float = 0.0
     ) -> Snapshot:
-        """Return all inputs of a decision that is expected to take ``taking`` [s].
-
-        ``stop`` is a reason for following no plan, if any.
-        """
+        """Return all inputs of a decision that takes a time [s]; ``stop`` forbids any plan."""
         known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
         motion: GoalMotion | None = None if goal is None else self.forecast
@@ -617,10 +605,7 @@ class Core:
         return self.planner.unsafe(None if known is None else known.age(now, ros), stop)
 
     def decide(self, now: float, ros: int | None = None, stop: Reason | None = None) -> Decision:
-        """Return the next command, the time taken, and the messages used.
-
-        ``stop`` is a reason for following no plan, if any.
-        """
+        """Return the next command, with what it is based on; ``stop`` forbids any plan."""
         begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
         before, known = self.seen.odometry, snapshot.odometry
@@ -647,10 +632,7 @@ class Core:
 
     @property
     def goal(self) -> tuple[Array, Array | None] | None:
-        """Return the position of the goal at the last answered odometry, and any known attitude.
-
-        None unless it was fresh and nothing was missing.
-        """
+        """Return place and any attitude of the goal at the last odometry; None unless fresh."""
         motion, measured = self.seen.goal, self.seen.odometry
         lost = self.inputs.missing or self.seen.goal_age > self.settings.goal_timeout
         if lost or measured is None or motion is None or isinstance(motion, np.ndarray):

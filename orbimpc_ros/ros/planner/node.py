@@ -202,9 +202,7 @@ class PlannerNode(Managed):
         kinds, listening = {topic: message_of(topic) for topic in (*odometry, *INPUTS)}, {}
         kinds |= dict.fromkeys(self._core.inputs.others, message_of(core.PLAN))
         for topic, kind in kinds.items():
-            # Markers are incremental: losing one omits a body, or keeps one that is gone. So they
-            # must be reliable; a lower offer is reported as a mismatch. Other messages are complete
-            # in themselves.
+            # Markers add to each other, so that none may be lost; other messages are complete.
             profile = qos(MARKERS) if topic == core.OBSTACLES else LATEST
             callback = self.at_work(self._hear, topic)
             listening[topic] = self.create_subscription(
@@ -247,8 +245,7 @@ class PlannerNode(Managed):
     def _hear(self, topic: str, message: Any) -> None:
         """Take in a message; answer odometry once all messages that belong to it are here.
 
-        DDS does not order topics. A source that stamps odometry and goals alike, such as the
-        simulator in lock-step, intends them to be used together; then runs repeat exactly.
+        DDS does not order topics, but lock-step is to repeat exactly.
         """
         inputs, at = self._core.inputs, self._now()
         stop, before = self._stop(), inputs.odometry
@@ -524,11 +521,7 @@ class PlannerNode(Managed):
     # --- fresh starts
 
     def _on_jump(self, by: float) -> None:
-        """Start anew if the clock has jumped [s].
-
-        Simulated time advances in steps. A step forward ages all inputs, which their age reflects;
-        a jump is one that makes all of them stale.
-        """
+        """Start anew if the clock has jumped [s]: simulated time, so far that all is stale."""
         settings, back, forth = self._core.settings, CLOCK_SET, CLOCK_SET
         if self._time.simulated:
             back = 0.0
