@@ -8,9 +8,9 @@ on input and rotated back on output, only in this module. Covariances are read o
 drivers set NaN there for "unknown", which is harmless. In the plane (n = 2), poses lie at z = 0 and
 turn about z.
 
-A body covers at least its marker on ``obstacles``. A rotated cube becomes its bounding box; a
-cylinder becomes its bounding sphere or box, whichever is smaller, and in the plane a disc, like a
-sphere. An ellipsoid counts with its longest axis. In the plane, bodies are seen from above.
+A body covers at least its marker on ``obstacles``. Cubes and cylinders become their bounding boxes,
+in the plane cylinders become discs, like spheres. An ellipsoid counts with its longest axis. In the
+plane, bodies are seen from above.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Stamp:
     frames: Frames = field(default_factory=Frames)
 
 
-# --- reading
+# --- reading: each function raises BadInput, naming the field, for what is not acceptable
 
 
 def nanoseconds(stamp: Time | Duration, culprit: str) -> int:
@@ -134,11 +134,7 @@ def nanoseconds(stamp: Time | Duration, culprit: str) -> int:
 def read_odometry(
     message: OdometryMessage, dimension: int, frames: Frames
 ) -> tuple[Stamp, Odometry]:
-    """Return the stamp and the measurement of an Odometry message.
-
-    Raises:
-        BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
-    """
+    """Return the stamp and the measurement of an Odometry message."""
     at = _stamp(message.header, frames.world)
     in_body, child = frames.velocity == 'body', frames.body
     if in_body:  # in a fleet it has a prefix: uav1/base_link
@@ -165,11 +161,7 @@ def read_odometry(
 def read_sighting(
     message: PoseStamped, dimension: int, frames: Frames
 ) -> tuple[Stamp, GoalObservation]:
-    """Return stamp, position and attitude of a goal's PoseStamped.
-
-    Raises:
-        BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
-    """
+    """Return stamp, position and attitude of a goal's PoseStamped."""
     at, place, unit = _seen(message, dimension, frames.world)
     attitude = _attitude(unit, dimension, frames)
     return at, GoalObservation(at.nanoseconds / SECOND, place, attitude)
@@ -181,9 +173,6 @@ def read_itinerary(
     """Return the stamp and the stamped positions of a goal's Path, with the last attitude.
 
     Several positions without any stamps are a path to follow.
-
-    Raises:
-        BadInput: no pose or too many, stamps that do not increase, or a pose not acceptable.
     """
     at = _stamp(message.header, frames.world)
     if not 1 <= len(message.poses) <= LONGEST_PATH:
@@ -199,11 +188,7 @@ def read_itinerary(
 def read_wind(
     message: TwistWithCovarianceStamped, dimension: int, _frames: Frames
 ) -> tuple[Stamp, WindReport]:
-    """Return stamp and wind of a message; its variance is unknown unless positive.
-
-    Raises:
-        BadInput: a stamp or a number is not acceptable.
-    """
+    """Return stamp and wind of a message; its variance is unknown unless positive."""
     at = _stamp(message.header, '')
     velocity = _triple(message.twist.twist.linear, 'twist.linear')[:dimension]
     variance = 0.5 * float(message.twist.covariance[0] + message.twist.covariance[7])
@@ -212,11 +197,7 @@ def read_wind(
 
 
 def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, AgentTrajectory]:
-    """Return the stamp and the trajectory of another vehicle's plan.
-
-    Raises:
-        BadInput: as :func:`read_itinerary`.
-    """
+    """Return the stamp and the trajectory of another vehicle's plan."""
     at, itinerary = read_itinerary(message, dimension, frames)
     if isinstance(itinerary, Route):
         raise BadInput('poses', 'without stamps', 'stamps that increase')
@@ -228,9 +209,6 @@ def read_command(message: TwistStamped | WrenchStamped, frames: Frames) -> tuple
 
     The latter has shape (3,). They are speed and body rate [m/s, rad/s], or force and torque [N,
     N m].
-
-    Raises:
-        BadInput: a stamp or a number is not acceptable.
     """
     at, parts = _stamp(message.header, ''), ('twist.linear', 'twist.angular')
     if isinstance(message, WrenchStamped):
@@ -240,11 +218,7 @@ def read_command(message: TwistStamped | WrenchStamped, frames: Frames) -> tuple
 
 
 def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
-    """Return the rotation, shape (3, 3), and the translation, shape (3,) [m], of a transform.
-
-    Raises:
-        BadInput: a number or the quaternion is not acceptable; ``name`` is the transform's.
-    """
+    """Return the rotation, shape (3, 3), and the translation, shape (3,) [m], of a transform."""
     try:
         unit = _quaternion(message.rotation, 'rotation')
         return from_quaternion(unit, 3), _triple(message.translation, 'translation')
@@ -501,9 +475,6 @@ def read_obstacle(
 
     The latter is the name of a body, or None for all bodies. ``placed`` transforms a message with
     header and pose to the required frame.
-
-    Raises:
-        BadInput: its action, kind, frame, stamp, pose, scale or lifetime is not acceptable.
     """
     if marker.action == Marker.DELETEALL:
         return None
@@ -517,10 +488,13 @@ def read_obstacle(
     if marker.type not in KINDS:
         allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
         raise BadInput('type', marker.type, allowed)
+    sizes = np.array([marker.scale.x, marker.scale.y, marker.scale.z])
+    if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
+        raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
     # It has the header and pose of a sighting, but no thrust axis.
     stamp, seen = read_sighting(placed(marker), 3, Frames(frames.world))
     assert seen.attitude is not None
-    body = _body(marker.type, seen.position, seen.attitude, _scale(marker.scale), dimension)
+    body = _body(marker.type, seen.position, seen.attitude, sizes, dimension)
     lasting = nanoseconds(marker.lifetime, 'lifetime') / SECOND or math.inf  # 0: for ever
     return stamp, ObservedBody(name, seen.time, body, lasting)
 
@@ -531,13 +505,6 @@ def stamp_of(message: MarkerArray) -> int:
     return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
 
 
-def _scale(scale: Vector3) -> Array:
-    sizes = np.array([scale.x, scale.y, scale.z])
-    if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
-        raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
-    return sizes
-
-
 def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:
     """Return the body that covers a marker with its middle at a place, shape (3,) [m].
 
@@ -546,17 +513,13 @@ def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) 
     half, n = 0.5 * np.maximum(size, THINNEST), dimension
     if kind == Marker.SPHERE:
         return Ball(middle[:n], float(half.max()))
-    if kind == Marker.CUBE:
-        reach = (np.abs(turned) @ half)[:n]
-        return Box(middle[:n] - reach, middle[:n] + reach)
     radius, axis = float(half[:2].max()), turned[:, 2]
-    if n == 2:  # a lying cylinder looks longer than it is wide
+    if kind == Marker.CYLINDER and n == 2:  # a lying one looks longer than it is wide
         return Ball(middle[:2], radius + float(half[2]) * math.hypot(*axis[:2]))
-    across = np.sqrt(np.maximum(0.0, 1.0 - axis**2))  # of the unit disc, along each axis
-    reach, around = half[2] * np.abs(axis) + radius * across, math.hypot(radius, half[2])
-    if 8.0 * float(reach.prod()) < 4.0 / 3.0 * math.pi * around**3:
-        return Box(middle - reach, middle + reach)
-    return Ball(middle, around)
+    reach = np.abs(turned) @ half
+    if kind == Marker.CYLINDER:  # its discs reach less far than squares
+        reach = half[2] * np.abs(axis) + radius * np.sqrt(np.maximum(0.0, 1.0 - axis**2))
+    return Box(middle[:n] - reach[:n], middle[:n] + reach[:n])
 
 
 def shown(marker: Marker, body: Box | Ball) -> Marker:
@@ -581,36 +544,34 @@ def plan_markers(
     Hazards are shown at their positions at the start, with lines along their motion to the end. The
     floor is the region reached in a step below the minimum speed, around the vehicle.
     """
-    unit, step = problem.forward * problem.step, problem.step
+    unit = problem.forward * problem.step
     # A shorter plan has fewer arrows: earlier markers are removed.
     head = header(stamp.nanoseconds, stamp.frames.world)
-    nothing = Marker(header=head, action=Marker.DELETEALL)
-    path = marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, step)
-    path.scale.x = LINE * unit
-    path.points = [point(each) for each in plan.positions]
-    found = [nothing, path]
+    found = [Marker(header=head, action=Marker.DELETEALL)]
+
+    def add(name: str, kind: int, color: tuple[float, ...], number: int = 0) -> Marker:
+        found.append(marker(stamp, name, number, kind, color, problem.step))
+        found[-1].scale.x = LINE * unit
+        return found[-1]
+
+    add('plan', Marker.LINE_STRIP, GREEN).points = [point(each) for each in plan.positions]
     for k, fraction in enumerate(plan.speed_fraction):
-        shaft = marker(stamp, 'thrust', k, Marker.ARROW, BLUE, step)
+        shaft = add('thrust', Marker.ARROW, BLUE, k)
         shaft.pose = pose(plan.positions[k], plan.projected[k])
         # Viewers warn about arrows of length zero.
         shaft.scale = Vector3(x=max(0.5 * unit * fraction, 1e-3), y=0.05 * unit, z=0.05 * unit)
-        found.append(shaft)
     for k, body in enumerate(problem.obstacles):
-        found.append(shown(marker(stamp, 'obstacles', k, Marker.CUBE, RED, step), body))
-    times = step * np.arange(problem.horizon + 1)
+        shown(add('obstacles', Marker.CUBE, RED, k), body)
+    times = problem.step * np.arange(problem.horizon + 1)
     for k, hazard in enumerate(hazards):
-        found.append(shown(marker(stamp, 'hazards', k, Marker.CUBE, RED, step), hazard.body))
-        way = marker(stamp, 'ways', k, Marker.LINE_STRIP, RED, step)
-        way.scale.x = LINE * unit
-        way.points = [point(each) for each in hazard.body.centre + hazard.moved(times)]
-        found.append(way)
+        shown(add('hazards', Marker.CUBE, RED, k), hazard.body)
+        way = hazard.body.centre + hazard.moved(times)
+        add('ways', Marker.LINE_STRIP, RED, k).points = [point(each) for each in way]
     if lines := problem.floor.outline(problem.dimension):
-        floor = marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, step)
-        floor.scale.x = LINE * unit
+        floor = add('floor', Marker.LINE_LIST, GREY)
         floor.pose.position = point(plan.positions[0])
         pieces = [line[k : k + 2] for line in lines for k in range(len(line) - 1)]
         floor.points = [point(unit * end) for piece in pieces for end in piece]
-        found.append(floor)
     return MarkerArray(markers=found)
 
 
