@@ -17,8 +17,8 @@ Made from the tables that the nodes declare their parameters from: `make docs` w
 - *live* parameters of the planner can be changed while it runs; an invalid change is rejected with
   a reason. All others are set at the start, as are all of the simulator's. `ros2 param describe`
   shows the same.
-- Decimal numbers need a decimal point: to ROS `1` is not `1.0`. Lengths are in metres, angles in
-  radians, times in seconds, in the frames of REP-103 and REP-105.
+- An integer is taken for any number: `1` for `1.0`. Lengths are in metres, angles in radians, times
+  in seconds, in the frames of REP-103 and REP-105.
 - A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
   serve both nodes: names that only the other one knows are passed over.
 - [Operating](operating.md#there-are-no-commands) says whether files or the command line win.

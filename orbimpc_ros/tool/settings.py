@@ -17,7 +17,7 @@ from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.dynamic import OF_ROS, PARAMETERS, sections
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.parameters.spec import ParameterSpec, Type, completed
+from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool import bags, files
 
@@ -63,7 +63,7 @@ def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -
             raise BadInput('--set', change, 'name=value')
         if name not in ROWS:
             raise BadInput.unknown('parameter', name, ROWS, '--set')
-        given[name] = typed(ROWS[name], files.parse(word, f'--set {name}'))
+        given[name] = ROWS[name].typed(files.parse(word, f'--set {name}'))
         found.pop(f'{OF_SIM}{name}', None)  # a value for both nodes replaces the simulator's own
     found |= given
     planner_settings(found)
@@ -153,7 +153,7 @@ def parameters_of(content: Any, name: str) -> Iterator[tuple[str, Any]]:
         for given, value in _flat(section):
             known = f'{OF_SIM}{given}' if alone and f'{OF_SIM}{given}' in ROWS else given
             if known in ROWS:
-                yield known, typed(ROWS[known], value)
+                yield known, ROWS[known].typed(value)
             elif given in OF_ROS:
                 yield given, value
             elif not given.startswith('qos_overrides.'):
@@ -166,14 +166,3 @@ def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
             yield from _flat(value, f'{prefix}{name}.')
         else:
             yield f'{prefix}{name}', value
-
-
-def typed(row: ParameterSpec, value: Any) -> Any:
-    """Return a value in the parameter's type; integers are accepted for floats."""
-    if isinstance(value, (list, tuple)):
-        value = tuple(float(each) if type(each) is int else each for each in value)
-    elif type(row.default) is float and type(value) is int:
-        value = float(value)
-    if not row.kind.check(value) or (type(value) is bool) != (row.kind is Type.BOOL):
-        raise BadInput(row.name, value, row.allowed)
-    return value

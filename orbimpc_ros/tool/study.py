@@ -181,7 +181,7 @@ class Draws:
                 raise
             except (AttributeError, IndexError, KeyError, TypeError, ValueError):
                 raise BadInput(f'draw: {name}', rule, 'a rule of docs/recording.md') from None
-            values[name] = settings.typed(settings.ROWS[name], drawn)
+            values[name] = settings.ROWS[name].typed(drawn)
         return values
 
     @property

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -18,13 +17,12 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import yaml
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PLANNER
-from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values, completed
 
 if TYPE_CHECKING:
     from orbimpc_ros.ros.process import Managed
@@ -62,11 +60,11 @@ class DynamicParameters(Generic[S]):
         self._prepare, self._install = prepare, install
         _refuse_unknown(node, specs)
         given = {name: each.value for name, each in node._parameter_overrides.items()}
+        values = completed(specs, given)
+        settings_of(values)
         for spec in specs:
-            _declare(node, replace(spec, default=spec.default_beside(given)))
-        self.settings()
+            node.declare_parameter(spec.name, values[spec.name], spec.descriptor)
         self._pending: Any = None
-        node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_changed)
         for lost in unused(node):
@@ -79,14 +77,6 @@ class DynamicParameters(Generic[S]):
 
     def _values(self) -> dict[str, Any]:
         return {spec.name: self._node.get_parameter(spec.name).value for spec in self._specs}
-
-    def _typed(self, changes: list[Parameter]) -> list[Parameter]:
-        """Return the changes, with the parameter's type for empty lists, which YAML's [] lacks."""
-        arrays = {spec.name: spec.kind for spec in self._specs if isinstance(spec.default, tuple)}
-        for k, each in enumerate(changes):
-            if each.name in arrays and each.type_.name.endswith('_ARRAY') and not each.value:
-                changes[k] = Parameter(each.name, arrays[each.name], [])
-        return changes
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         values, known = self._values(), self._node.get_parameter('use_sim_time').value
@@ -118,17 +108,6 @@ def _refuse_unknown(node: Node, specs: Sequence[ParameterSpec]) -> None:
     for name in node._parameter_overrides:
         if name not in known:
             raise BadInput.unknown('parameter', name, sorted(known))
-
-
-def _declare(node: Node, spec: ParameterSpec) -> None:
-    empty, given = spec.default == (), node._parameter_overrides
-    try:
-        # An empty list is declared by its type: rclpy would take it for one of bytes.
-        node.declare_parameter(spec.name, spec.kind if empty else spec.default, spec.descriptor)
-    except (InvalidParameterTypeException, InvalidParameterValueException):
-        raise BadInput(spec.name, given[spec.name].value, spec.allowed) from None
-    if empty and spec.name not in given:
-        node._parameters[spec.name] = Parameter(spec.name, spec.kind, [])
 
 
 PARAMETERS = 'ros__parameters'

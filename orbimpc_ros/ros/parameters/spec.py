@@ -9,6 +9,8 @@ these. Parameters common to both nodes are defined here, too.
 from __future__ import annotations
 
 import math
+import re
+from array import array
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -16,9 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import Parameter
-from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.loop.compensation import SOURCES
 from orbimpc_ros.mpc.arrays import Array, sealed
@@ -38,12 +38,13 @@ ALLOWED = {  # descriptions, with a place for the range of numbers
     Type.BOOL: 'true | false',
     Type.STRING: 'text',
     Type.STRING_ARRAY: 'a list of words',
-    Type.DOUBLE: 'a double {}, with a decimal point',
-    Type.DOUBLE_ARRAY: 'doubles {}, each with a decimal point',
+    Type.DOUBLE: 'a number {}',
+    Type.DOUBLE_ARRAY: 'a list of numbers {}',
     Type.INTEGER: 'an integer {}',
 }
 NUMBERS = (Type.DOUBLE, Type.DOUBLE_ARRAY, Type.INTEGER)
 TINY = 1e-6  # means "above zero" in ranges, which are closed
+TOPIC = re.compile(r'(~?/)?[a-z_]\w*(/[a-z_]\w*)*', re.ASCII | re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -52,14 +53,14 @@ class ParameterSpec:
 
     Attributes:
         name: in ROS.
-        default: its type is the parameter's; tuples are arrays of doubles, or of words.
+        default: its type is the parameter's; tuples are lists of numbers, or of words.
         description: one sentence.
         unit: of the value; empty without one.
-        low: least allowed value, of every element of an array.
+        low: least allowed value, of every element of a list.
         high: greatest allowed value.
         choices: allowed words, if restricted.
         live: whether it may change while the node runs.
-        words: whether an array is one of words.
+        words: whether a list is one of words.
         timed_thrust: another default with ``weights.scaling`` time at translation order 2, if any.
     """
 
@@ -95,34 +96,52 @@ class ParameterSpec:
 
     @property
     def descriptor(self) -> ParameterDescriptor:
-        """Return the ROS descriptor."""
+        """Return the ROS descriptor.
+
+        ROS leaves the type to :meth:`typed`: it would tell 1 from 1.0, and not know that of [].
+        """
         described = ParameterDescriptor(
             name=self.name,
-            type=self.kind.value,
             description=self.description + (f' [{self.unit}]' if self.unit else ''),
             additional_constraints=self.allowed,
             read_only=not self.live,
+            dynamic_typing=True,
         )
-        if self.kind is Type.DOUBLE:
+        if self.kind is Type.INTEGER:
+            span = IntegerRange(from_value=int(self.low), to_value=int(self.high))
+            described.integer_range = [span]
+        elif self.kind is Type.DOUBLE:
             span = FloatingPointRange(from_value=self.low, to_value=self.high)
             described.floating_point_range = [span]
-        elif self.kind is Type.INTEGER:
-            described.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high))
-            ]
         return described
 
-    def check(self, value: Any) -> None:
-        """Check the range of a value.
+    def typed(self, value: Any) -> Any:
+        """Return a value in the parameter's type; integers are accepted for other numbers.
 
         Raises:
-            BadInput: out of range, not finite or not among the choices.
+            BadInput: a value of another type.
         """
+        if isinstance(value, (list, tuple, array)):
+            value = tuple(float(each) if type(each) is int else each for each in value)
+        elif self.kind is Type.DOUBLE and type(value) is int:
+            value = float(value)
+        if not self.kind.check(value) or isinstance(value, bool) != (self.kind is Type.BOOL):
+            raise BadInput(self.name, value, self.allowed)
+        return value
+
+    def checked(self, value: Any) -> Any:
+        """Return a value in the parameter's type, within its range.
+
+        Raises:
+            BadInput: of another type, out of range, not finite or not among the choices.
+        """
+        value = self.typed(value)
         if self.choices and value not in self.choices:
             raise BadInput.choice(self.name, value, self.choices)
         numbers = np.asarray(value if self.kind in NUMBERS else ())
         if not np.all((numbers >= self.low) & (numbers <= self.high)):
             raise BadInput(self.name, value, self.allowed)
+        return value
 
 
 def parameter(name: str, default: Value, description: str, *range_: Any, **more: Any) -> Any:
@@ -139,20 +158,15 @@ def specs_of(settings: type) -> tuple[ParameterSpec, ...]:
 
 
 def settings_from(settings: type[S], values: Values) -> S:
-    """Return settings with values of all parameters of their class, after checking the ranges.
-
-    Values of other parameters are ignored.
+    """Return settings with the checked values of all parameters of their class, ignoring others.
 
     Raises:
-        BadInput: a value out of range.
+        BadInput: a value of another type, or out of range.
     """
     held = {}
     for each in fields(settings):  # type: ignore[arg-type]
-        if 'parameter' in each.metadata:
-            spec = each.metadata['parameter']
-            value = values[spec.name]
-            spec.check(value)
-            held[each.name] = tuple(value) if isinstance(spec.default, tuple) else value
+        if spec := each.metadata.get('parameter'):
+            held[each.name] = spec.checked(values[spec.name])
     return settings(**held)
 
 
@@ -163,11 +177,7 @@ def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
 
 def is_topic(name: str) -> bool:
     """Return True if a name is valid for a topic."""
-    try:
-        validate_topic_name(name)
-    except InvalidTopicNameException:
-        return False
-    return '//' not in name  # accepted by that function, but not by subscriptions
+    return TOPIC.fullmatch(name) is not None
 
 
 def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
