@@ -139,12 +139,7 @@ class Managed(LifecycleNodeMixin, Node):
         """Report a failure, act safely, and give up after too many in a row.
 
         A panic in a library written in Rust is no ``Exception``, but no reason to end at once.
-
-        Raises:
-            KeyboardInterrupt, SystemExit: if the error is one of these.
         """
-        if isinstance(error, (KeyboardInterrupt, SystemExit)):
-            raise error
         reason = f'{what} failed: {type(error).__name__}: {error}'
         self._count(what, reason)
         try:
@@ -235,8 +230,6 @@ class Managed(LifecycleNodeMixin, Node):
         """Run a part of a transition; bad input only refuses it, other exceptions are errors."""
         try:
             change()
-        except (KeyboardInterrupt, SystemExit):
-            raise
         except BaseException as error:  # a panic of a library written in Rust is no Exception
             self._error = self._error or error  # the first error is the one to report
             return Ended.FAILURE if isinstance(error, BadInput) else Ended.ERROR

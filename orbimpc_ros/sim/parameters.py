@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -19,9 +20,9 @@ from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
     TINY,
+    TOPIC,
     Values,
     VehicleParameters,
-    is_topic,
     parameter,
     settings_from,
     specs_of,
@@ -30,6 +31,7 @@ from orbimpc_ros.ros.parameters.spec import (
 from orbimpc_ros.sim.vehicle import ENGINES, EnginePlant, Model, Plant, Rope, Vehicle
 
 ALONG_AXES = (0.0, 0.0, 0.0)
+READERS = re.compile(rf'(?P<topic>{TOPIC.pattern})(\s+(?P<count>[1-9]\d?|100))?', TOPIC.flags)
 PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # in continuous time
 LACKING = {  # parameters that do not apply to a vehicle, or that its engine sets
     'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'),
@@ -173,13 +175,12 @@ class SimSettings(VehicleParameters):
             BadInput: the text is not a list such as ``tick, odom 2``.
         """
         wanted: dict[str, int] = {}
-        for entry in filter(None, (each.strip() for each in self.given_wait_for.split(','))):
-            topic, _, given = entry.partition(' ')
-            count = int(given or 1) if (given or '1').strip().isdecimal() else 0
-            if not is_topic(topic) or topic in wanted or not 0 < count <= 100:
-                allowed = 'topics, each with the number of its readers: odom 2'
+        for entry in filter(None, map(str.strip, self.given_wait_for.split(','))):
+            found = READERS.fullmatch(entry)
+            if found is None or found['topic'] in wanted:
+                allowed = 'topics, each with the number of its readers, 1 to 100: odom 2'
                 raise BadInput('wait_for', self.given_wait_for, allowed)
-            wanted[topic] = count
+            wanted[found['topic']] = int(found['count'] or 1)
         return wanted
 
     @property

@@ -20,9 +20,9 @@ from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
     TINY,
+    TOPIC,
     Values,
     VehicleParameters,
-    is_topic,
     parameter,
     settings_from,
     specs_of,
@@ -259,7 +259,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         if refused:
             raise BadInput(name, given, allowed)
     for topic in settings.avoid:
-        if not is_topic(topic):
+        if not TOPIC.fullmatch(topic):
             raise BadInput('avoid', topic, 'names of topics, such as /uav2/plan')
     for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
         getattr(settings, made)  # raises if invalid

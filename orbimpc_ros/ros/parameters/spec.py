@@ -44,7 +44,7 @@ ALLOWED = {  # descriptions, with a place for the range of numbers
 }
 NUMBERS = (Type.DOUBLE, Type.DOUBLE_ARRAY, Type.INTEGER)
 TINY = 1e-6  # means "above zero" in ranges, which are closed
-TOPIC = re.compile(r'(~?/)?[a-z_]\w*(/[a-z_]\w*)*', re.ASCII | re.IGNORECASE)
+TOPIC = re.compile(r'(~?/)?[a-zA-Z_]\w*(/[a-zA-Z_]\w*)*', re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -173,11 +173,6 @@ def settings_from(settings: type[S], values: Values) -> S:
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
     """Return the given values, and defaults for the rest."""
     return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
-
-
-def is_topic(name: str) -> bool:
-    """Return True if a name is valid for a topic."""
-    return TOPIC.fullmatch(name) is not None
 
 
 def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
