@@ -119,8 +119,6 @@ class Inputs:
         transforms: between frames.
         displaced: why a goal in another frame is not transformed; otherwise empty.
         bodies: from ``obstacles``.
-        leaders: topics of vehicles that plan before this one if all measure at the same time: one
-            after the other, in the order of names, each avoids the new plans of the others.
     """
 
     def __init__(self, settings: PlannerSettings, resolve: Callable[[str], str] = str) -> None:
@@ -131,8 +129,6 @@ class Inputs:
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         self.transforms, self.displaced = Transforms(settings), ''
         self.bodies, self._synchronizer = ObstacleTracker(), messages.PoseTwistSynchronizer()
-        self.leaders = tuple(name for name in self.others if name < resolve(PLAN))
-        self._timed: set[str] = set()  # topics with stamps on the node's own clock
         # Whether a topic had the stamp of recent odometry, the present one last, from the first on.
         self._shared: dict[str, list[bool]] = {topic: [] for topic in (*GOALS, OBSTACLES)}
 
@@ -147,7 +143,6 @@ class Inputs:
         """Forget all but a goal sent by hand, as after a reset or a clock jump."""
         self._keep_goal_alone()
         self.bodies.clear()
-        self._timed.clear()
         self.transforms.forget()
         self._synchronizer = messages.PoseTwistSynchronizer()
 
@@ -188,9 +183,8 @@ class Inputs:
             self._require_newer(topic, stamp.nanoseconds, fresh=fresh)
         if is_goal:
             self._require_near(topic, stamp, value, fresh=fresh)
-        if apart <= COMPARABLE and not by_hand:
-            self._timed.add(topic)
-        timed: bool | None = topic in self._timed  # once, always: what is delayed is not fresh
+        # Once timed, always timed: what is delayed by minutes must not count as fresh.
+        timed: bool | None = apart <= COMPARABLE or (last is not None and last.timed is True)
         if by_hand or (not timed and math.isnan(apart)):
             timed = None
         run = last.run + 1 if fresh and last is not None else 1
@@ -199,8 +193,9 @@ class Inputs:
 
     def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
         """Reject a stamp [ns] not later than that of the last message, if that is fresh."""
-        before = self.stamps(topic).get(topic, -1)
-        if stamp == 0 and (before == 0 or (topic == 'odom' and topic in self._timed)):
+        last = self.latest.get(topic)
+        before = -1 if last is None else last.stamp.nanoseconds
+        if stamp == 0 and (before == 0 or (topic == 'odom' and last is not None and last.timed)):
             raise BadInput.stating('unset stamp', '0 again' if before == 0 else '0', NOT_SET)
         if stamp == before and topic not in self.others:  # planners repeat their answers
             raise BadInput('duplicate stamp', stamp, INCREASING)
@@ -400,13 +395,14 @@ class Inputs:
         """Return the topics of vehicles that have measured earlier, and still have to plan.
 
         They are taken to plan as often as this one. Without their new plans, paths might cross. Of
-        vehicles that measure at the same time, the leaders plan first.
+        vehicles that measure at the same time, those of lesser names plan first.
         """
-        period, timeout = self.settings.period, self.settings.distance.timeout
-        stamps = self.stamps(*self.others) if period >= UNHURRIED else {}
-        ages = {topic: (self._time - stamp) / SECOND for topic, stamp in stamps.items()}
-        tie = {topic: -TIE if topic in self.leaders else TIE for topic in ages}
-        return [each for each, age in ages.items() if period + tie[each] < age <= timeout]
+        found, own, period = [], self._resolve(PLAN), self.settings.period
+        for topic, stamp in self.stamps(*self.others).items():
+            age, tie = (self._time - stamp) / SECOND, -TIE if topic < own else TIE
+            if period >= UNHURRIED and period + tie < age <= self.settings.distance.timeout:
+                found.append(topic)
+        return found
 
     @property
     def missing(self) -> str:
