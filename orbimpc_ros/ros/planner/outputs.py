@@ -31,6 +31,10 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings
 # Topics of decisions, and of commands to the vehicle, which are sent first.
 REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
 COMMANDS = ('cmd_vel', 'rotation', 'cmd_thrust', 'thrust')
+DECIDED = ('status', 'reason', 'cause', 'fallback', 'solve_time_ms', 'advanced')
+COSTS = ('objective', 'lower_bound', 'gap')
+NO_PLAN: dict[str, object] = {'nodes': 0, 'speed_fraction': (), 'margins': {}}
+NO_PLAN |= dict.fromkeys(('projection_distance', 'clearance'), math.nan)
 UNHEARD: dict[str, Any] = {'goal_stamps': {}, 'goal_counts': {}, 'traffic_stamps': {}}
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient above which a plan is not optimal
 LONGEST = 60  # steps; prices of longer plans take milliseconds
@@ -44,14 +48,6 @@ def level(decision: Decision) -> bytes:
     return OK if good else WARN
 
 
-def numbers(decision: Decision) -> dict[str, float]:
-    """Return the published numbers, by name: the time [s], and the costs of a plan."""
-    plan, took = decision.plan, {'solve_time': 1e-3 * decision.solve_time_ms}
-    if plan is None:
-        return took
-    return {'objective': plan.objective, 'lower_bound': plan.lower_bound, 'gap': plan.gap} | took
-
-
 def values(decision: Decision) -> dict[str, object]:
     """Return the values on the topic ``tick``, by key.
 
@@ -62,41 +58,31 @@ def values(decision: Decision) -> dict[str, object]:
     """
     plan, catch, case = decision.plan, decision.catch, decision.case
     refuted, wind = decision.refutation is not None, decision.disturbance
-    costs, projection_distance, clear = numbers(decision), math.nan, math.nan
-    fractions: tuple[float, ...] = ()
-    if plan is not None:
-        fractions = tuple(plan.speed_fraction.tolist())
-        projection_distance = float(plan.projection_distance[1:].max())
-    if case is not None and plan is not None:
-        clear = clearance(case.problem, case.state, plan.positions)
-    catch_checked = catch is not None and (catch.checked or refuted)
-    catch_bound = math.nan
-    if catch is not None:
-        catch_bound = catch.bound if catch_checked else catch.counted
+    caught = catch is not None and (catch.checked or refuted)
+    of_plan = NO_PLAN
+    if plan is not None and case is not None:
+        of_plan = {
+            'nodes': plan.nodes,
+            'speed_fraction': tuple(plan.speed_fraction.tolist()),
+            'margins': margins(*case, plan),
+            'projection_distance': float(plan.projection_distance[1:].max()),
+            'clearance': clearance(case.problem, case.state, plan.positions),
+        }
     return {
-        'status': decision.status,
-        'reason': decision.reason,
-        **{name: costs.get(name, math.nan) for name in ('objective', 'lower_bound', 'gap')},
+        **{name: getattr(decision, name) for name in DECIDED},
+        **{name: getattr(plan, name, math.nan) for name in COSTS},
         'bound_checked': plan is not None and plan.proof.checked,
         'infeasible_checked': decision.infeasible is not None and refuted,
-        'nodes': 0 if plan is None else plan.nodes,
-        'solve_time_ms': decision.solve_time_ms,
-        'speed_fraction': fractions,
-        'projection_distance': projection_distance,
-        'fallback': decision.fallback,
-        'cause': decision.cause,
+        **of_plan,
         'binding': prices(decision),
-        'advanced': decision.advanced,
-        'earliest_catch': math.nan if catch is None else catch.time,
-        'catch_bound': catch_bound,
-        'catch_checked': catch_checked,
+        'earliest_catch': getattr(catch, 'time', math.nan),
+        'catch_bound': getattr(catch, 'bound' if caught else 'counted', math.nan),
+        'catch_checked': caught,
         'disturbance': () if wind is None else tuple(wind.tolist()),
         'innovation': math.nan if decision.innovation is None else decision.innovation,
         **UNHEARD,
         **decision.heard,
         'obstacles': 0 if decision.state is None else len(decision.state.hazards),
-        'clearance': clear,
-        'margins': {} if case is None or plan is None else margins(*case, plan),
         'obstacles_left_out': decision.left_out,
     }
 
@@ -159,9 +145,12 @@ def report_messages(
     computed for topics that are not ``heard``; by default all are.
     """
     heard = outputs(settings) if heard is None else heard
-    for name, number in numbers(decision).items():
+    numbers = {'solve_time': 1e-3 * decision.solve_time_ms}
+    if decision.plan is not None:
+        numbers |= {name: getattr(decision.plan, name) for name in COSTS}
+    for name in numbers:
         if f'~/{name}' in heard:
-            yield f'~/{name}', Float64(data=float(number))
+            yield f'~/{name}', Float64(data=float(numbers[name]))
     if 'tick' in heard:
         known = stamp.nanoseconds, f'{node}: tick', level(decision)
         yield 'tick', diagnostics(*known, decision.reason or decision.status, values(decision))
