@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_861,
+    'orbimpc_ros': 30_846,
     'orbimpc_ros/mpc': 16_209,
     'orbimpc_ros/loop': 3_537,
-    'orbimpc_ros/ros': 4_268,
+    'orbimpc_ros/ros': 4_253,
     'orbimpc_ros/sim': 2_453,
     'orbimpc_ros/tool': 4_267,
     'benchmarks': 3_472,
