@@ -77,7 +77,7 @@ def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
     np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.3)
 
 
-def test_a_study_has_what_the_one_it_is_like_has():
+def test_a_study_has_what_the_one_it_is_based_on_has():
     base, own = draws_of('retrieval'), draws_of('retrieval_small')
     assert {k for k in own.values if own.values[k] != base.values[k]} == {'capture_radius'}
     assert own.rules == base.rules
@@ -91,8 +91,7 @@ FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodie
 @pytest.mark.parametrize(
     ('text', 'named'),
     [
-        ('{about: a, set: [], draw: {}}', 'config or like'),
-        ('{about: a, like: b, config: c, set: [], draw: {}}', 'config or like'),
+        ('{about: a, set: [], draw: {}}', 'allowed: about, config, set, draw'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: {half: 3}}}', 'draw: seed is {'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: 3}}', 'draw: seed is 3'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: [0, 9]}}', r'seed is \d\.\d+'),
@@ -101,8 +100,8 @@ FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodie
         ('{about: a, config: retrieval.yaml, set: 3, draw: {}}', 'set is 3'),
         ('{about: a, config: retrieval.yaml, set: [3], draw: {}}', '--set is 3'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {}, margin: x}', 'margin is x'),
-        ('{about: a, like: own, set: [], draw: {}}', 'like is own; allowed: another study'),
-        ('{about: a, like: ../x, set: [], draw: {}}', 'no such file'),
+        ('{about: a, config: ./own.yaml, set: [], draw: {}}', 'config is ./own.yaml; allowed'),
+        ('{about: a, config: ../x.yaml, set: [], draw: {}}', 'no such file'),
         (FAR_AWAY, 'no body starts 99 m clear'),
     ],
 )

@@ -15,8 +15,8 @@ A study file names a parameter file, and has a rule for each random parameter:
 - ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}``: walls of four static discs
   each, across the x axis, with a gap around a middle.
 
-Instead of a parameter file (``config``: a name in ``config/``, or a path from the study file such
-as ``./boat.yaml``) a study file may name another study (``like``) and give the differences.
+It is based (``config``) on a file in ``config/``, or at a path from the study file such as
+``./boat.yaml``: a parameter file, or another study, to which it adds its values and rules.
 ``margin`` [m] enlarges the reported radii of the discs, because the vehicle has an extent and
 disturbances move it off its plans.
 
@@ -51,8 +51,7 @@ from orbimpc_ros.tool.settings import Values, config
 MOST_RUNS, LARGEST_SEED, MOST_WORKERS = 1_000_000, 2**63 - 1, 1024
 OUT, FLIGHTS, REPORT, PICTURE = 'out', 'flights.jsonl', 'report.md', 'caught.png'
 Rule = Any
-FIELDS, OPTIONAL = {'about', 'set', 'draw'}, {'config', 'like', 'margin'}
-KINDS = {'set': list, 'draw': dict, 'config': str, 'like': str}  # of fields
+FIELDS = {'about': str, 'config': str, 'set': list, 'draw': dict}  # of a study file, and types
 MOST_TRIES = 10_000  # to draw a body that is clear of the origin
 TURN = [-math.pi, math.pi]
 LARGEST_DRAWN = 2**31 - 1  # for seeds of the noise
@@ -230,7 +229,10 @@ def _file(name: str) -> Path:
 
 
 def _content(file: Path, *above: Path) -> Values:
-    """Return the fields of a study file; a parameter file becomes a study without rules."""
+    """Return the fields of a study file, with those of the file that it is based on.
+
+    A parameter file is a study without rules. Files ``above`` are based on this one.
+    """
     content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
         stated = dict(settings.parameters_of(content, str(file)))
@@ -238,22 +240,20 @@ def _content(file: Path, *above: Path) -> Values:
         vehicle = ['vehicle=continuous'] if lags and 'vehicle' not in stated else []
         about = f'goals all around, as in {file.name}'
         return {'about': about, 'config': file, 'set': vehicle, 'draw': None}
-    wanted = f'{", ".join(sorted(FIELDS))}, and config or like'
-    fields = set(content) if isinstance(content, dict) else set()
-    if not FIELDS <= fields <= FIELDS | OPTIONAL or ('config' in fields) == ('like' in fields):
-        raise BadInput(str(file), sorted(fields), wanted)
-    for name in fields & KINDS.keys():
-        if not isinstance(content[name], KINDS[name]):
+    known = set(content) if isinstance(content, dict) else set()
+    if known - {'margin'} != FIELDS.keys():
+        raise BadInput(str(file), sorted(known), f'{", ".join(FIELDS)} and, if needed, margin')
+    for name, kind in FIELDS.items():
+        if not isinstance(content[name], kind):
             raise BadInput(f'{file}: {name}', content[name], 'as in docs/recording.md')
-    if 'config' in content:
-        named = content['config']
-        return content | {'config': file.parent / named if '/' in named else config(named)}
-    like = file.parent / f'{content["like"]}.yaml'
-    base = {} if like in (file, *above) else _content(like, file, *above)
-    if base.get('draw') is None:
-        raise BadInput(f'{file}: like', content['like'], 'another study, no parameter file')
-    both = {'set': [*base['set'], *content['set']], 'draw': base['draw'] | content['draw']}
-    return base | content | both
+    named = content['config']
+    base = file.parent / named if '/' in named else config(named)
+    if base.resolve() in (file.resolve(), *above):
+        raise BadInput(f'{file}: config', named, 'a file that is not based on this one')
+    below = _content(base, file.resolve(), *above)
+    rules = (below['draw'] or {}) | content['draw']
+    found: Values = below | content
+    return found | {'config': below['config'], 'set': below['set'] + content['set'], 'draw': rules}
 
 
 def _default_rules(values: Values) -> dict[str, Rule]:
