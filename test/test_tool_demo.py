@@ -235,7 +235,8 @@ def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
     """A slow planner only makes the flight take longer: no vehicle flies without a command."""
     wall, sent = itertools.count(), []  # one second per reading of the clock
     monkeypatch.setattr(demo, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
-    recorder = SimpleNamespace(latest={}, clock=SimpleNamespace(publish=sent.append))
+    node = SimpleNamespace(create_publisher=lambda *_: SimpleNamespace(publish=sent.append))
+    recorder = SimpleNamespace(latest={}, node=node)
     clock = demo.Pacer(recorder, 10.0, 0.5)
     for uav1, uav2 in ((None, None), (10.0, None), (10.0, None), (10.0, 10.0), (10.5, 10.0)):
         stamps = {'/uav1/cmd_vel': uav1, '/uav2/cmd_vel': uav2}

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,17 +76,14 @@ def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
     """Return the parameters of each flight of a demo, by name; a single flight has an empty name.
 
-    There is a single flight if ``changes`` set the floor's shape, in which the flights would
-    differ, and for a retrieval with any changes, which is no longer the paper's.
+    With ``changes`` a demo is no longer the paper's, and has a single flight.
 
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    found = VARIANTS.get(scenario, {'': ()})
-    if any(scenario == 'retrieval' or each.startswith('floor.shape=') for each in changes):
-        found = {'': ()}
+    found = {'': tuple(changes)} if changes else VARIANTS.get(scenario, {'': ()})
     file = settings.config(f'{scenario}.yaml')
-    return {name: settings.resolve(file, [*changes, *variant]) for name, variant in found.items()}
+    return {name: settings.resolve(file, variant) for name, variant in found.items()}
 
 
 def fleet(
@@ -204,7 +201,7 @@ def _watch(
         done = f', {len(sims) - len(flying)} of {len(sims)} done' if ticks and len(sims) > 1 else ''
         progress.show(ticks, _progress(ticks, values, planners) + done)
     progress.close()
-    recorder.drain(QUIET, LAST_WORDS)
+    recorder.drain()
     for namespace, sim in sims.items():
         # A simulator reports the end of its flight, with or without a catch, on this topic.
         if not received and not recorder.counts[f'{namespace}/captured']:
@@ -233,17 +230,18 @@ class Pacer:
     """
 
     def __init__(self, recorder: Recorder, begin: float, step: float) -> None:
-        self._recorder, self._begin, self._step = recorder, begin, step
+        self._latest, self._begin, self._step = recorder.latest, begin, step
+        self._clock = recorder.node.create_publisher(Clock, '/clock', DEPTH)
         self._count, self._sent = 0, -math.inf
 
     def look(self, flying: Sequence[str]) -> None:
         """Advance by a step if the vehicles of these namespaces have answered the last one."""
-        stamps = [self._recorder.latest.get(f'{name}/cmd_vel', -math.inf) for name in flying]
+        stamps = [self._latest.get(f'{name}/cmd_vel', -math.inf) for name in flying]
         if min(stamps) >= self._time(self._count - 0.5):  # half a step: more than rounding errors
             self._count, self._sent = self._count + 1, -math.inf
         if time.monotonic() - self._sent > AGAIN:
             self._sent = time.monotonic()
-            self._recorder.clock.publish(Clock(clock=time_message(self._time(self._count))))
+            self._clock.publish(Clock(clock=time_message(self._time(self._count))))
 
     def _time(self, steps: float) -> int:
         return round((self._begin + steps * self._step) * SECOND)
@@ -271,6 +269,7 @@ class Recorder:
         planners: nodes that must discover the recorder before it subscribes to odometry.
 
     Attributes:
+        node: that records.
         counts: number of messages recorded, by topic.
         latest: stamp of the last message of a topic [ns].
     """
@@ -287,7 +286,7 @@ class Recorder:
         self._bag = BagWriter(folder, topics, notes)
         self.counts = self._bag.counts
         self._stack = ExitStack()
-        self._node, self._executor = self._stack.enter_context(
+        self.node, self._executor = self._stack.enter_context(
             attached('recorder', enable_rosout=False, start_parameter_services=False)
         )
         self._held = [topic for topic in topics if topic.name.rpartition('/')[2] == TRIGGER]
@@ -295,10 +294,10 @@ class Recorder:
             if topic not in self._held:
                 self._listen(topic)
         self._unmet = {
-            name: self._node.create_client(GetParameters, f'{name}/get_parameters')
+            name: self.node.create_client(GetParameters, f'{name}/get_parameters')
             for name in planners
         }
-        self._node.create_timer(AGAIN, self._meet)
+        self.node.create_timer(AGAIN, self._meet)
         self._meet()
 
     def _meet(self) -> None:
@@ -316,7 +315,7 @@ class Recorder:
     def _listen(self, topic: Topic) -> None:
         profile = qos(DEPTH, durability=(LATCHED if topic.latched else LATEST).durability)
         take: Any = partial(self._take, topic)  # rclpy also passes the message's info
-        self._node.create_subscription(topic.message, topic.name, take, profile, raw=True)
+        self.node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
     def _take(self, topic: Topic, data: bytes, about: dict[str, Any]) -> None:
         own = stamp_of(deserialize_message(data, topic.message))
@@ -325,23 +324,18 @@ class Recorder:
         if self._now != UNDATED:
             self._bag.write(topic.name, self._now, data, about['source_timestamp'])
 
-    @cached_property
-    def clock(self) -> Any:
-        """Return a publisher of /clock, for fleets, whose simulators have none."""
-        return self._node.create_publisher(Clock, '/clock', DEPTH)
-
     def spin(self, seconds: float) -> None:
         """Record one message, if one arrives within this time."""
         self._executor.spin_once(timeout_sec=seconds)
 
-    def drain(self, quiet: float, limit: float) -> None:
-        """Record until no message has come for ``quiet`` seconds, but at most ``limit`` seconds."""
-        heard, now = -1, time.monotonic()
-        last, end = now, now + limit
-        while (now := time.monotonic()) < min(end, last + quiet):
+    def drain(self) -> None:
+        """Record the last messages, until there is silence, but not for long."""
+        heard, last = -1, time.monotonic()
+        end = last + LAST_WORDS
+        while (now := time.monotonic()) < min(end, last + QUIET):
             if sum(self.counts.values()) != heard:
                 last, heard = now, sum(self.counts.values())
-            self.spin(quiet / 4)
+            self.spin(QUIET / 4)
 
     def close(self) -> None:
         """Stop recording and finish the bag; the node ends even if the disk is full."""

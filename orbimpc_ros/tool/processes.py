@@ -1,8 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Nodes as operating-system processes: started, monitored, stopped, and ended with their parent.
 
-The nodes of a run share a DDS domain of their own, on this machine only, with fast discovery. A
-progress bar in plain text is redrawn in a terminal, and takes a few lines elsewhere.
+The nodes of a run share a DDS domain of their own, on this machine only, with fast discovery.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
 DOMAINS = range(1, 102)  # higher domains use ports in Linux's ephemeral range
 PROFILE = 'config/fastdds/announced_often.xml'  # without it, nodes wait for each other at the start
-WIDTH = 20
 LINES = 5  # of progress, where there is no terminal
 LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
 _CLAIMS: deque[socket.socket] = deque(maxlen=6)
@@ -177,7 +175,7 @@ def interruptions() -> Iterator[list[int]]:
 
 
 class ProgressLine:
-    """A progress bar on stderr.
+    """Progress on stderr: a line redrawn in a terminal, a few lines elsewhere.
 
     Args:
         total: amount of work.
@@ -188,18 +186,16 @@ class ProgressLine:
         self._shown: Any = None
 
     def show(self, done: int, text: str) -> None:
-        """Draw ``done`` and a text, if the bar has changed; without a terminal, in coarse steps."""
-        share = min(1.0, done / self._total)
-        shown = (done, text) if self._live else int(share * LINES)
+        """Show the share done and a text if they have changed; without a terminal, at times."""
+        shown = (done, text) if self._live else LINES * done // self._total
         if shown == self._shown:
             return
-        self._shown, filled = shown, int(share * WIDTH)
-        line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
+        self._shown, line = shown, f'{min(1.0, done / self._total):4.0%}  {text}'
         line = line[: shutil.get_terminal_size().columns - 1]  # a wrapped line could not be redrawn
         line = f'\r{line}\x1b[K' if self._live else f'{line}\n'
         print(line, end='', file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """End the line of the bar."""
+        """End a redrawn line."""
         if self._live and self._shown is not None:
             print(file=sys.stderr)
