@@ -49,7 +49,6 @@ def made_up(positions, values, **others):
         'rates': np.zeros((count, 3)),
         'ropes': np.tile(values['rope.center'], (count, 1)),
         'plans': tuple((t, positions[k : k + 3]) for k, t in enumerate(times)),
-        'forces': tuple((t, 0.25) for t in times),
         'ticks': tuple((t, {'speed_fraction': [1.0, 0.6]}) for t in times),
         'captured': True,
     }

@@ -251,7 +251,7 @@ def test_a_single_sighting_is_no_flight(tool, tmp_path, monkeypatch, caught):
 @pytest.mark.parametrize('name', ['retrieval', 'spacecraft'])
 def test_short_flights_and_those_without_plans_are_drawn(name, tmp_path):
     flown = replace(of_bag(GOLDEN / name), captured=False)
-    for each in (first(flown, 2), replace(first(flown, 5), plans=(), ticks=(), forces=())):
+    for each in (first(flown, 2), replace(first(flown, 5), plans=(), ticks=())):
         assert set(plot.written({'': each}, tmp_path)) == STILL
         plot.write_gif(each, tmp_path / 'short.gif')
 
@@ -300,12 +300,12 @@ def test_a_flight_along_x_is_drawn_above_its_charts_with_its_box(aside, boxes, w
 # --- numbers over time
 
 
-def test_thrust_is_shown_as_it_was_applied():
-    shown = charts(plot.data(flight('spacecraft', line([5.0, 10.0, 25.0], 21))))
-    assert {'Position [m]', 'Velocity [m/s]', 'Body rates [rad/s]', 'Thrust [N]'} <= set(shown)
-    thrust = shown['Thrust [N]'].get_lines()[0]
-    assert np.allclose(thrust.get_xdata(), np.arange(21))
-    assert np.allclose(thrust.get_ydata(), [0.0, *[0.25] * 20])  # one step after its command
+@pytest.mark.parametrize(('name', 'limited'), [('retrieval', True), ('spacecraft', False)])
+def test_motion_is_shown_with_the_limits_of_speed(name, limited):
+    shown = charts(plot.data(flight(name, line([5.0, 10.0, 25.0], 21))))
+    assert {'Position [m]', 'Velocity [m/s]', 'Body rates [rad/s]'} <= set(shown)
+    texts = {text.get_text() for text in shown['Velocity [m/s]'].texts}
+    assert ('full speed' in texts) == limited
 
 
 def test_ticks_without_a_plan_leave_holes_not_zeros(caught):

@@ -198,8 +198,7 @@ def _watch(
         for planner in planners.values():
             planner.require_health()
         ticks = max(recorder.counts[f'{namespace}/tick'] for namespace in planners)
-        done = f', {len(sims) - len(flying)} of {len(sims)} done' if ticks and len(sims) > 1 else ''
-        progress.show(ticks, _progress(ticks, values, planners) + done)
+        progress.show(ticks, _progress(ticks, values, planners))
     progress.close()
     recorder.drain()
     for namespace, sim in sims.items():
@@ -211,8 +210,7 @@ def _watch(
 def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:
     """Return the progress of a flight; before any answer, of the planners' compilation."""
     if ticks:
-        time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
-        return f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
+        return f'tick {ticks} of at most {values["max_ticks"]}'
     _, found, rest = '\n'.join(each.output for each in planners.values()).rpartition(COMPILING)
     return found + rest.partition('\n')[0] if found else 'starting nodes'
 

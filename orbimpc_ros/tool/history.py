@@ -18,13 +18,13 @@ import numpy as np
 from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
+from orbimpc_ros.ros.messages import Frames, Stamp, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
-WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
+WANTED = ('captured', 'goal', 'odom', 'plan', 'tick', 'truth')
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
 
@@ -41,7 +41,6 @@ class History:
     ropes: Array  # positions of the rope at these times, shape (M, 3) [m]
     # times [s], increasing, and points, shape (N + 1, 3) [m]
     plans: tuple[tuple[float, Array], ...]
-    forces: tuple[tuple[float, float], ...]  # times [s] and forces [N] of the topic ``cmd_thrust``
     # times [s] and fields of the topic ``tick``, up to the last odometry
     ticks: tuple[tuple[float, dict[str, Any]], ...]
     captured: bool  # whether the simulator reported the job as done
@@ -157,7 +156,6 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
         rates=measured['body_rate'],
         ropes=_seen(times, sighted, planner_settings(values).goal_timeout),
         plans=tuple((time, np.array(points)) for time, points in plans),
-        forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
         ticks=tuple(
             (seconds(m), fields(m)) for m in found['tick'] if m.status and seconds(m) <= times[-1]
         ),

@@ -318,7 +318,7 @@ def _plain(name: str) -> str:
 
 
 def data(history: History) -> Figure:
-    """Return a figure of motion, thrust or speed, solve times and proved bounds over time."""
+    """Return a figure of motion, solve times and proved bounds over time."""
     panels = [*motion(history), *planning(history)]
     rows = math.ceil(len(panels) / 2)
     figure = Figure(figsize=(10.0, 2.2 * rows), layout='constrained')
@@ -332,27 +332,21 @@ def data(history: History) -> Figure:
 
 
 def motion(history: History) -> list[Panel]:
-    """Return the charts of a vehicle's motion and of its thrust or speed."""
+    """Return the charts of a vehicle's motion."""
     values, times = history.values, history.times - history.times[0]
-    n, thrust = values['dimension'], values['translation_order'] == 2
-    full = values['forward'] * (values['mass'] if thrust else 1.0)
+    n, full = values['dimension'], values['forward']
 
     def along(vectors: Array, first: int = 0, count: int = n) -> dict[str, Line]:
         return {'xyz'[k]: (times, vectors[:, k]) for k in range(first, count)}
 
-    what, unit = ('Thrust', 'N') if thrust else ('Speed', 'm/s')
-    line = times, np.linalg.norm(history.velocities, axis=1)
-    if thrust:  # it takes effect at the end of the step in which it is commanded
-        step, begun, last = values['step'], history.times[0], history.times[-1]
-        pushed = {begun: full * values['start.speed_fraction']}
-        pushed |= {time + step: force for time, force in history.forces if time + step <= last}
-        line = np.array([*pushed]) - begun, np.array([*pushed.values()])
-    limits = {f'full {what.lower()}': full} | _floor(values, full)
+    moved = along(history.velocities)
+    moved['speed'] = times, np.linalg.norm(history.velocities, axis=1)
+    limited = values['translation_order'] == 1
+    limits = {'full speed': full} | _floor(values, full) if limited else {}
     found = [
         Panel('Position', 'm', along(history.positions)),
-        Panel('Velocity', 'm/s', along(history.velocities)),
+        Panel('Velocity', 'm/s', moved, limits),
         Panel('Body rates', 'rad/s', along(history.rates, 0 if n == 3 else 2, 3)),
-        Panel(what, unit, {'_': line}, limits, steps=True),
     ]
     if values['gravity']:
         angles = np.degrees(np.arccos(np.clip(history.attitudes[:, 2, 0], -1.0, 1.0)))

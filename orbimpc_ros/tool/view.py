@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -55,7 +54,7 @@ def run(bag: str | None, namespace: str, port: int | None, *, browser: bool) -> 
     with interruptions() as received, served(port) as (page, data, server):
         print(f'page          {page} (Ctrl-C ends it)', flush=True)
         # Without a screen, a text browser would occupy the terminal.
-        if browser and (sys.platform == 'darwin' or any(map(os.environ.get, SCREENS))):
+        if browser and any(map(os.environ.get, SCREENS)):
             webbrowser.open(page)
 
         def going() -> bool:
