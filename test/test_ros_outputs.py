@@ -151,9 +151,13 @@ def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
 
 
 def test_the_start_up_line_has_what_differs_from_the_defaults():
-    wing = settings(**{'step': 0.1, 'floor.shape': 'circle', 'obstacles': tuple(range(40))})
+    wing = settings(
+        **{'step': 0.1, 'floor.shape': 'circle', 'obstacles': tuple(map(float, range(40)))}
+    )
     line = summary(wing, simulated=False)
-    assert line == "system time, step 0.1, obstacles (0, 1, 2, 3, 4, 5, ...), floor.shape 'circle'"
+    for words in ('system time', 'step 0.1', "floor.shape 'circle'", 'obstacles (0.0, 1.0, '):
+        assert words in line
+    assert len(line) < 120
 
 
 HOVERING = {'dimension': 3, 'translation_order': 2, 'forward': 20.0, 'gravity': 9.81}
