@@ -169,11 +169,7 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def wait_for(self) -> dict[str, int]:
-        """Return the number of readers to wait for, by topic, besides planner and simulator.
-
-        Raises:
-            BadInput: the text is not a list such as ``tick, odom 2``.
-        """
+        """Return the number of readers to wait for, by topic, besides planner and simulator."""
         wanted: dict[str, int] = {}
         for entry in filter(None, map(str.strip, self.given_wait_for.split(','))):
             found = READERS.fullmatch(entry)

@@ -202,7 +202,10 @@ class ProcessParameters:
 
 @dataclass(frozen=True)
 class VehicleParameters(ProcessParameters):
-    """Parameters on which planner and simulator must agree."""
+    """Parameters on which planner and simulator must agree.
+
+    What is derived from parameters raises BadInput, naming one, where they do not fit together.
+    """
 
     # fmt: off
     dimension: int = parameter('dimension', 2, 'Plane (2) or space (3)', '', 2, 3)
@@ -258,11 +261,7 @@ class VehicleParameters(ProcessParameters):
 
     @cached_property
     def disturbance(self) -> Array:
-        """Return the known wind or acceleration, including gravity, shape (n,).
-
-        Raises:
-            BadInput: a vehicle of these orders has no gravity.
-        """
+        """Return the known wind or acceleration, including gravity, shape (n,)."""
         if self.gravity and (self.dimension, self.translation_order) != (3, 2):
             allowed = '0 unless dimension is 3 and translation_order 2'
             raise BadInput('gravity', self.gravity, allowed)
@@ -272,11 +271,7 @@ class VehicleParameters(ProcessParameters):
 
     @cached_property
     def boxes(self) -> tuple[Box, ...]:
-        """Return the obstacles.
-
-        Raises:
-            BadInput: a wrong number of values, or an upper corner that is not above the lower one.
-        """
+        """Return the obstacles."""
         n = self.dimension
         if len(self.obstacles) % (2 * n):
             raise BadInput('obstacles', list(self.obstacles), f'{2 * n} numbers for each box')
@@ -285,21 +280,13 @@ class VehicleParameters(ProcessParameters):
 
     @cached_property
     def frames(self) -> Frames:
-        """Return the required frames of messages, and the thrust axis.
-
-        Raises:
-            BadInput: a vehicle in the plane cannot have this thrust axis.
-        """
+        """Return the required frames of messages, and the thrust axis."""
         if self.thrust_axis != 'x' and self.dimension == 2:
             raise BadInput('thrust_axis', self.thrust_axis, 'x when dimension is 2')
         return Frames(self.frame_id, self.child_frame_id, self.thrust_axis, self.velocity_frame)
 
     def approach_of_a_catch(self) -> Approach:
-        """Return the cone of headings in which a catch counts.
-
-        Raises:
-            BadInput: a direction of another dimension, or of length 0.
-        """
+        """Return the cone of headings in which a catch counts."""
         direction = self.approach_direction
         if direction:
             direction = tuple(vector(direction, 'approach.direction', self.dimension).tolist())
