@@ -125,21 +125,15 @@ def unused(node: Managed) -> list[str]:
     found = []
     for flag, word in pairwise(sys.argv):
         if flag == '--params-file':
-            for section, _ in _sections(word):
+            # rcl has parsed it; its tags matter no more here than there.
+            tree = yaml.load(Path(word).read_text(errors='replace'), yaml.BaseLoader)
+            for section, _ in sections(tree):
                 if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
                     found.append(f'section {section} in {word}')
         owner, colon, _ = word.partition(':=')[0].rpartition(':')
         if flag in ('-p', '--param') and colon and f'/{owner}' != full:
             found.append(f'-p {word}')
     return found
-
-
-def _sections(file: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the sections of a file; none if it is malformed, which rcl reports."""
-    try:
-        return list(sections(yaml.safe_load(Path(file).read_text(errors='replace'))))
-    except yaml.YAMLError:
-        return []
 
 
 def sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
