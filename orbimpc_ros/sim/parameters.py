@@ -195,7 +195,6 @@ class SimSettings(VehicleParameters):
     @cached_property
     def model(self) -> Model:
         """Return the vehicle's motion model: the discrete model, a plant, or an engine."""
-        self._refuse_unused()
         own: dict[str, Any] = {'disturbance': tuple(self.disturbance.tolist())}
         if self.odom_rate:
             own['step'] = 1.0 / self.odom_rate
@@ -230,15 +229,6 @@ class SimSettings(VehicleParameters):
             fraction=self.start_fraction,
             wind=np.zeros(self.dimension),
         )
-
-    def _refuse_unused(self) -> None:
-        """Reject parameters that do not apply to the vehicle, unless zero or at their default."""
-        lacking = LACKING.get(self.vehicle, ())
-        for each in fields(self):
-            spec, value = each.metadata.get('parameter'), getattr(self, each.name)
-            name = spec.name if spec else ''
-            if name in lacking and value != each.default and np.any(value):
-                raise BadInput(name, value, f'{each.default} with vehicle: {self.vehicle}')
 
     @cached_property
     def traffic(self) -> tuple[MovingObstacle, ...]:
@@ -279,6 +269,11 @@ def sim_settings(values: Values) -> SimSettings:
     """
     faults = settings_from(Faults, values)
     settings = replace(settings_from(SimSettings, values), faults=faults)
+    lacking = LACKING.get(settings.vehicle, ())
+    for spec in SIM:  # zero and the default say nothing
+        value = spec.typed(values[spec.name])
+        if spec.name in lacking and value != spec.default and np.any(value):
+            raise BadInput(spec.name, value, f'{spec.default} with vehicle: {settings.vehicle}')
     for made in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings
