@@ -5,11 +5,11 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_808,
+    'orbimpc_ros': 30_780,
     'orbimpc_ros/mpc': 16_209,
     'orbimpc_ros/loop': 3_537,
-    'orbimpc_ros/ros': 4_253,
-    'orbimpc_ros/sim': 2_453,
+    'orbimpc_ros/ros': 4_234,
+    'orbimpc_ros/sim': 2_444,
     'orbimpc_ros/tool': 4_229,
     'benchmarks': 3_472,
     'test': 17_934,
