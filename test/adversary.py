@@ -38,7 +38,7 @@ from orbimpc_ros.mpc.problem.case import Case, Sought
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
-from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, StepOrder, begin, part_of
+from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, begin, part_of
 from orbimpc_ros.mpc.proof.stated import STEP, Body, Statement, rows_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import region_of, tree_in_fractions
@@ -330,13 +330,9 @@ class Part:
         self.choices = (2 + len(posed.limits.bodies)) * self.count
         self.region = region_of(DEEP, self.choices, self.n, object)
         self.work = work_of(problem, self.stated.width, object)
-        origins = np.zeros(0)
-        if self.n == 2 and self.stated.root.turn < 0 and _sometimes(rng, 0.5):
-            origins = rng.uniform(-4.0, 4.0, self.count)
-        self.order = StepOrder(False, np.array([Fraction(each) for each in origins], object))
-        self.origins, self.depth, self.cuts = origins, 0, list[tuple[list[int], float, int]]()
+        self.depth, self.cuts = 0, list[tuple[list[int], float, int]]()
         known = self.region.part[0], self.region.span[0]
-        begun = begin(self.stated, self.order, *known)
+        begun = begin(self.stated, np.zeros(0), *known)
         assert begun == HELD, 'a flight is left out from the beginning'
 
     def cut(self, kind: int, choice: int, parts: int, at: float, i: int) -> None:
@@ -348,7 +344,7 @@ class Part:
         if self.depth + 1 == DEEP:
             return
         node = [kind, choice, 0, parts, -1]
-        known = self.stated, self.order, np.array(node), Fraction(at), i
+        known = self.stated, np.array(node), Fraction(at), i
         made = part_of(*known, self.depth + 1, self.region)
         if made == WRONG:
             return
@@ -541,7 +537,7 @@ class Part:
             place = len(nodes) + i
             nodes += [[kind, 0, 0, 0, 0] for _ in range(parts)]
             at += parts * [0.0]
-        return leaf._replace(nodes=np.array(nodes), at=np.array(at), origins=self.origins)
+        return leaf._replace(nodes=np.array(nodes), at=np.array(at))
 
 
 def _on_side(body: Body, k: int, degree: int) -> list[int]:

@@ -7,7 +7,7 @@ from problems import rotation
 
 from orbimpc_ros.mpc.geometry import rotations
 from orbimpc_ros.mpc.geometry import rotations as so
-from orbimpc_ros.mpc.geometry.faces import cap, icosahedron, normals
+from orbimpc_ros.mpc.geometry.faces import icosahedron, normals
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 
@@ -124,20 +124,10 @@ def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, f
     assert covered.min() <= limit + 0.02
 
 
-def covered(patches, axes):
-    """Return which axes, shape (K, 3), are in the cone of some patch, given corners (P, 3, 3)."""
-    shares = np.linalg.solve(np.swapaxes(patches, 1, 2), axes.T[None])
-    return (shares >= -1e-9).all(axis=1).any(axis=0)
-
-
-def test_the_patches_of_all_directions_and_of_a_cap_cover_them():
-    rng = np.random.default_rng(2)
-    assert covered(icosahedron(), rng.normal(size=(2000, 3))).all()
-    for tilt in (0.05, 0.2618, 1.0):
-        angles, around = tilt * np.sqrt(rng.uniform(0, 1, 500)), rng.uniform(0, 2 * np.pi, 500)
-        angles[:50] = tilt
-        across = np.column_stack([np.cos(around), np.sin(around)]) * np.sin(angles)[:, None]
-        assert covered(cap(tilt), np.column_stack([across, np.cos(angles)])).all()
+def test_the_patches_of_all_directions_cover_them():
+    axes = np.random.default_rng(2).normal(size=(2000, 3))
+    shares = np.linalg.solve(np.swapaxes(icosahedron(), 1, 2), axes.T[None])
+    assert (shares >= -1e-9).all(axis=1).any(axis=0).all()
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -108,11 +108,13 @@ def _tampered(tree, rng):
 
 def forged(nodes, at, origin=0.0):
     """Return the bound that a tree of splits proves for headings above a round floor."""
-    problem, rng = Problem(horizon=3, floor=floor('circle', 0.6)), np.random.default_rng(1)
+    weights = Weights(position=0.0, input=0.0, length=1.0)
+    problem = Problem(horizon=3, floor=floor('circle', 0.6), weights=weights)
+    rng = np.random.default_rng(1)
     state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
     tree = one(rng.normal(size=(3, 2)), np.zeros(3))
     tree = tree._replace(nodes=np.array(nodes), at=np.array(at))
-    origins = np.full(3, origin) if origin else tree.origins
+    origins = np.full(3, origin) if np.any(origin) else tree.origins
     return Verifier(problem).bound(state, goals, tree._replace(origins=origins))
 
 
@@ -121,6 +123,7 @@ def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
     assert forged([[ARCS, 0, 1, 2, -1], leaf, leaf], [-99.0] * 3) > -math.inf
     assert forged([[ARCS, 0, 1, 2, -1], leaf, leaf], [101.0] * 3) == -math.inf  # turns are inexact
     assert forged([leaf], [0.0], origin=99.0) > forged([leaf], [0.0], origin=101.0) == -math.inf
+    assert forged([leaf], [0.0], origin=[1.0, 1.0, 2.0]) == -math.inf
     for count in (0, -1, 1):
         assert forged([[ARCS, 0, 1, count, -1], leaf], [0.0] * 2) == -math.inf
     shared = [[ARCS, 0, 1, 2, -1], [CUT, 0, 3, 2, -1], [CUT, 0, 3, 2, -1], leaf, leaf]

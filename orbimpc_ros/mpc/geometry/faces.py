@@ -9,7 +9,6 @@ Mathematics: docs/mathematics.md, 3.3 and 3.5.
 from __future__ import annotations
 
 import itertools
-import math
 from functools import lru_cache
 
 import numpy as np
@@ -17,9 +16,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 
 _GOLDEN = (1.0 + 5.0**0.5) / 2.0
-TOUCH = 1e-4  # [rad]
-STEEPEST_CAP = 1.0  # [rad]: for a wider cap, patches that share a corner would be too long
-QUARTERS = 4  # initial triangles about +z
 ROUND = 96  # corners of the polygon that is drawn for a circle
 CLOSE = 1e-9
 
@@ -56,22 +52,6 @@ def _dodecahedron_vertices() -> Array:
     cube = [(a, b, c) for a in signs for b in signs for c in signs]
     plane = [(0.0, a / _GOLDEN, b * _GOLDEN) for a in signs for b in signs]
     return np.array(cube + [tuple(np.roll(p, shift)) for shift in range(3) for p in plane])
-
-
-def cap(tilt: float) -> Array:
-    """Return the corners of four triangles that cover a cap of the sphere, shape (4, 3, 3).
-
-    They share the corner +z. Their outer sides touch the circle at an angle ``tilt`` from it [rad],
-    enlarged by a margin for rounding.
-    """
-    wide = math.atan(math.tan(tilt + TOUCH) / math.cos(math.pi / QUARTERS))
-    around = 2.0 * np.pi * np.arange(QUARTERS + 1) / QUARTERS
-    height = np.full(len(around), math.cos(wide))
-    outer = np.column_stack(
-        [math.sin(wide) * np.cos(around), math.sin(wide) * np.sin(around), height]
-    )
-    up = np.array([0.0, 0.0, 1.0])
-    return np.array([[up, outer[i], outer[i + 1]] for i in range(QUARTERS)])
 
 
 @lru_cache(maxsize=1)

@@ -19,27 +19,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.arithmetic import coarse, generic, slack
+from orbimpc_ros.mpc.proof.arithmetic import as_fractions, coarse, generic, slack
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, TIED, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, rim, size_of
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
-from orbimpc_ros.mpc.proof.stated import FREE, SEGMENT
 from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
 
-ENDED, UNSOUND, PAUSED = range(3)  # the walk has ended; the tree is invalid; the walk has paused
+# The walk has ended; the tree is invalid; the walk has paused, or needs a row for another depth.
+ENDED, UNSOUND, PAUSED, DEEP = range(4)
 DEPTH, PARENT, WAITING = range(3)  # rows of a walk: of each node, and the stack of nodes to visit
 
 
-class Axis(NamedTuple):
-    """Work arrays of unit headings along one axis, from zeros, for the Hessian of the cost.
+class Units(NamedTuple):
+    """Work arrays of N trajectories along one axis, each with one unit heading, from zeros.
+
+    Their slopes are the Hessian of the cost, and the ends of their paths the rows of an arrival.
 
     Attributes:
-        start: zeros, shape (6, 1).
-        goals: zeros, shape (N, 2).
-        point: shape (N, 1).
-        flown: shape (4, N + 1, 1).
-        slopes: shape (N, 1).
+        start: zeros, shape (6, N).
+        goals: zeros, shape (N, N).
+        point: ones on the diagonal, shape (N, N).
+        flown: shape (4, N + 1, N).
+        slopes: shape (N, N).
     """
 
     start: Any
@@ -57,10 +59,9 @@ class Work(NamedTuple):
         slopes: shape (N, d).
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
-        squares: the Hessian of the cost, its remainder, the rows of an arrival, and two more,
-            shape (2 N + 4, N).
+        squares: what is left of the Hessian of the cost, and two rows, shape (N + 2, N).
         ends: the ends of the last sectors in the plane, as :func:`rim` sets them, shape (N, 2, 4).
-        axis: for the Hessian.
+        units: for the Hessian.
     """
 
     flown: Any
@@ -69,7 +70,7 @@ class Work(NamedTuple):
     matrix: Any
     squares: Any
     ends: Any
-    axis: Axis
+    units: Units
 
 
 @generic
@@ -110,14 +111,13 @@ def _flown(costs, goals, point, flown):
 
 @generic
 def _of_decided(stated, span, g, length, shor):
-    """Return the least cost of the first step if R_1 is decided up to its length, and its size."""
+    """Return the least cost of the first step if R_1 is decided up to a factor, and its size."""
     known = stated.start[DECIDED]
     size, speed, along = abs(length) + abs(shor), size_of(known, stated.n), 0 * length
     for c in range(len(g)):
         along, size = along + g[c] * known[c], size + abs(g[c] * known[c])
-    if stated.decided == SEGMENT:
-        return over_speeds(along / speed + length, shor, span[0], span[1]), 2 * size
-    return along + length * speed + shor * speed * speed / 2, size * (1 + speed * speed)
+    slope, curve = along + length * speed, shor * speed * speed
+    return over_speeds(slope, curve, span[0], span[1]), size * (1 + speed * speed)
 
 
 @generic
@@ -234,7 +234,7 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
             return value, False
     for k in range(count):
         length, kept = (zero, zero) if empty else (stated.costs.weights[1, k + 1], shor[k])
-        if k == 0 and stated.decided != FREE:
+        if k == 0 and stated.decided:
             more, terms = _of_decided(stated, known[1][count], slopes[0], length, kept)
         else:
             if stated.n == 2 and known[0][k] >= 0:
@@ -254,8 +254,8 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
     Args:
         stated: the problem.
         tree: whose arrays fit the problem.
-        walk: depth and parent of each node, set by :func:`depths_of`, and a stack of the nodes
-            to visit, shape (3, M).
+        walk: depth of each node, -1 before it is reached, its parent, and a stack of the nodes to
+            visit, shape (3, M).
         region: to be written, a row for each depth.
         work: to be written.
         least: of the bounds so far.
@@ -265,28 +265,32 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
 
     Returns:
         The least bound; the number of leaves with one; the number of nodes on the stack;
-        ``ENDED``, ``UNSOUND`` or ``PAUSED``. A tree that ends without any bound refutes.
+        ``ENDED``, ``UNSOUND``, ``PAUSED``, or ``DEEP`` if the region has too few rows. A tree
+        that ends without any bound refutes.
     """
     nodes, waiting, seen = tree.nodes, walk[WAITING], 0
     if number == 0:
-        known = begin(stated, tree, region.part[0], region.span[0])
+        known = begin(stated, tree.origins, region.part[0], region.span[0])
         if known != HELD:
             return least, 0, 0, ENDED if known == GONE else UNSOUND
         set_hessian(stated, tree, work)
+        walk[DEPTH], walk[DEPTH, 0] = -1, 0
         number, waiting[0] = 1, 0
     while number > 0:
-        if seen == most:
-            return least, found, number, PAUSED
+        t = waiting[number - 1]
+        if seen == most or walk[DEPTH, t] == len(region.part):
+            return least, found, number, PAUSED if seen == most else DEEP
         number -= 1
-        t = waiting[number]
         known = _entered(stated, tree, walk, t, region)
         if known == GONE:
             continue
         if known != HELD:
             return least, 0, 0, UNSOUND
         node = nodes[t]
-        if not _is_leaf(node):
-            number = _put(node, waiting, number)
+        if node[KIND] != LEAF and node[KIND] != EMPTY:
+            number = _put(nodes, walk, t, number)
+            if number < 0:
+                return least, 0, 0, UNSOUND
             continue
         seen += 1
         value, sound = _proved(stated, region, walk[DEPTH, t], tree, node, work)
@@ -299,16 +303,20 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
 
 
 @generic
-def _put(node, waiting, number):
-    """Put the children of a node on the stack; return the number of nodes on it."""
-    for i in range(node[CHILDREN]):
-        waiting[number + i] = node[CHILD] + i
-    return number + node[CHILDREN]
+def _put(nodes, walk, t, number):
+    """Put the children of a node on the stack; return the number of nodes on it.
 
-
-@generic
-def _is_leaf(node):
-    return node[KIND] == LEAF or node[KIND] == EMPTY
+    It is negative if children are missing, have another parent, or are before theirs.
+    """
+    first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
+    if parts < 1 or first <= t or first > len(nodes) - parts:
+        return -1
+    for i in range(parts):
+        if walk[DEPTH, first + i] >= 0:
+            return -1
+        walk[DEPTH, first + i], walk[PARENT, first + i] = walk[DEPTH, t] + 1, t
+        walk[WAITING, number + i] = first + i
+    return number + parts
 
 
 @generic
@@ -319,7 +327,7 @@ def _entered(stated, tree, walk, t, region):
     above = walk[PARENT, t]
     whole = tree.nodes[above]
     i, depth = t - whole[CHILD], walk[DEPTH, t]
-    return part_of(stated, tree, whole, tree.at[above], i, depth, region)
+    return part_of(stated, whole, tree.at[above], i, depth, region)
 
 
 @generic
@@ -332,57 +340,19 @@ def _proved(stated, region, depth, tree, node, work):
     return value, sound and abs(value) >= 0 and (value > 0 or not empty)
 
 
-@generic
-def depths_of(nodes, walk):
-    """Set the depth of each node, -1 if it cannot be reached from the root, and its parent.
-
-    Args:
-        nodes: of a tree, shape (M, 5).
-        walk: to be set, shape (3, M).
-
-    Returns:
-        The greatest depth; -1 if children are missing, duplicated, or before their parents.
-    """
-    depth, count, most = walk[DEPTH], len(nodes), 0
-    depth[:] = -1
-    depth[0] = 0
-    for t in range(count):
-        if depth[t] < 0 or _is_leaf(nodes[t]):
-            continue
-        first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
-        if parts < 1 or first <= t or parts > count or first > count - parts:
-            return -1
-        for child in range(first, first + parts):
-            if depth[child] >= 0:
-                return -1
-            depth[child], walk[PARENT, child] = depth[t] + 1, t
-        most = max(most, depth[t] + 1)
-    return most
-
-
 # --- convexity of the cost less the curvature that is assigned to single steps
 
 
 @generic
 def set_hessian(stated, tree, work):
-    """Set the Hessian of the cost in z_1..z_N along an axis, and the rows of an arrival.
+    """Set the Hessian of the cost in z_1..z_N along an axis, if a leaf assigns curvature to steps.
 
-    Column by column: the gradient at a unit heading. They are not needed if no leaf assigns
-    curvature to its steps.
+    Its columns are the gradients at unit headings.
     """
-    if not is_bent(tree.shor):
-        return
-    axis, squares, zero = work.axis, work.squares, 0 * stated.sets.full
-    count = len(axis.point)
-    for j in range(count):
-        axis.point[:] = zero
-        axis.point[j, 0] = zero + 1
-        _at_point(stated, axis.start, axis.goals, axis.point, axis.flown, axis.slopes)
-        for r in range(2):
-            squares[2 * count + r, j] = axis.flown[r, count, 0]
-        pulled_back(stated.motion, axis.flown, axis.slopes)
-        for i in range(count):
-            squares[i, j] = axis.slopes[i, 0]
+    if is_bent(tree.shor):
+        units = work.units
+        _at_point(stated, units.start, units.goals, units.point, units.flown, units.slopes)
+        pulled_back(stated.motion, units.flown, units.slopes)
 
 
 @generic
@@ -407,15 +377,14 @@ def _lost(ends, shor, point, work):
         point: tangent point, shape (N, d).
         work: positions and velocities there, the Hessian, and work arrays.
     """
-    squares = work.squares
-    count, n = squares.shape[1], work.flown.shape[2]
-    m, zero = squares[count : 2 * count], 0 * ends.chord
+    count, n, hessian = len(shor), work.flown.shape[2], work.units.slopes
+    m, zero = work.squares[:count], 0 * ends.chord
     top, longest = zero, zero + 1
     if not is_bent(shor):
         return True, zero
     for i in range(count):
         for j in range(i + 1):
-            m[i, j] = squares[i, j] - (shor[i] if i == j else zero)
+            m[i, j] = hessian[i, j] - (shor[i] if i == j else zero)
             m[j, i] = m[i, j]
             top = max(top, abs(m[i, j]))
     off = _arrived(ends, m, top, work) if ends.arrives > 0 else zero
@@ -436,8 +405,8 @@ def _arrived(ends, m, top, work):
     Returns:
         How far the point misses the arrival.
     """
-    flown, arrival, count = work.flown, work.squares[2 * len(m) :], len(m)
-    a, u, off, ratio = arrival[2], arrival[3], 0 * ends.chord, 0 * ends.chord
+    flown, arrival, count = work.flown, work.units.flown[:, len(m)], len(m)
+    a, u, off, ratio = work.squares[count], work.squares[count + 1], 0 * ends.chord, 0 * ends.chord
     for r in range(ends.arrives):
         largest = square = 0 * off
         for i in range(count):
@@ -481,7 +450,9 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     def zeros(*shape: int) -> Any:
         return np.zeros(shape, kind)
 
-    along = zeros(6, 1), zeros(count, 2), zeros(count, 1), zeros(4, count + 1, 1), zeros(count, 1)
+    one = as_fractions(np.eye(count)) if kind is object else np.eye(count)
+    square, path = zeros(count, count), zeros(4, count + 1, count)
+    units = Units(zeros(6, count), zeros(count, count), one, path, square)
     flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
-    squares, ends = zeros(2 * count + 4, count), zeros(count, 2, 4)
-    return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, Axis(*along))
+    squares, ends = zeros(count + 2, count), zeros(count, 2, 4)
+    return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, units)

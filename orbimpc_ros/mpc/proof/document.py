@@ -20,11 +20,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Sought
-from orbimpc_ros.mpc.proof.stated import END, ENDS, STEP, UP, Body, Cone, Limits, Statement
+from orbimpc_ros.mpc.proof.stated import END, ENDS, STEP, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
     EMPTY,
@@ -329,11 +328,7 @@ def _posed(document: Any) -> Posed:
     state, goals = State.at(**given), _array(document['goals'], 'goals', (count, n))
     if state.wanted is None and problem.weights.attitude:
         raise BadInput('state.wanted', None, 'a rotation')
-    limits = _limits(document.get('limits', {}), n, count)
-    tilt = next((each.angle for each in limits.cones if each.axis == UP), 0.0)
-    if problem.inertial and tilt <= STEEPEST_CAP:  # splits may begin with patches of the tilt's cap
-        problem = replace(problem, tilt=tilt)
-    return Posed(problem, state, goals, limits)
+    return Posed(problem, state, goals, _limits(document.get('limits', {}), n, count))
 
 
 def _limits(stated: Any, n: int, count: int) -> Limits:
@@ -400,9 +395,9 @@ def _items(value: Any, name: str) -> list[Any]:
 
 def _plain_tree(tree: ProofTree) -> dict[str, Any]:
     """Return a tree as plain values, without unused arrays."""
-    known = {name: getattr(tree, name) for name in ARRAYS + OPTIONAL}
+    known = tree._asdict()
     made = {n: value.tolist() for n, value in known.items() if n in ARRAYS or value.size}
-    return {**made, 'ordered': True} if tree.ordered else made
+    return {**made, 'ordered': True} if tree.origins.size else made
 
 
 def _tree(stated: Any) -> ProofTree:
@@ -411,10 +406,9 @@ def _tree(stated: Any) -> ProofTree:
     Raises:
         BadInput: it is malformed.
     """
-    known = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered')))
+    known, found = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered'))), dict[str, Any]()
     if known.pop('ordered', True) is not True:
         raise BadInput('tree.ordered', stated['ordered'], 'true')
-    found = dict[str, Any]()
     for name, value in known.items():
         try:
             made = np.array(numbers_of(value, f'tree.{name}'))
@@ -426,7 +420,7 @@ def _tree(stated: Any) -> ProofTree:
             found[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
     if found['nodes'].shape[1:] != (5,):
         raise BadInput('tree.nodes', stated['nodes'], 'rows of 5')
-    return ProofTree(**found, ordered='ordered' in stated)
+    return ProofTree(**found)
 
 
 # --- JSON: unique names, finite numbers

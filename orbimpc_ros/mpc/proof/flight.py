@@ -23,22 +23,18 @@ class StepMap(NamedTuple):
 
     Attributes:
         lead: offset of a control point next to an end of a step, per velocity there [s].
-        forward: velocity of a unit heading without inertia [m/s].
-        inertial: 1 where velocities are part of the state, else 0.
         degree: of the motion within a step.
     """
 
     drift: Number
     keep: Number
     push: Number
-    add: Number
     follow: Number
-    after: Number
     blow: Number
+    add: Number
+    after: Number
     gust: Number
     lead: Number
-    forward: Number
-    inertial: int
     degree: int
 
 
@@ -47,19 +43,14 @@ def rolled(motion, start, point, flown):
     """Set positions relative to s_0, velocities, and no forces on them, shape (4, N + 1, n)."""
     flown[2:] = 0 * motion.drift
     for c in range(flown.shape[2]):
-        before, fast = start[FIRST, c], start[VELOCITY, c]
-        flown[0, 0, c] = 0 * fast
-        flown[1, 0, c] = fast if motion.inertial == 1 else motion.forward * before + start[WIND, c]
+        before, fast, wind = start[FIRST, c], start[VELOCITY, c], start[WIND, c]
+        flown[0, 0, c], flown[1, 0, c] = 0 * fast, fast
         for k in range(len(point)):
-            z, push = point[k, c], motion.push * before + motion.blow * start[WIND, c]
+            z, push = point[k, c], motion.push * before + motion.blow * wind
             flown[0, k + 1, c] = flown[0, k, c] + motion.drift * fast + push + motion.follow * z
-            if motion.inertial == 1:
-                push = motion.add * before + motion.gust * start[WIND, c]
-                fast = motion.keep * fast + push + motion.after * z
-                flown[1, k + 1, c] = fast
-            else:
-                flown[1, k + 1, c] = motion.forward * z + start[WIND, c]
-            before = z
+            push = motion.add * before + motion.gust * wind
+            fast = motion.keep * fast + push + motion.after * z
+            flown[1, k + 1, c], before = fast, z
 
 
 @generic
@@ -68,13 +59,9 @@ def pulled_back(motion, flown, slopes):
     for c in range(flown.shape[2]):
         on_s, on_p, earlier = 0 * flown[2, 0, c], 0 * flown[2, 0, c], 0 * flown[2, 0, c]
         for k in range(len(slopes), 0, -1):
-            on_s = on_s + flown[2, k, c]
-            own = earlier
-            if motion.inertial == 1:
-                on_p = on_p + flown[3, k, c]
-            else:
-                own = own + motion.forward * flown[3, k, c]
-            slopes[k - 1, c] = slopes[k - 1, c] + own + motion.follow * on_s + motion.after * on_p
+            on_s, on_p = on_s + flown[2, k, c], on_p + flown[3, k, c]
+            before = slopes[k - 1, c] + earlier
+            slopes[k - 1, c] = before + motion.follow * on_s + motion.after * on_p
             earlier = motion.push * on_s + motion.add * on_p
             on_p = motion.keep * on_p + motion.drift * on_s
 

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.proof.arithmetic import generic
-from orbimpc_ros.mpc.proof.stated import FREE
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CHILDREN,
@@ -29,10 +28,9 @@ from orbimpc_ros.mpc.proof.tree import (
     SPEED,
 )
 
-WHOLE = -1  # part of a choice without restrictions
+WHOLE, ORDERED = -1, 1  # parts: without restrictions; sectors of steps in ascending order
 HELD, GONE, WRONG = range(3)  # a part is valid, is empty, or is invalid
 FARTHEST = 100  # [rad] angle from zero of arcs: beyond it turns would be counted inexactly
-ICOSAHEDRON = 20  # triangles; those of the cap come after them
 
 
 class Region(NamedTuple):
@@ -41,7 +39,8 @@ class Region(NamedTuple):
     The region of a single node has no axis of depths.
 
     Attributes:
-        part: face or side; 0 for a sector or patch; ``WHOLE`` before any split, shape (D, C).
+        part: face or side; 0 for a sector or patch, ``ORDERED`` for a sector of exchangeable steps;
+            ``WHOLE`` before any split, shape (D, C).
         span: least and greatest direction [rad] or speed, shape (D, C, 2).
         corners: of patches, shape (D, C, 3, 3); (D, 1, 3, 3) and unused in the plane.
     """
@@ -60,22 +59,12 @@ class Cut(NamedTuple):
     at: float = 0.0
 
 
-class StepOrder(NamedTuple):
-    """Whether exchangeable steps are in order, and the least directions of headings.
-
-    Trees have both fields.
-    """
-
-    ordered: bool
-    origins: Any
-
-
 @generic
-def begin(stated, order, part, span):
+def begin(stated, origins, part, span):
     """Set the restrictions of all trajectories: parts, shape (C,), spans, shape (C, 2).
 
     Returns:
-        ``HELD``; ``GONE`` without trajectories; ``WRONG`` if the order or origins are invalid.
+        ``HELD``; ``GONE`` without trajectories; ``WRONG`` if the origins are invalid.
     """
     root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     part[:] = WHOLE
@@ -87,25 +76,12 @@ def begin(stated, order, part, span):
             return GONE
         if root.turn >= 0:
             part[k] = 0
-    if len(order.origins) > 0:
-        if root.turn >= 0:
+    for k in range(len(origins)):
+        if root.exchanged == 0 or origins[k] != origins[0] or not abs(origins[k]) <= FARTHEST:
             return WRONG
-        for k in range(count):
-            if not abs(order.origins[k]) <= FARTHEST:
-                return WRONG
-            part[k], span[k, 0], span[k, 1] = 0, order.origins[k], order.origins[k] + sets.full
-    if order.ordered and not _is_alike(part, span, root.exchanged):
-        return WRONG
+        part[k] = ORDERED if k < root.exchanged else 0
+        span[k, 0], span[k, 1] = origins[k], origins[k] + sets.full
     return HELD if _aimed(stated, part, span) else GONE
-
-
-@generic
-def _is_alike(part, span, exchanged):
-    """Return whether there are exchangeable steps, and their ranges of directions are the same."""
-    alike = exchanged > 0
-    for k in range(1, exchanged):
-        alike = alike and part[k] != WHOLE and span[k, 0] == span[0, 0]
-    return alike
 
 
 @generic
@@ -113,7 +89,7 @@ def _aimed(stated, part, span):
     """Cut the last heading's sector to the approach; return whether the region is not empty."""
     root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     k = count - 1
-    if root.aside < 0 or (k == 0 and stated.decided != FREE):
+    if root.aside < 0 or (k == 0 and stated.decided):
         return True
     low, high = root.aim - root.aside, root.aim + root.aside
     if part[k] != WHOLE:
@@ -167,8 +143,7 @@ def _is_split_right(stated, node, at, part, low, high):
     kind, c, parts, n, sets = node[KIND], node[CHOICE], node[CHILDREN], stated.n, stated.sets
     extents, count = stated.bodies.extents, stated.root.span.shape[1]
     body, within, whole = c // count - 2, parts == 2 and low <= at <= high, part == WHOLE
-    first = 0 if stated.decided == FREE else 1
-    if not first <= c < (2 + len(extents)) * count:
+    if not stated.decided <= c < (2 + len(extents)) * count:
         return False
     if body == -1:
         return kind == SPEED and within
@@ -181,26 +156,15 @@ def _is_split_right(stated, node, at, part, low, high):
         return arcs if whole else kind == CUT and within
     if not whole:
         return kind == QUARTERS and parts == 4
-    capped = body == -2 and parts == len(stated.root.patches) - ICOSAHEDRON and _is_capped(sets, c)
-    return kind == PATCHES and (parts == ICOSAHEDRON or capped)
+    return kind == PATCHES and parts == len(stated.root.patches)
 
 
 @generic
-def _is_capped(sets, k):
-    """Return whether the directions of a step are in the cap."""
-    capped = False
-    for q in range(len(sets.cone_step)):
-        capped = capped or (sets.cone_step[q] == k and sets.cones[q, -1] == 1)
-    return capped
-
-
-@generic
-def part_of(stated, order, node, at, i, depth, region):
+def part_of(stated, node, at, i, depth, region):
     """Set the restrictions of part i of a node from those of the node.
 
     Args:
         stated: the problem.
-        order: of steps.
         node: its numbers, shape (5,).
         at: where it is cut.
         i: index of the child.
@@ -217,23 +181,22 @@ def part_of(stated, order, node, at, i, depth, region):
     low, high = before[c, 0], before[c, 1]
     if not _is_split_right(stated, node, at, known, low, high):
         return WRONG
+    made = region.corners[depth]
     for e in range(len(part)):
         part[e], span[e, 0], span[e, 1] = region.part[depth - 1, e], before[e, 0], before[e, 1]
-    for e in range(region.corners.shape[1]):
+    for e in range(len(made)):
         for a in range(3):
             for b in range(3):
-                region.corners[depth, e, a, b] = region.corners[depth - 1, e, a, b]
-    made = region.corners[depth]
-    return narrowed(stated, order, node, at, i, part, span, made)
+                made[e, a, b] = region.corners[depth - 1, e, a, b]
+    return narrowed(stated, node, at, i, part, span, made)
 
 
 @generic
-def narrowed(stated, order, node, at, i, part, span, corners):
+def narrowed(stated, node, at, i, part, span, corners):
     """Narrow the restrictions of a node to its part i; return ``HELD`` or ``GONE``.
 
     Args:
         stated: see :func:`part_of`, as for the others.
-        order: see there.
         node: see there.
         at: see there.
         i: see there.
@@ -242,9 +205,10 @@ def narrowed(stated, order, node, at, i, part, span, corners):
         corners: shape (C, 3, 3), set in place.
     """
     kind, c, root, count = node[KIND], node[CHOICE], stated.root, stated.root.span.shape[1]
-    part[c] = i if kind in (SIDES, FACES) else 0
     if kind in (SIDES, FACES):
+        part[c] = i
         return HELD
+    part[c] = max(part[c], 0)
     if kind in (PATCHES, QUARTERS):
         _set_patch(root.patches, node, i, corners[c])
         return HELD
@@ -253,16 +217,16 @@ def narrowed(stated, order, node, at, i, part, span, corners):
         span[c, 0], span[c, 1] = at + i * share, at + (i + 1) * share
         return HELD
     span[c, 1 - i] = at
-    return HELD if c >= 2 * count or _followed(stated, order, c, part, span) else GONE
+    return HELD if c >= 2 * count or _followed(stated, c, part, span) else GONE
 
 
 @generic
-def _followed(stated, order, c, part, span):
+def _followed(stated, c, part, span):
     """Propagate a cut of a heading or a speed; return whether the region is not empty."""
     root, count = stated.root, stated.root.span.shape[1]
     if c >= count:
         return _carried(span, c, count, 2 * count, -root.change, root.change)
-    if order.ordered and c < root.exchanged:
+    if part[c] == ORDERED:
         full = stated.sets.full  # all begin at the same direction
         return _carried(span, c, 0, root.exchanged, 0 * full, 2 * full)
     held = _carried(span, c, 0, count, -root.turn, root.turn)
@@ -273,10 +237,9 @@ def _followed(stated, order, c, part, span):
 def _set_patch(patches, node, i, made):
     """Set the corners of part i of all directions, or of the given patch, shape (3, 3)."""
     if node[KIND] == PATCHES:
-        first = 0 if node[CHILDREN] == ICOSAHEDRON else ICOSAHEDRON
         for j in range(3):
             for e in range(3):
-                made[j, e] = patches[first + i, j, e]
+                made[j, e] = patches[i, j, e]
         return
     for e in range(3):
         old = made[0, e], made[1, e], made[2, e]

@@ -19,7 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
+from orbimpc_ros.mpc.geometry.faces import icosahedron, normals
 from orbimpc_ros.mpc.model.translation import controls, step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.cones import relief
@@ -44,10 +44,8 @@ WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
 ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
-FREE, SEGMENT, POINT = range(3)  # kinds of sets of R_1
 END, ENDS, STEP = range(3)  # the part of a step that is on one side of a body
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
-UP = 0.0, 0.0, 1.0
 NOTHING: Array = np.zeros(0)
 Rows = Any  # an array of numbers, of floats or of fractions
 
@@ -136,10 +134,9 @@ class Root(NamedTuple):
         change: largest change of speed in a step; 2 without a limit.
         aim: direction of the approach in the plane [rad].
         aside: largest angle from it [rad]; negative without a limit.
-        patches: triangles that cover all directions, and then those that cover the tilt's cap,
-            shape (F, 3, 3).
-        exchanged: number of the first steps that are exchangeable, which are subject to no limit
-            but the floor.
+        patches: triangles that cover all directions in space, shape (F, 3, 3).
+        exchanged: number of the first steps that are exchangeable: the cost depends only on the sum
+            of their headings and on their lengths, and the floor is their only limit.
     """
 
     span: Rows
@@ -159,8 +156,8 @@ class Sets(NamedTuple):
         polygon: number of faces of a polygon in the plane; 0 without.
         faces: normals of the faces of a solid in space, shape (F, n).
         cone_step: heading 0..N-1 of each cone, shape (Q,).
-        cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
-            if the patches of the tilt's cap cover them, shape (Q, n + 4).
+        cones: their axes, unit vectors; cosine and sine of their angles, and their least speeds,
+            shape (Q, n + 3).
         full: a turn, rounded up [rad].
         narrow: a negligible angle [rad].
     """
@@ -221,7 +218,7 @@ class Stated(NamedTuple):
     n: int
     width: int
     order: int
-    decided: int  # ``FREE``, ``SEGMENT`` or ``POINT``: the set of R_1
+    decided: bool  # whether the start gives R_1 up to a factor, which is its speed's range
     motion: StepMap
     costs: Costs
     start: Rows
@@ -271,12 +268,10 @@ class Statement:
             raise BadInput('translation_order', problem.translation_order, allowed)
         h, z = number(problem.step), number(problem.forward)
         once = step_of(model, h, z)
-        pairs = ([*map(number, each), number(0)][:2] for each in once[1:])
-        (push, add), (follow, after), (blow, gust) = pairs
-        drift, keep = map(number, once.transition[:, 1] if model.inertial else (0, 0))
-        lead, inertial = h / model.degree, int(model.inertial)
-        moved = drift, keep, push, add, follow, after, blow, gust, lead, z, inertial, model.degree
-        return StepMap(*moved)
+        drift, keep = once.transition[:, 1] if model.inertial else (0, 0)
+        on_s, *on_p = zip(once.push, once.follow, once.blow, strict=True)
+        known = drift, keep, *on_s, *(on_p[0] if on_p else (0, z, 1))
+        return StepMap(*map(number, known), h / model.degree, model.degree)
 
     def _weighed(self) -> Costs:
         problem, number, w = self.problem, self._number, self.problem.weights
@@ -287,8 +282,8 @@ class Statement:
         weights[0, -1] = q + m + more
         braked = more * h * h if problem.inertial else 0 * h
         move = self._motion
-        late = move.follow if not problem.inertial else move.after
-        late = late / (late + (move.add if problem.inertial else move.push))
+        early, late = (move.add, move.after) if problem.inertial else (move.push, move.follow)
+        late = late / (early + late)
         weights[1] = number(w.length) * h * z
         weights[1, 0], weights[1, -1] = (1 - late) * weights[1, 0], late * weights[1, -1]
         turned = double * r / h ** (2 * problem.rotation_order)
@@ -328,11 +323,10 @@ class Statement:
             limits: in addition to the problem's own.
         """
         problem = self.problem
-        decided, start = self._begun(state)
         cones = self._cones(state, limits)
         root = self._rooted(state, limits, cones)
         sets = self._set(cones) if cones else self._without_cones
-        origin = self._numbers(state.position)
+        start, origin = self._begun(state), self._numbers(state.position)
         ends = self._ended(self._numbers(goals) - origin, limits)
         if limits.bodies is self.boxes:
             bodies = self._at_rest
@@ -340,29 +334,29 @@ class Statement:
                 bodies = bodies._replace(places=bodies.places - origin)
         else:
             bodies = self._beside(origin, limits.bodies, start)
-        kinds = problem.dimension, self.width, problem.rotation_order, decided
+        kinds = problem.dimension, self.width, problem.rotation_order, problem.rotation_order == 2
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
     # --- the start of trajectories
 
-    def _begun(self, state: State) -> tuple[int, Rows]:
-        """Return the kind of the set of R_1, and the rows of a start."""
+    def _begun(self, state: State) -> Rows:
+        """Return the rows of a start; rotations column by column."""
         problem, n, d = self.problem, self.problem.dimension, self.width
-        known, kind = np.zeros((6, self.width)), FREE
+        known, begun = np.zeros((6, d)), state.coasted
         known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
         known[FIRST] = known[TIED] = state.rotation.T.ravel()[:d]
         if state.wanted is not None:
             known[WANTED] = state.wanted.T.ravel()[:d]
         if problem.rotation_order == 2:
-            kind = POINT if state.coasted is None else SEGMENT
-            begun = state.rotation_rate if state.coasted is None else state.coasted
-            known[DECIDED] = begun.T.ravel()[:d]  # column by column
+            known[DECIDED] = (state.rotation_rate if begun is None else begun).T.ravel()[:d]
         elif problem.turns_are_angles:
             known[TIED, :n] = state.attitude[:, 0]
         start = self._numbers(known)
-        if kind == POINT:
+        if problem.rotation_order == 2 and begun is None:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
-        return kind, start
+        if not problem.inertial:
+            start[VELOCITY] = self._number(problem.forward) * start[FIRST] + start[WIND]
+        return start
 
     # --- the limits of single steps
 
@@ -377,6 +371,8 @@ class Statement:
         span = self._rows(np.zeros((4, count)))
         span[0], span[1] = low, high
         self._set_speeds(span[2:], limits)
+        if problem.rotation_order == 2 and state.coasted is None:
+            span[2:, 0] = number(1)  # R_1 is given
         if problem.floor.shape == 'polygon' and state.coasted is not None:
             n, axis = problem.dimension, self._rows(state.coasted[:, 0])
             along = max(self._rows(normals(n, problem.floor.faces)) @ axis)
@@ -389,7 +385,7 @@ class Statement:
             aim, aside = number(math.atan2(y, x)), number(aimed[-1].angle) + number(WIDER)
         root = Root(span, turn, change, aim, aside, self._patches, exchanged)
         if plain:
-            self._roots[exchanged] = root  # which depends on no state
+            self._roots[exchanged] = root
         return root
 
     def _set_speeds(self, span: Rows, limits: Limits) -> None:
@@ -408,12 +404,7 @@ class Statement:
 
     @cached_property
     def _patches(self) -> Rows:
-        """Return the triangles that cover all directions, and those of the tilt's cap."""
-        problem = self.problem
-        if problem.dimension == 2:
-            return self._rows(np.zeros((0, 3, 3)))
-        capped = 0.0 < problem.tilt <= STEEPEST_CAP
-        return self._rows(np.concatenate([icosahedron(), *[cap(problem.tilt)] * capped]))
+        return self._rows(icosahedron() if self.problem.dimension == 3 else np.zeros((0, 3, 3)))
 
     @cached_property
     def _without_cones(self) -> Sets:
@@ -439,15 +430,13 @@ class Statement:
         return cones + [Cone(axis, k * turn + WIDER, 0.0, (k,)) for k in steps]
 
     def _coned(self, cones: Sequence[Cone]) -> Rows:
-        n, tilt = self.problem.dimension, self.problem.tilt
-        rows = self._rows(np.zeros((len(cones), n + 4)))
+        n = self.problem.dimension
+        rows = self._rows(np.zeros((len(cones), n + 3)))
         for row, each in zip(rows, cones, strict=True):
             axis = self._rows(each.axis)
             row[:n] = axis / root((axis * axis).sum())
             row[n : n + 2] = direction(self._number(each.angle))
             row[n + 2] = self._number(each.least)
-            capped = 0.0 < tilt <= STEEPEST_CAP and each.axis == UP and each.angle == tilt
-            row[n + 3] = self._number(1 if capped else 0)
         return rows
 
     def _turned(self, state: State) -> tuple[Number, Rows, Rows]:
@@ -471,17 +460,16 @@ class Statement:
         return turn, low, high
 
     def _exchanged(self, limits: Limits) -> int:
-        """Return the number of first steps whose cost depends only on headings' sum and lengths."""
+        """Return the number of first steps that are exchangeable under limits."""
         alone = not (limits.cones or limits.bodies or limits.glide_slope or limits.change < 2.0)
         return self.problem.horizon - 1 if alone and self._alike else 0
 
     @cached_property
     def _alike(self) -> bool:
-        problem, costs, move = self.problem, self._costs, self._motion
-        costly = bool((costs.weights[0, 1:-1] != 0).any()) or costs.turned or problem.inertial
-        if costly or problem.max_rate or problem.rotation_order == 2:
-            return False
-        return bool(problem.dimension == 2 and move.drift == 0 and problem.horizon > 1)
+        problem, weights = self.problem, self.problem.weights
+        costly = weights.position or weights.input or problem.inertial
+        freely = problem.rotation_order == 1 and not problem.max_rate
+        return problem.dimension == 2 and freely and not costly
 
     # --- the constraints between steps
 

@@ -48,9 +48,8 @@ class ProofTree(NamedTuple):
         slide: of the glide slope, shape (L, N, 3) or (0, 0, 0).
         tether: of the limit on the chord of R e1 in a step, shape (L, N, n) or (0, 0, 0).
         share: part of a step's slope to bound by the limits on R e1 alone, (L, N, n) or (0, 0, 0).
-        origins: least direction of each heading, which ranges over one turn, shape (N,) [rad]; (0,)
-            if attitudes give the ranges, or if no heading is cut before it is split into arcs.
-        ordered: whether exchangeable steps are in the order of their directions.
+        origins: least direction of the headings, N times the same [rad], if exchangeable steps are
+            in the order of their directions; (0,) if they are not.
     """
 
     nodes: np.ndarray
@@ -65,11 +64,10 @@ class ProofTree(NamedTuple):
     tether: Array = NOTHING
     share: Array = NOTHING
     origins: Array = NOWHERE
-    ordered: bool = False
 
 
 ARRAYS = ProofTree._fields[:7]  # in every tree
-OPTIONAL = ProofTree._fields[7:12]  # empty if unused
+OPTIONAL = ProofTree._fields[7:]  # empty if unused
 INTEGERS = 'nodes', 'press_end', 'press_row'
 INTEGER, FLOAT = np.dtype(np.int64), np.dtype(np.float64)
 KINDS = [INTEGER if name in INTEGERS else FLOAT for name in ARRAYS + OPTIONAL]

@@ -21,21 +21,15 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.arithmetic import as_fractions, floats
-from orbimpc_ros.mpc.proof.bound import (
-    ENDED,
-    PAUSED,
-    depths_of,
-    tree_bound,
-    work_of,
-)
+from orbimpc_ros.mpc.proof.bound import DEEP, ENDED, PAUSED, tree_bound, work_of
 from orbimpc_ros.mpc.proof.splits import Region
 from orbimpc_ros.mpc.proof.stated import NO_LIMITS, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import ARRAYS, KINDS, ProofTree, one
 
-MOST = 1 << 24  # numbers in a region, at most
+DEPTHS, MOST = 32, 1 << 25  # rows of a region at first, and restrictions in it at most
 SLICE = 2000  # steps to bound between two checks of the deadline: 1 to 3 ms
 HOSTILE = ArithmeticError, ValueError  # raised by numbers that are not finite or far too large
-_depths, _bound = floats(depths_of), floats(tree_bound)
+_bound = floats(tree_bound)
 
 
 class Verifier:
@@ -52,18 +46,16 @@ class Verifier:
     def __init__(self, problem: Problem, number: type[float | Fraction] = float) -> None:
         self._statement, self._exact = Statement(problem, number), number is Fraction
         self._kind: type = object if self._exact else float
-        self._depths, self._bound = _depths, _bound
-        if self._exact:
-            self._depths, self._bound = depths_of, tree_bound
+        self._bound = tree_bound if self._exact else _bound
         self._work = work_of(problem, self._statement.width, self._kind)
-        self._region = region_of(1, 2 * problem.horizon, problem.dimension, self._kind)
+        self._region = region_of(DEPTHS, 2 * problem.horizon, problem.dimension, self._kind)
         if COMPILED and not self._exact:
             if bare(_bound) is _bound:  # load machine code at start-up, not in a tick
                 n, count = problem.dimension, problem.horizon
                 start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
                 still = one(np.zeros((count, self._statement.width)), leaf)
                 self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
-            self._depths, self._bound = bare(_depths), bare(_bound)
+            self._bound = bare(_bound)
 
     def bound(
         self,
@@ -93,13 +85,15 @@ class Verifier:
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
         choices = (2 + len(stated.bodies.at)) * problem.horizon
-        if not self._has_room(self._depths(tree.nodes, walk), choices):
-            return -math.inf
+        if self._region.part.shape[1] != choices:
+            self._region = region_of(DEPTHS, choices, problem.dimension, self._kind)
         most, what = 1 + SLICE // problem.horizon, PAUSED
         seen: tuple[Any, int, int] = 0.0, 0, 0
         try:
             known = stated, tree_in_fractions(tree) if self._exact else tree, walk
-            while what == PAUSED and not (seen[-1] and late and late()):
+            while what == PAUSED or (what == DEEP and self._deepened()):
+                if seen[-1] and late and late():
+                    return -math.inf
                 *seen, what = self._bound(*known, self._region, self._work, *seen, most)
         except HOSTILE:
             return -math.inf
@@ -107,13 +101,11 @@ class Verifier:
             return -math.inf
         return rounded_down(seen[0]) if seen[1] > 0 else math.inf
 
-    def _has_room(self, deepest: int, choices: int) -> bool:
-        """Return whether the region has a row for each depth; it grows up to ``MOST`` numbers."""
-        if deepest < 0 or (deepest + 1) * choices > MOST:
+    def _deepened(self) -> bool:
+        """Double the rows of the region; return False if it would exceed ``MOST``."""
+        if 2 * self._region.part.size > MOST:
             return False
-        if self._region.part.shape[0] <= deepest or self._region.part.shape[1] != choices:
-            n = self._statement.problem.dimension
-            self._region = region_of(2 * deepest + 1, choices, n, self._kind)
+        self._region = Region(*(np.concatenate([each, each]) for each in self._region))
         return True
 
 
@@ -127,7 +119,6 @@ def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bo
         width: d, number of coordinates of a rotation that are in the cost.
         arrives: m, number of vectors that an arrival constrains.
     """
-    arrays: Any = tree[: len(KINDS)]
     nodes, leaves, presses = len(tree.nodes), len(tree.point), tree.press.size
     vectors = leaves, horizon, n
     shapes = (
@@ -135,9 +126,9 @@ def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bo
         (leaves,), (presses,), (presses,),
         (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (horizon,),
     )  # fmt: skip
-    if nodes == 0 or [each.dtype for each in arrays] != KINDS:
+    if nodes == 0 or [each.dtype for each in tree] != KINDS:
         return False
-    for i, (value, shape) in enumerate(zip(arrays, shapes, strict=True)):
+    for i, (value, shape) in enumerate(zip(tree, shapes, strict=True)):
         if i < len(ARRAYS) or value.size:
             if value.shape != shape or not value.flags.c_contiguous:
                 return False
@@ -148,11 +139,7 @@ def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bo
 
 def tree_in_fractions(tree: ProofTree) -> Any:
     """Return a tree with its floats as fractions."""
-    known: dict[str, Any] = tree._asdict()
-    for name, value in known.items():
-        if isinstance(value, np.ndarray) and value.dtype == float:
-            known[name] = as_fractions(value)
-    return tree._replace(**known)
+    return ProofTree(*(as_fractions(each) if each.dtype == float else each for each in tree))
 
 
 def rounded_down(x: Any) -> float:

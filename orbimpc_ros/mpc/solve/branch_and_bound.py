@@ -73,8 +73,7 @@ class BranchAndBound:
         self._condensed = Condensed(problem)
         self._inverse = _inverse(self._condensed.hessian)
         self.turns = Turns(problem) if problem.turns_are_angles else None
-        ordered = _steps_are_exchangeable(problem)
-        self._regions = Regions(problem, self._inverse, self.turns, ordered=ordered)
+        self._regions = Regions(problem, self._inverse, self.turns)
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
         self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
@@ -172,18 +171,6 @@ def _inverse(hessian: Array) -> Array:
     if not np.linalg.cond(hessian) <= WORST_CONDITION:  # the condition of a zero matrix is NaN
         return np.full(hessian.shape, np.inf)
     return np.asarray(np.linalg.inv(hessian))
-
-
-def _steps_are_exchangeable(problem: Problem) -> bool:
-    """Return True if z_1..z_{N-1} enter cost and constraints only by their sum and lengths."""
-    weights, orders = problem.weights, (problem.rotation_order, problem.translation_order)
-    return (
-        (problem.dimension, problem.floor.shape, problem.discretisation) == (2, 'polygon', 'euler')
-        and orders == (1, 1)  # with Euler steps z_N moves no position
-        and weights.input == weights.position == weights.attitude == problem.max_rate == 0.0
-        and problem.horizon > 1
-        and not (problem.approach.exists or problem.obstacles)
-    )
 
 
 class _Run:

@@ -245,7 +245,6 @@ class ProofWriter:
             tether=_used(tether),
             share=_used([leaf.share for leaf in every]),
             origins=self._origins,
-            ordered=len(self._origins) > 0,
         )
 
 

@@ -34,15 +34,13 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.flight import DECIDED
 from orbimpc_ros.mpc.proof.splits import (
     GONE,
-    ICOSAHEDRON,
     WHOLE,
     Cut,
     Region,
-    StepOrder,
     begin,
     narrowed,
 )
-from orbimpc_ros.mpc.proof.stated import FREE, POINT, SEGMENT, Bodies, Root, Statement
+from orbimpc_ros.mpc.proof.stated import Bodies, Root, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CUT,
@@ -76,7 +74,6 @@ class Regions:
         problem: what to solve.
         inverse: H^-1, shape (N, N); infinite if H is singular.
         turns: the turn limit, if it bounds angles.
-        ordered: whether directions of exchangeable steps ascend.
 
     Attributes:
         first: index of the first heading that is not fixed by the state.
@@ -90,8 +87,6 @@ class Regions:
         problem: Problem,
         inverse: Array,
         turns: Turns | None = None,
-        *,
-        ordered: bool = False,
     ) -> None:
         self.problem, self._statement, self._turns = problem, Statement(problem), turns
         n, count, floor = problem.dimension, problem.horizon, problem.floor
@@ -113,9 +108,7 @@ class Regions:
             assert outward is not None
             self._flat = outward, np.full((len(outward), 1), floor.fraction)
         self._faces = floor.faces if floor.shape == 'polygon' and n == 2 else 0
-        begun = -math.pi / self._faces if self._faces else 0.0
-        self.origins = np.full(count, begun) if ordered else NOWHERE
-        self._order, self._begun = StepOrder(ordered, self.origins), begun
+        self._first_arc = -math.pi / self._faces if self._faces else 0.0
         self._outward = np.vstack([-np.eye(n), np.eye(n)])
         self._extents: Array | None = None  # of the last bodies
         self._begun_at: tuple[Root | None, int] = None, 0  # limits and bodies of the last root
@@ -127,10 +120,10 @@ class Regions:
         state = self._state
         limits = self._statement.limits(state, request.goals)
         stated = self._stated = self._statement.of(state, request.goals, limits)
-        self.first, self.bodies = int(stated.decided != FREE), len(stated.bodies.at)
+        self.first, self.bodies = int(stated.decided), len(stated.bodies.at)
+        ordered = self._faces and stated.root.exchanged
+        self.origins = np.full(count, self._first_arc) if ordered else NOWHERE
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
-        flags = stated.sets.cones[:, problem.dimension + 3] == 1.0  # patches cover the tilt's cap
-        self._upright = set(stated.sets.cone_step[flags].tolist())
         known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
         self._free = self._started @ known
         if self.bodies:
@@ -159,7 +152,7 @@ class Regions:
         """Return the region of the root; None if it is empty."""
         root, bodies = self._begun_at
         known = self._stated
-        if known.root is not root or bodies != self.bodies or known.decided != FREE:
+        if known.root is not root or bodies != self.bodies or known.decided:
             self._begun_at, self._root = (known.root, self.bodies), self._begin()
         return self._root
 
@@ -168,9 +161,10 @@ class Regions:
         part, span = np.full(count, WHOLE), np.zeros((count, 2))
         corners, known = np.zeros((count if n == 3 else 1, 3, 3)), self._stated
         decided = known.start[DECIDED : DECIDED + 1, :n]
-        if begin(known, self._order, part, span) == GONE:
+        if begin(known, self.origins, part, span) == GONE:
             return None
-        if known.decided == POINT and self.problem.floor.margin(decided)[0] < -SATISFIED:
+        given = known.decided and self._state.coasted is None
+        if given and self.problem.floor.margin(decided)[0] < -SATISFIED:
             return None
         if self._flat is not None:
             part[: self.problem.horizon] = WHOLE
@@ -184,7 +178,7 @@ class Regions:
         elif cut.kind in (PATCHES, QUARTERS):
             corners = corners.copy()
         node, made = np.array([cut.kind, cut.choice, 0, cut.parts]), Region(part, span, corners)
-        left = narrowed(self._stated, self._order, node, cut.at, i, *made)
+        left = narrowed(self._stated, node, cut.at, i, *made)
         return None if left == GONE else made
 
     def changed(self, before: Region, after: Region) -> dict[int, Held]:
@@ -315,7 +309,7 @@ class Regions:
     def _always(self) -> Held:
         """Return half-spaces of all regions: for turns, and for an R_1 e1 of given direction."""
         stated, floor, found = self._stated, self.problem.floor, list[Row]()
-        if stated.decided == SEGMENT and floor.exists:
+        if stated.decided and self._state.coasted is not None and floor.exists:
             axis = stated.start[DECIDED, : self.problem.dimension]
             axis = axis / np.linalg.norm(axis)
             found.append(Row(0, self._reach[0], axis, float(floor.least(axis))))
@@ -444,10 +438,8 @@ class Regions:
             return Cut(SIDES, choice, 2 * n)
         if n == 2:
             faces = self._faces if heading else 0
-            return Cut(ARCS, choice, faces or AROUND, self._begun if faces else 0.0)
-        up = heading and choice in self._upright
-        parts = len(self._stated.root.patches) - ICOSAHEDRON if up else ICOSAHEDRON
-        return Cut(PATCHES, choice, parts)
+            return Cut(ARCS, choice, faces or AROUND, self._first_arc if faces else 0.0)
+        return Cut(PATCHES, choice, len(self._stated.root.patches))
 
     def _refined(self, choice: int, known: Region) -> Cut | None:
         """Return the split of a sector or a patch; None if it is too small."""
@@ -487,8 +479,7 @@ class Regions:
             return self._sectors(choice, np.array([[low, cut.at], [cut.at, high]]))
         patches = self._stated.root.patches
         if cut.kind == PATCHES:
-            first = 0 if cut.parts == ICOSAHEDRON else ICOSAHEDRON
-            return self._patched(choice, patches[first : first + cut.parts])
+            return self._patched(choice, patches)
         a, b, c = known.corners[choice]
         ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
         quarters = np.array([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
