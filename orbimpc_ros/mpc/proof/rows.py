@@ -9,8 +9,8 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, slack
-from orbimpc_ros.mpc.proof.sets import cross, dot, size_of
+from orbimpc_ros.mpc.proof.arithmetic import direction, generic, slack
+from orbimpc_ros.mpc.proof.sets import about, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
 from orbimpc_ros.mpc.proof.tree import POINTS
 
@@ -23,31 +23,6 @@ def _around(low, high, sets, normal):
         return zero, zero
     normal[0], normal[1] = direction((low + high) / 2)
     return direction((high - low) / 2)
-
-
-@generic
-def about(corners, normal):
-    """Set the middle of a patch; return the least cosine and largest sine of angles to it.
-
-    The middle has the same angle to all three corners, whose lengths do not matter.
-    """
-    a, zero = corners[0], 0 * corners[0, 0]
-    normal[:] = zero
-    for i in range(3):
-        b, c = corners[i], corners[(i + 1) % 3]
-        across, long = cross(b, c), size_of(b, 3) * size_of(c, 3)
-        for e in range(3):
-            normal[e] = normal[e] + across[e] / long
-    size, inward, least, aside = size_of(normal, 3), dot(normal, a, 3), zero + 1, zero
-    if size <= 0:
-        return zero, zero
-    for e in range(3):
-        normal[e] = coarse(normal[e] / size if inward > 0 else -normal[e] / size)
-    for i in range(3):
-        long = size_of(corners[i], 3)
-        least = min(least, dot(normal, corners[i], 3) / long)
-        aside = max(aside, size_of(cross(normal, corners[i]), 3) / long)
-    return least, aside
 
 
 @generic
@@ -73,7 +48,8 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
     if n == 2:
         least, aside = _around(span[choice, 0], span[choice, 1], sets, normal)
     else:
-        least, aside = about(corners[choice], normal)
+        axis, least, aside = about(corners[choice])
+        normal[0], normal[1], normal[2] = axis
     if least <= 0:
         return zero, zero, zero - 1
     off = aside * bodies.margins[1, j, k]

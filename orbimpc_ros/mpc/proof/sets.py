@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from orbimpc_ros.mpc.proof.arithmetic import (
+    coarse,
     direction,
     generic,
     least_eigenvalue,
@@ -18,7 +19,7 @@ from orbimpc_ros.mpc.proof.arithmetic import (
     slack,
 )
 
-HALVINGS = 6  # of the step in the search for the best bound over a patch and a cone
+HALVINGS = 6  # of the step in the search for the best bound around a patch and in a cone
 TOLERANCE = 16  # slacks of a slope by which a direction may be outside
 
 
@@ -141,40 +142,27 @@ def cross(a, b):
 
 
 @generic
-def on_arc(g, a, b, size):
-    """Return the least g . u over the shorter arc of unit vectors between the directions a and b.
+def about(corners):
+    """Return the axis of the cone around a patch, and the least cosine and largest sine to it.
 
-    Args:
-        g: slope, shape (3,).
-        a: of any length.
-        b: of any length.
-        size: norm of g.
+    The axis has the same angle to all three corners, whose lengths do not matter. Without a cone
+    narrower than a half-space the cosine is -1.
     """
-    ga, gb, e = dot(g, a, 3) / size_of(a, 3), dot(g, b, 3) / size_of(b, 3), cross(a, b)
-    square = dot(e, e, 3)
-    if square <= 0:
-        return min(ga, gb)
-    up = dot(g, e, 3) / square
-    w = up * e[0] - g[0], up * e[1] - g[1], up * e[2] - g[2]  # downhill, in the arc's plane
-    off = -TOLERANCE * slack(size * square)
-    if dot(cross(a, w), e, 3) >= off and dot(cross(w, b), e, 3) >= off:
-        return -size_of(w, 3)
-    return min(ga, gb)
-
-
-@generic
-def in_patch(g, corners):
-    """Return the least g . u over unit vectors u in the cone of three corners, shape (3, 3)."""
-    size, a, b, c = size_of(g, 3), corners[0], corners[1], corners[2]
-    ab, bc, ca = cross(a, b), cross(b, c), cross(c, a)
-    volume = dot(ab, c, 3)
-    off = -TOLERANCE * slack(size * abs(volume) + size)
-    x, y, z = -dot(ab, g, 3), -dot(bc, g, 3), -dot(ca, g, 3)
-    if volume < 0:
-        x, y, z = -x, -y, -z
-    if x >= off and y >= off and z >= off:
-        return -size
-    return min(on_arc(g, a, b, size), on_arc(g, b, c, size), on_arc(g, c, a, size))
+    x = y = z = zero = 0 * corners[0, 0]
+    for i in range(3):
+        b, c = corners[i], corners[(i + 1) % 3]
+        across, long = cross(b, c), size_of(b, 3) * size_of(c, 3)
+        x, y, z = x + across[0] / long, y + across[1] / long, z + across[2] / long
+    axis, least, aside = (x, y, z), zero + 1, zero
+    size = size_of(axis, 3) if dot(axis, corners[0], 3) > 0 else -size_of(axis, 3)
+    if size == 0:
+        return axis, zero - 1, zero
+    axis = coarse(x / size), coarse(y / size), coarse(z / size)
+    for i in range(3):
+        long = size_of(corners[i], 3)
+        least = min(least, dot(axis, corners[i], 3) / long)
+        aside = max(aside, size_of(cross(axis, corners[i]), 3) / long)
+    return axis, least if least > 0 else zero - 1, aside
 
 
 @generic
@@ -212,39 +200,32 @@ def over_orbitope(g, matrix):
 
 @generic
 def in_part(sets, known, k, g, n):
-    """Return the least g . u over the directions u in the sector or patch of step k."""
+    """Return the least g . u over directions u in the sector of step k, or around its patch."""
     if known[0][k] < 0 or (n == 3 and len(sets.faces) > 0):
         return -size_of(g, n)
     if n == 2:
         return in_sector(g, known[1][k, 0], known[1][k, 1], known[3][k], sets)
-    return in_patch(g, known[2][k])
-
-
-@generic
-def in_patch_beyond(g, corners, axis, cosine, t):
-    """Return a lower bound of g . u over unit vectors u in a patch with a . u >= cos d.
-
-    For any t >= 0 this is t cos d plus the least (g - t a) . u over the patch.
-    """
-    rest = g[0] - t * axis[0], g[1] - t * axis[1], g[2] - t * axis[2]
-    return in_patch(rest, corners) + t * cosine - slack(size_of(g, 3) + t)
+    axis, cosine, sine = about(known[2][k])
+    return in_cone(g, axis, cosine, sine, 3)
 
 
 @generic
 def in_both(g, cone, corners):
-    """Return a lower bound of g . u over unit vectors u in a patch and in a cone.
+    """Return a lower bound of g . u over unit vectors u around a patch and in a cone.
 
-    Every t gives a bound, and these are concave in t. The search begins at the t for which the
-    minimiser over all directions is on the rim of the cone, and halves its steps.
+    For any t >= 0 this is t cos d plus the least (g - t a) . u around the patch, concave in t, with
+    the cone's axis a and angle d. The search begins at the t for which the minimiser over all
+    directions is on the rim of the cone, and halves its steps.
     """
     size, (along, square) = size_of(g, 3), along_and_across(g, cone, 3)
     t = along + root(square) * cone[3] / cone[4] if cone[4] > 0 else along
     if not t > 0:
         return -size
-    best, step = in_patch_beyond(g, corners, cone, cone[3], t), t / 2
+    (axis, cosine, sine), best, step = about(corners), -size, t / 2
     for _ in range(HALVINGS):
-        for to in (t - step, t + step):
-            value = in_patch_beyond(g, corners, cone, cone[3], to)
+        for to in (t, t - step, t + step):
+            rest = g[0] - to * cone[0], g[1] - to * cone[1], g[2] - to * cone[2]
+            value = in_cone(rest, axis, cosine, sine, 3) + to * cone[3] - slack(size + to)
             if value > best:
                 best, t = value, to
         step = step / 2
