@@ -271,7 +271,7 @@ class Statement:
         drift, keep = once.transition[:, 1] if model.inertial else (0, 0)
         on_s, *on_p = zip(once.push, once.follow, once.blow, strict=True)
         known = drift, keep, *on_s, *(on_p[0] if on_p else (0, z, 1))
-        return StepMap(*map(number, known), h / model.degree, model.degree)
+        return StepMap._make([*map(number, known), h / model.degree, model.degree])
 
     def _weighed(self) -> Costs:
         problem, number, w = self.problem, self._number, self.problem.weights
