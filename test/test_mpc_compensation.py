@@ -25,7 +25,6 @@ from orbimpc_ros.loop.compensation import (
     Interval,
     Odometry,
     Response,
-    advanced,
 )
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -96,7 +95,8 @@ def test_a_measurement_moves_on_as_the_vehicle_does(orders, source):
         spans = 0.1, 0.3, 0.2
         known = (None, None), (first, None), (second, first)
         intervals = [Interval(span, *each) for span, each in zip(spans, known, strict=True)]
-        later = advanced(problem, measured(start, source), intervals, plant.blown, source)
+        loop = Compensator(problem, given=plant.blown, velocity_source=source)
+        later = loop.advanced(measured(start, source), intervals)
         turns = rates if problem.rotation_order == 1 else rates[[0, 0, 1]]
         before, vehicle = start.fraction if order == 1 else 0.0, start
         shares = before, before, first.speed_fraction
@@ -109,7 +109,7 @@ def test_a_measurement_moves_on_as_the_vehicle_does(orders, source):
             np.testing.assert_allclose(found, getattr(expected, name), atol=1e-6, err_msg=name)
         if problem.rotation_order == 2:
             np.testing.assert_array_equal(later.body_rate, first.body_rate)
-        assert advanced(problem, later, [], plant.blown) is later
+        assert loop.advanced(later, []) is later
 
 
 A, B, C = command(0.1), command(0.2), command(0.3)
@@ -245,14 +245,14 @@ def test_the_applied_thrust_follows_what_was_commanded():
         before = vehicle.velocity[0]
         vehicle = flown(plant, vehicle, fraction, np.zeros(1), time)
         shares.append((vehicle.velocity[0] - before) / time)
-    assert history.applied(1.2, lag) == pytest.approx(vehicle.fraction, abs=1e-9)
-    assert history.mean(0.5, 0.9, lag) == pytest.approx(shares[1], abs=1e-6)
-    assert history.mean(0.0, 1.2, lag) == pytest.approx(vehicle.velocity[0] / 1.2, abs=1e-6)
-    assert history.mean(-0.5, 1.2, lag) is None
+    assert history.applied(1.2) == pytest.approx(vehicle.fraction, abs=1e-9)
+    assert history.mean(0.5, 0.9) == pytest.approx(shares[1], abs=1e-6)
+    assert history.mean(0.0, 1.2) == pytest.approx(vehicle.velocity[0] / 1.2, abs=1e-6)
+    assert history.mean(-0.5, 1.2) is None
     for k, fraction in enumerate(np.linspace(0.4, 1.0, 200)):
         history.add(Command(fraction, np.zeros(1), np.eye(2)), 1.2 + 0.005 * k)
         vehicle = flown(plant, vehicle, fraction, np.zeros(1), 0.005)
-    assert history.applied(1.2 + 0.005 * 200, lag) == pytest.approx(vehicle.fraction, abs=1e-3)
+    assert history.applied(1.2 + 0.005 * 200) == pytest.approx(vehicle.fraction, abs=1e-3)
 
 
 @pytest.mark.parametrize(('seed', 'gain'), [(0, 0.97), (1, 1.03)])

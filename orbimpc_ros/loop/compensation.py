@@ -33,7 +33,6 @@ F = TypeVar('F', float, Array)
 SOURCES = ('ground', 'air')  # of a measured velocity
 PARTS = 4  # of the time between commands, in each of which a vehicle with lags moves evenly
 MEMORY = 32  # commands
-TINY = 1e-9  # [s]
 NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
 
@@ -77,14 +76,6 @@ def along_the_air(odometry: Odometry) -> Odometry:
     return replace(odometry, attitude=odometry.attitude @ exp(slip), body_velocity=velocity)
 
 
-def airspeed(odometry: Odometry, wind: Array, velocity_source: str = 'ground') -> float:
-    """Return the airspeed along the thrust axis [m/s]; across it, only wind moves the vehicle."""
-    speed = float(odometry.body_velocity[0])
-    if velocity_source == 'air':
-        return speed
-    return speed - float(wind @ odometry.attitude[:, 0])
-
-
 class Interval(NamedTuple):
     """A time interval with one command in force, or None if it is unknown."""
 
@@ -96,17 +87,15 @@ class Interval(NamedTuple):
 class CommandHistory:
     """The recent commands with their times.
 
-    Args:
-        lag: of the speed or thrust, of which earlier commands leave the share reached [s].
-
     Attributes:
+        lag: of the vehicle's speed or thrust behind commands [s].
         last: the last command, sent or about to be; None before the first.
         sent: recent commands with known times [s].
         due: the command of the step that begins, of a vehicle with lags; None if it is the last.
     """
 
     def __init__(self, lag: float = 0.0) -> None:
-        self._lag = lag
+        self.lag = lag
         self._reached: float | None = None  # share at the oldest command, once one is forgotten
         self.last: Command | None = None
         self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
@@ -122,32 +111,33 @@ class CommandHistory:
         """Return the last commanded share of full speed or thrust; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
-    def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
-        """Return the actual share of speed or thrust at a time [s], with a lag [s] behind commands.
+    def applied(self, time: float, begun: float = 0.0) -> float:
+        """Return the share of full speed or thrust that commands have led to at a time [s].
 
         Without times, the last command counts as reached; ``begun`` is the share before the first.
         """
-        if not self.sent or lag == 0.0:
+        if not self.sent:
             return self.fraction
         reached = begun if self._reached is None else self._reached
         for interval in self.intervals(self.sent[0][0], time):
             assert interval.command is not None
             wanted = interval.command.speed_fraction
-            reached, _ = followed(reached, wanted, interval.duration, lag)
+            reached, _ = followed(reached, wanted, interval.duration, self.lag)
         return reached
 
-    def mean(self, begin: float, end: float, lag: float, begun: float = 0.0) -> float | None:
+    def mean(self, begin: float, end: float, begun: float = 0.0) -> float | None:
         """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
 
         Without a lag, the speed or thrust of a command takes effect when the next command comes.
         ``begun`` is the share before the first command.
         """
-        flown, reached = 0.0, self.applied(begin, lag, begun)
+        flown, reached = 0.0, self.applied(begin, begun)
         for interval in self.intervals(begin, end):
-            given = interval.before if lag == 0.0 else interval.command
+            given = interval.command if self.lag else interval.before
             if given is None:
                 return None
-            reached, covered = followed(reached, given.speed_fraction, interval.duration, lag)
+            wanted, time = given.speed_fraction, interval.duration
+            reached, covered = followed(reached, wanted, time, self.lag)
             flown += covered
         return flown / (end - begin)
 
@@ -159,7 +149,7 @@ class CommandHistory:
         if len(self.sent) == MEMORY:
             (since, first), (until, _) = self.sent[0], self.sent[1]
             before = first.speed_fraction if self._reached is None else self._reached
-            self._reached, _ = followed(before, first.speed_fraction, until - since, self._lag)
+            self._reached, _ = followed(before, first.speed_fraction, until - since, self.lag)
         self.sent.append((at, command))
 
     def forget(self) -> None:
@@ -187,69 +177,6 @@ def followed(reached: F, wanted: F, duration: float, lag: float) -> tuple[F, F]:
         return wanted, wanted * duration
     left = (reached - wanted) * math.exp(-duration / lag)
     return wanted + left, wanted * duration + lag * (reached - wanted - left)
-
-
-def mean_shares(step: float, commanded: Array, lag: float) -> Array:
-    """Return the mean share of full speed in each step, (N,), lagging commands, (N + 1,)."""
-    now, means = float(commanded[0]), []
-    for wanted in commanded[1:].tolist():
-        now, flown = followed(now, wanted, step, lag)
-        means.append(flown / step)
-    return np.array(means)
-
-
-def advanced(
-    problem: Problem,
-    odometry: Odometry,
-    intervals: Sequence[Interval],
-    disturbance: Array,
-    velocity_source: str = 'ground',
-) -> Odometry:
-    """Return the measurement propagated over the intervals; unchanged without any.
-
-    Within an interval, body rate and forward speed (or thrust) are constant, so that the vehicle
-    flies an arc, integrated exactly. As in the discrete model, a commanded rate acts at once at
-    rotation order 1; the rest of a command takes effect when the next command comes, and until then
-    the vehicle continues as measured. Airspeed turns with the body; the wind, shape (n,), does not.
-    ``velocity_source`` is the velocity measured by odometry.
-    """
-    if not intervals:
-        return odometry
-    attitude, body_velocity = odometry.attitude, odometry.body_velocity
-    # Without inertia, the velocity through the air turns with the body.
-    still = velocity_source == 'air' or problem.inertial
-    carrying = np.zeros(problem.dimension) if still else disturbance
-    position, rate = odometry.position, odometry.body_rate
-    through_air, velocity = body_velocity - attitude.T @ carrying, attitude @ body_velocity
-    for k, (time, command, before) in enumerate(intervals):
-        if k and before is not None:
-            through_air, rate = _forward(problem, before.speed_fraction), before.body_rate
-        turning = rate
-        if command is not None and problem.rotation_order == 1:
-            turning = command.body_rate
-        angle = time * turning
-        if problem.inertial:
-            push = _forward(problem, 0.0 if before is None else before.speed_fraction)
-            once, twice = turned(angle, push)
-            moved = time * (attitude @ twice + 0.5 * disturbance)
-            position = position + time * (velocity + moved)
-            velocity = velocity + time * (attitude @ once + disturbance)
-        else:
-            flown, _ = turned(angle, through_air)
-            position = position + time * (attitude @ flown + disturbance)
-        attitude = attitude @ exp(angle)
-    body_velocity = through_air + attitude.T @ carrying
-    if problem.inertial:
-        body_velocity = attitude.T @ velocity
-    later = odometry.time + sum(interval.duration for interval in intervals)
-    return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
-
-
-def _forward(problem: Problem, fraction: float) -> Array:
-    """Return a share of full speed or thrust along the body's x axis, shape (n,)."""
-    vector = np.zeros(problem.dimension)
-    vector[0] = problem.forward * fraction
-    return vector
 
 
 LONGEST = 1e3  # [s]
@@ -326,7 +253,6 @@ class Compensator:
         response: lags of the vehicle.
         innovation: deviation of the last measurement from its prediction, in standard deviations;
             0 before the second.
-        refused: number of consecutive measurements rejected as outliers.
     """
 
     def __init__(
@@ -340,6 +266,7 @@ class Compensator:
         sideslip: bool = False,
     ) -> None:
         self._problem, self.response = problem, response or Response()
+        self._full = problem.forward * np.eye(problem.dimension)[0]  # speed or thrust
         self._velocity_source, self._sideslip = velocity_source, sideslip
         self._given = np.zeros(problem.dimension) if given is None else given
         self._estimated = estimated
@@ -360,17 +287,18 @@ class Compensator:
         self._begun = 0.0  # share of full speed at the first command
         self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
         self._reported = -math.inf  # stamp of the last reported wind [s]
-        self.innovation, self.refused = 0.0, 0
+        self.innovation, self._refused = 0.0, 0
 
     def continue_from(self, other: Compensator) -> None:
         """Take over the memory of another compensator."""
         self.history = other.history
+        self.history.lag = self.response.speed
         if not self._estimated:
             return
         self._estimate, self._covariance = other._estimate, other._covariance
         self._last, self._begun = other._last, other._begun
         self._leaning, self._reported = other._leaning, other._reported
-        self.innovation, self.refused = other.innovation, other.refused
+        self.innovation, self._refused = other.innovation, other._refused
 
     @property
     def disturbance(self) -> Array:
@@ -394,7 +322,7 @@ class Compensator:
         odometry = along_the_air(measured) if self._sideslip else measured
         limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
-        odometry = self._settled(self._advanced(odometry, coming))
+        odometry = self._settled(self.advanced(odometry, coming))
         led = self.response.lead(self._problem)
         told = {
             'advanced': latency if coming else 0.0,
@@ -404,31 +332,70 @@ class Compensator:
         }
         return PlanStart(odometry, self.state(odometry), told, (self.odd_speed(odometry), limited))
 
-    def _advanced(self, measured: Odometry, coming: list[Interval]) -> Odometry:
-        """Return the measurement propagated over intervals, with lags behind their commands.
+    def advanced(self, measured: Odometry, intervals: Sequence[Interval]) -> Odometry:
+        """Return the measurement propagated over intervals; unchanged without any.
 
-        In each part of an interval, rate and speed or thrust are what they are on average. What the
-        measured speed has beyond the commanded one, such as a gust, remains.
+        The vehicle flies arcs, integrated exactly. Its airspeed turns with the body; the wind does
+        not.
         """
-        problem, lags, now = self._problem, self.response, measured
-        known = self.disturbance, self._velocity_source
+        if not intervals:
+            return measured
+        inertial, wind = self._problem.inertial, self.disturbance
+        position, attitude = measured.position, measured.attitude
+        carrying = 0.0 * wind if inertial or self._velocity_source == 'air' else wind
+        velocity = attitude @ measured.body_velocity
+        through_air = measured.body_velocity - attitude.T @ carrying
+        arcs, through_air, rate = self._arcs(measured, through_air, intervals)
+        for time, turning, ahead in arcs:
+            once, twice = turned(time * turning, ahead)
+            if inertial:
+                moved = time * (attitude @ twice + 0.5 * wind)
+                position = position + time * (velocity + moved)
+                velocity = velocity + time * (attitude @ once + wind)
+            else:
+                position = position + time * (attitude @ once + wind)
+            attitude = attitude @ exp(time * turning)
+        body_velocity = attitude.T @ velocity if inertial else through_air + attitude.T @ carrying
+        later = measured.time + sum(interval.duration for interval in intervals)
+        return Odometry(later, position, attitude, body_velocity, np.array(rate))
+
+    def _arcs(
+        self, measured: Odometry, air: Array, intervals: Sequence[Interval]
+    ) -> tuple[list[tuple[float, Array, Array]], Array, Array]:
+        """Return the arcs of a vehicle with the airspeed ``air``, and airspeed and rate thereafter.
+
+        An arc has a duration, a body rate, and the velocity through the air or the thrust, both in
+        the body frame. As in the discrete model, a commanded rate acts at once at rotation order 1;
+        the rest of a command takes effect when the next command comes, and until then the vehicle
+        continues as measured. With lags, all of it acts at once: each part of an interval is an
+        arc, at its mean rate and speed or thrust. What the measured speed has beyond the commanded
+        one, such as a gust, remains.
+        """
+        problem, lags, rate, arcs = self._problem, self.response, measured.body_rate, []
+        inertial, full = problem.inertial, self._full
         if not lags.lags:
-            return advanced(problem, now, coming, *known)
-        begun = 0.0 if problem.inertial else airspeed(now, *known) / problem.forward
-        gained = _forward(problem, 0.0 if problem.inertial else 1.0)
-        lag = lags.speed or TINY  # 0 would count the last command as reached
-        share = self.history.applied(now.time, lag, begun)
-        for whole, given, _ in [each for each in coming for _ in range(PARTS)]:
-            time, wanted = whole / PARTS, given or Command(share, now.body_rate, now.attitude)
-            later, flown = followed(share, wanted.speed_fraction, time, lag)
-            rate, turned = followed(now.body_rate, wanted.body_rate, time, lags.rate)
-            mean = Command(flown / time, turned / time, now.attitude)
-            velocity = now.body_velocity + (mean.speed_fraction - share) * gained
-            now = replace(now, body_velocity=velocity, body_rate=mean.body_rate)
-            now = advanced(problem, now, [Interval(time, None, mean)], *known)
-            velocity = now.body_velocity + (later - mean.speed_fraction) * gained
-            now, share = replace(now, body_velocity=velocity, body_rate=rate), later
-        return now
+            for k, (time, command, before) in enumerate(intervals):
+                if k and before is not None:
+                    air, rate = before.speed_fraction * full, before.body_rate
+                obeyed = command is not None and problem.rotation_order == 1
+                turning = command.body_rate if command is not None and obeyed else rate
+                thrust = 0.0 if before is None else before.speed_fraction
+                arcs.append((time, turning, thrust * full if inertial else air))
+            return arcs, air, rate
+        begun = 0.0 if inertial else self._airspeed(measured) / problem.forward
+        share = self.history.applied(measured.time, begun)
+        for whole, command, _ in intervals:
+            for _ in range(PARTS):
+                time, wanted, turn = whole / PARTS, share, rate
+                if command is not None:
+                    wanted, turn = command.speed_fraction, command.body_rate
+                later, flown = followed(share, wanted, time, lags.speed)
+                reached, angle = followed(rate, turn, time, lags.rate)
+                mean = flown / time
+                ahead = mean * full if inertial else air + (mean - share) * full
+                arcs.append((time, angle / time, ahead))
+                air, share, rate = air + (later - share) * full, later, reached
+        return arcs, air, rate
 
     def _settled(self, measured: Odometry) -> Odometry:
         """Return the state from which a vehicle without lags would fly the same path, a lag later.
@@ -442,9 +409,9 @@ class Compensator:
         time, rate = response.lead(problem), measured.body_rate
         if not problem.inertial:
             intervals = [Interval(time, None, None)] if time > 0.0 else []
-            settled = self._advanced(measured, intervals)
+            settled = self.advanced(measured, intervals)
         else:
-            applied = self.history.applied(measured.time, response.speed)
+            applied = self.history.applied(measured.time)
             commanded = 0.0 if coming is None else coming.speed_fraction
             pushed = problem.forward * (measured.attitude @ exp(0.5 * time * rate))[:, 0]
             left = response.speed * (applied - commanded) * pushed
@@ -474,10 +441,9 @@ class Compensator:
         elif coming is not None and problem.max_rate:
             fraction = applied
             if problem.turns_are_angles:
-                fraction = self.history.applied(odometry.time, self.response.speed)
+                fraction = self.history.applied(odometry.time)
         else:
-            speed = airspeed(odometry, self.disturbance, self._velocity_source)
-            fraction = min(1.0, max(0.0, speed / problem.forward))
+            fraction = min(1.0, max(0.0, self._airspeed(odometry) / problem.forward))
         coasted = None
         if problem.rotation_order == 2:
             coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
@@ -490,13 +456,19 @@ class Compensator:
             'disturbance': self.disturbance,
         }
 
+    def _airspeed(self, odometry: Odometry) -> float:
+        """Return the airspeed along the thrust axis [m/s]; across it, only wind moves a vehicle."""
+        speed = float(odometry.body_velocity[0])
+        if self._velocity_source == 'air':
+            return speed
+        return speed - float(self.disturbance @ odometry.attitude[:, 0])
+
     def odd_speed(self, odometry: Odometry) -> str:
         """Return a message if the measured speed is outside the model's range; otherwise empty.
 
         Such a speed is clipped to zero or full speed.
         """
-        full = self._problem.forward
-        speed = airspeed(odometry, self.disturbance, self._velocity_source)
+        full, speed = self._problem.forward, self._airspeed(odometry)
         if self._problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
             return ''
         taken = full if speed > 0.0 else 0.0
@@ -582,11 +554,9 @@ class Compensator:
 
         Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
         """
-        least = self._problem.least_speed
-        source, noise = self._velocity_source, NOISE_OF_SPEED
-        speed = airspeed(odometry, self.disturbance, source)
-        self._begun = min(1.0, max(least, speed / self._problem.forward))
-        if source == 'ground':
+        least, noise = self._problem.least_speed, NOISE_OF_SPEED
+        self._begun = min(1.0, max(least, self._airspeed(odometry) / self._problem.forward))
+        if self._velocity_source == 'ground':
             noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
         self._forget(1, noise**2)
         self._estimate[1] = 0.0
@@ -613,26 +583,22 @@ class Compensator:
         self._estimate[: len(seen)] = seen
         for row, variance in enumerate(self._variances):
             self._forget(row, variance)
-        self.innovation, self.refused = 0.0, 0
+        self.innovation, self._refused = 0.0, 0
 
     def _moved(self, last: Odometry, now: Odometry) -> Array | None:
         """Return the motion by commands and given disturbance since, shape (1 or 2, n), or None."""
-        time = now.time - last.time
-        share = self._mean_share(last, now)
+        problem, time = self._problem, now.time - last.time
+        share = self.history.mean(last.time, now.time, self._begun)
+        if self._sideslip:
+            share = 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / problem.forward
         if time > GAP or share is None:
             return None
-        given, ahead = self._given, _forward(self._problem, share)
-        once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
-        if not self._problem.inertial:
-            return np.array([time * (last.attitude @ once + given)])
-        place = time * time * (last.attitude @ twice + 0.5 * given)
-        return np.array([place, time * (last.attitude @ once + given)])
-
-    def _mean_share(self, last: Odometry, now: Odometry) -> float | None:
-        """Return the mean share of full speed or thrust between measurements; None if unknown."""
-        if self._sideslip:
-            return 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / self._problem.forward
-        return self.history.mean(last.time, now.time, self.response.speed, self._begun)
+        turn, ahead = log(last.attitude.T @ now.attitude), share * self._full
+        once, twice = (last.attitude @ each for each in turned(turn, ahead))
+        gained = time * (once + self._given)
+        if not problem.inertial:
+            return gained[None]
+        return np.array([time * time * (twice + 0.5 * self._given), gained])
 
     def _predict(self, moved: Array, time: float) -> None:
         """Propagate the state by a time [s], with known increments ``moved``."""
@@ -659,12 +625,12 @@ class Compensator:
         off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
         self.innovation = float(np.sqrt(off.max() / count))
         if self.innovation > GATE:
-            self.refused += 1
-            if self.refused >= PATIENCE:  # the wind may have shifted as well
+            self._refused += 1
+            if self._refused >= PATIENCE:  # the wind may have shifted as well
                 self._believe(odometry)
                 self._doubt()
             return
-        self.refused, kept = 0, math.exp(-time / RECENT)
+        self._refused, kept = 0, math.exp(-time / RECENT)
         latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
         self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
         self._learn(np.eye(count, 3), missed, self._variances)

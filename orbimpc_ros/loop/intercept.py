@@ -46,7 +46,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import mean_shares
+from orbimpc_ros.loop.compensation import followed
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
@@ -116,8 +116,8 @@ def catching(problem: Problem, radius: float, end: float) -> Problem:
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
-    timed = replace(problem, horizon=steps, step=length, discretisation=how)
-    return replace(timed, weights=weights, arrival_weight=0.0)
+    timed = {'horizon': steps, 'step': length, 'discretisation': how}
+    return replace(problem, **timed, weights=weights, arrival_weight=0.0)
 
 
 def _steps_to(problem: Problem, end: float) -> tuple[int, float]:
@@ -244,7 +244,7 @@ class Interception:
             if best.plan is None and rest.miss <= self._near:
                 best = rest
         if best.end == int(best.end) and self._is_well(best):
-            best = self._within(query, best)
+            best = self._bisected(query, best.end - 1.0, best, self._finest)
         if self._centred and self._is_well(best):
             best = self._through_the_middle(query, best)
         caught = best.miss <= self._radius
@@ -315,7 +315,8 @@ class Interception:
         if rest.miss <= self._radius:
             return rest, rest
         end = _coarsely(query.expected)
-        anew = self._surely(query, end) if end <= self._last(query) else MISSED
+        beyond = self._horizon < end <= self._last(query)
+        anew = self._surely(query, end) if beyond else MISSED
         return rest, anew if anew.plan is not None or rest.miss > self._near else rest
 
     def _beyond(self, query: InterceptQuery) -> _Attempt:
@@ -329,8 +330,14 @@ class Interception:
             end = min(missed + away, last)
             found, away = self._surely(query, end), 2 * away
             missed = missed if found.plan else end
-        while found.end - missed > 1:
-            middle = (missed + found.end) // 2
+        return self._bisected(query, missed, found, 1.0)
+
+    def _bisected(
+        self, query: InterceptQuery, missed: float, found: _Attempt, finest: float
+    ) -> _Attempt:
+        """Return the first catch after an end without one, up to the resolution ``finest``."""
+        while found.end - missed > finest:
+            middle = finest * ((missed + found.end) // (2.0 * finest))
             sooner = self._surely(query, middle)
             found, missed = (sooner, missed) if sooner.plan else (found, middle)
         return found
@@ -338,20 +345,11 @@ class Interception:
     def _sooner(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
         """Return an earlier catch than the one found, if any, doubling the distance each time."""
         for away in (1, 2, 4, 8):
-            sooner = self._surely(query, max(self._horizon, math.ceil(found.end) - away))
+            end = math.ceil(found.end) - away
+            sooner = self._surely(query, end) if end > self._horizon else MISSED
             if sooner.plan is None:
                 break
             found = sooner
-        return found
-
-    def _within(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
-        """Return the first catch that bisection finds within the step that ends with a catch."""
-        away = 0.5
-        while away >= self._finest:
-            sooner = self._at(query, found.end - away)
-            if self._is_well(sooner):
-                found = sooner
-            away *= 0.5
         return found
 
     def _through_the_middle(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
@@ -412,8 +410,8 @@ class Interception:
         return self._aim if end <= self._horizon else NARROW * self._radius
 
     def _surely(self, query: InterceptQuery, end: float) -> _Attempt:
-        """Try to come well within the radius at an end past the horizon."""
-        attempt = self._at(query, end) if end > self._horizon else MISSED
+        """Try to come well within the radius at an end."""
+        attempt = self._at(query, end)
         return attempt if self._is_well(attempt) else MISSED
 
     def _tried(self, query: InterceptQuery, end: int, goals: Array) -> _Attempt:
@@ -504,8 +502,12 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    flown = mean_shares(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
-    way = problem.step * problem.forward * flown
+    shares = plan.speed_fraction.tolist()
+    reached, covered = shares[0], []
+    for wanted in shares[1:]:
+        reached, flown = followed(reached, wanted, problem.step, lag)
+        covered.append(flown)
+    way = problem.forward * (np.array(covered) @ _means(plan.projected))
     return np.asarray(adrift(problem, state)[-1] + way - plan.positions[-1])
 
 
