@@ -116,8 +116,9 @@ def catching(problem: Problem, radius: float, end: float) -> Problem:
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
-    timed = {'horizon': steps, 'step': length, 'discretisation': how}
-    return replace(problem, **timed, weights=weights, arrival_weight=0.0)
+    return replace(
+        problem, horizon=steps, step=length, discretisation=how, weights=weights, arrival_weight=0.0
+    )
 
 
 def _steps_to(problem: Problem, end: float) -> tuple[int, float]:

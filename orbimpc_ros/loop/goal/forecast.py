@@ -95,7 +95,6 @@ BELIEVED = 3  # consecutive outliers that start a new motion
 GATE = 6.0  # standard deviations beyond which a sighting is an outlier
 AGILE = 5.0  # [m/s^2] unpredicted acceleration that a goal may have
 LOST = 60.0  # [s] gap between sightings after which a motion starts anew
-FAR = 1e7  # [m] distance beyond which a sighting is of another goal
 SWINGS_FROM = 6  # sightings
 YOUNG = 16  # sightings up to which each is fully processed, later every other one
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
@@ -118,16 +117,14 @@ class Bank:
         self._waiting: list[Placement] = []
 
     def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting; ignore it unless it is finite and newer than the last."""
-        time, position = float(sighting.time), np.asarray(sighting.position, dtype=float)
-        if not (math.isfinite(time) and np.isfinite(position).all()):
+        """Take in a sighting; ignore it unless it is newer than the last."""
+        time, position, last = sighting.time, sighting.position, self._last
+        if last is not None and time <= last:
             return
-        if self._last is not None and time <= self._last:
-            return
-        if self._last is None or len(position) != len(self._origin) or time - self._last > LOST:
+        if last is None or time - last > LOST:
             self._begin(np.array([time]), position[None])
         else:
-            self._learn(time, position, time - self._last)
+            self._learn(time, position, time - last)
         self._last = time
 
     @property
@@ -160,8 +157,7 @@ class Bank:
             self._lately.pop(0)
         begun, place = self._lately[0]
         if time > begun:
-            speed = math.dist(position, place) / (time - begun)
-            self._fastest = max(self._fastest, min(speed, FAR))
+            self._fastest = max(self._fastest, math.dist(position, place) / (time - begun))
 
     # --- taking in
 
@@ -204,8 +200,6 @@ class Bank:
 
     def _expected(self, time: float, position: Array, waited: float) -> bool:
         """Return True if any motion with a considerable share predicts the goal near there."""
-        if _far(position, self._origin):
-            return False
         rows = self._fits.rows(np.array([time - self._epoch]))[:, 0]
         off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
         spread = self._fits.noises * (1.0 + self._fits.spread(rows))
@@ -215,8 +209,6 @@ class Bank:
 
     def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
         """Start anew with the first sightings of a motion: times, (M,), and positions, (M, n)."""
-        together = [not _far(each, seen[-1]) for each in seen]
-        times, seen = times[together], seen[together]
         self._start_from(float(times[0]), seen[0].copy(), noise)
         for time, position in zip(times.tolist(), seen, strict=True):
             self._note_speed(time, position)
@@ -369,12 +361,6 @@ class Bank:
     def _start(self, family: int, rate: float, coefficients: Array) -> None:
         if coefficients[COSINE].any():
             self._waiting.append(Placement(family, rate, 0.0, coefficients))
-
-
-def _far(one: Array, other: Array) -> bool:
-    """Return True if two positions are too far apart for one motion."""
-    with np.errstate(over='ignore'):
-        return bool(np.abs(one - other).max() > FAR)
 
 
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
